@@ -1,0 +1,52 @@
+"""gearjax: differentiable gear dynamics in JAX. Transmission error without load, under load and in motion."""
+
+from gearjax import units
+from gearjax.analysis import (
+    AdaptiveStep,
+    FixedStep,
+    backlash,
+    order_spectrum,
+    simulate,
+    transmission_error,
+)
+from gearjax.checks import GearjaxError, ParameterError, SceneError
+from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.compliance import HarmonicStiffness
+from gearjax.config import load, loads
+from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
+from gearjax.errors import Eccentricity
+from gearjax.inertia import DampingRatio, EquivalentMass
+from gearjax.load import ConstantLoad, SinusoidalLoad
+from gearjax.scene import Run, Scene
+from gearjax.systems import TwoKV
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "AdaptiveStep",
+    "ConstantLoad",
+    "DampingRatio",
+    "Eccentricity",
+    "EquivalentMass",
+    "FixedStep",
+    "GearjaxError",
+    "HardContact",
+    "HarmonicStiffness",
+    "InitialBacklash",
+    "ParameterError",
+    "QuadraticContact",
+    "Run",
+    "Scene",
+    "SceneError",
+    "SinusoidalLoad",
+    "SoftplusContact",
+    "TwoKV",
+    "ZeroAtStart",
+    "backlash",
+    "load",
+    "loads",
+    "order_spectrum",
+    "simulate",
+    "transmission_error",
+    "units",
+]

@@ -1,0 +1,365 @@
+"""Dynamic transmission error: the equation of motion of the output on its contacts.
+
+    M q'' + sum_i J_i (k_i(t) penetration(overlap_i) + c_i overlap_i') = -T(t)
+
+(consistent form of Wang et al. 2020, eq. 19; the printed one has wrong signs). Position is scaled by 10 um on the
+line of action, time by the highest natural frequency. Times come from the sample and step number.
+"""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from gearjax.analysis.metrics import load_sharing_factor
+from gearjax.analysis.quasi_static import rest
+from gearjax.analysis.solvers import AdaptiveStep, FixedStep, Stepper, highest_between
+from gearjax.checks import SceneError, is_concrete
+from gearjax.contact import ContactSet
+from gearjax.scene import Scene, require
+from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
+
+LENGTH_SCALE = 1e-5  # m on the line of action
+LONGEST_STEP = 1.0  # rad of the highest natural frequency; Runge-Kutta is stable to 2.8
+FAULTS = {
+    1: "the solution is not finite",
+    2: "the step is too long for the highest natural frequency",
+    3: "the adaptive solver did not finish",
+    4: "there is no equilibrium to start from",
+}
+
+
+class Motion(eqx.Module):
+    """Dynamic transmission error over time.
+
+    Args:
+        ts: sample times, shape (n,) [s].
+        te: transmission error, positive when the output leads, shape (n,) [rad].
+        velocity: its rate, shape (n,) [rad/s].
+        forces: elastic force of each contact, driving flanks first, shape (n, contact) [N].
+        highest, lowest: extremes of te over the steps up to each sample from the one before, shape (n,) [rad].
+        settle: time that the metrics leave out [s].
+        result: 0 good, else a key of `FAULTS`.
+        pairs: number of driving contacts.
+    """
+
+    ts: Float[Array, " n"]
+    te: Float[Array, " n"]
+    velocity: Float[Array, " n"]
+    forces: Float[Array, "n contact"]
+    highest: Float[Array, " n"]
+    lowest: Float[Array, " n"]
+    settle: Scalar
+    result: Int[Array, ""]
+    pairs: int = eqx.field(static=True)
+
+    @property
+    def settled(self) -> Array:
+        """Which samples the metrics count, shape (n,)."""
+        return self.ts >= self.ts[0] + self.settle
+
+    @property
+    def _maximum(self) -> Scalar:
+        return jnp.where(self._after, self.highest, -jnp.inf).max()
+
+    @property
+    def _minimum(self) -> Scalar:
+        return jnp.where(self._after, self.lowest, jnp.inf).min()
+
+    @property
+    def _after(self) -> Array:
+        """Intervals that lie wholly after the settling time; the first entry is the first sample itself."""
+        return jnp.concatenate([self.settled[:1], self.settled[:-1]])
+
+    @property
+    def peak_to_peak(self) -> Scalar:
+        """Highest minus lowest over all steps after settling [rad]."""
+        return self._maximum - self._minimum
+
+    @property
+    def amplitude(self) -> Scalar:
+        """Largest absolute value over all steps after settling [rad]."""
+        return jnp.maximum(self._maximum, -self._minimum)
+
+    @property
+    def mean(self) -> Scalar:
+        """Mean of the samples after settling [rad]."""
+        return jnp.where(self.settled, self.te, 0.0).sum() / self.settled.sum().astype(self.te.dtype)
+
+    @property
+    def std(self) -> Scalar:
+        """Standard deviation of the samples after settling [rad]."""
+        square = jnp.where(self.settled, self.te - self.mean, 0.0) ** 2
+        return jnp.sqrt(square.sum() / self.settled.sum().astype(self.te.dtype))
+
+    @property
+    def load_sharing(self) -> Float[Array, " n"]:
+        """Load of the most loaded pair over the mean load, shape (n,) [-]."""
+        return load_sharing_factor(self.forces, self.pairs)
+
+
+def simulate(
+    scene: Scene,
+    ts: ArrayLike,
+    torque: ArrayLike,
+    *,
+    start: str = "equilibrium",
+    settle: ArrayLike = 0.0,
+    stepper: Stepper = FixedStep(),
+) -> Motion:
+    """Dynamic transmission error under the scene's load.
+
+    Args:
+        scene: the scene, with compliance, load and inertia.
+        ts: sample times, increasing, shape (n,) [s].
+        torque: size of the load torque [N m]; positive loads the driving flanks.
+        start: ``"equilibrium"``, moving with the static equilibrium, or ``"zero"``, at rest at the ideal position.
+        settle: time after the first sample that metrics leave out [s].
+        stepper: `FixedStep` or `AdaptiveStep`.
+
+    Returns:
+        The motion. While tracing, faults are in its ``result``; otherwise they raise.
+
+    Raises:
+        SceneError: the scene lacks a part, or the step does not suit it.
+
+    Example:
+        >>> import gearjax as gj, jax.numpy as jnp
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> motion = gj.simulate(scene, jnp.linspace(0.0, 0.1, 101), torque=100.0)
+        >>> motion.te.shape, int(motion.result)
+        ((101,), 0)
+    """
+    require(scene, "dynamic", "compliance", "load", "inertia")
+    if start not in ("equilibrium", "zero"):
+        raise SceneError(f'start = "{start}": valid: equilibrium, zero')
+    if not (isinstance(ts, jax.Array) and jnp.issubdtype(ts.dtype, jnp.floating)):
+        ts = jnp.asarray(ts, dtype=float)
+    if ts.ndim != 1 or ts.shape[0] < 2:
+        raise SceneError(f"ts has shape {ts.shape}: give at least two sample times")
+    if is_concrete(ts) and not bool((np.diff(np.asarray(ts)) > 0).all()):
+        raise SceneError("ts must increase")
+    torque, settle = jnp.asarray(torque, ts.dtype), jnp.asarray(settle, ts.dtype)
+    if is_concrete((ts, settle)) and not 0 <= float(settle) < float(ts[-1] - ts[0]):
+        raise SceneError(f"settle = {float(settle):g} s: must be at least 0 and less than the record")
+    steps = stepper.steps(ts) if isinstance(stepper, FixedStep) else 0
+    motion = _simulate(scene.physics(), ts, torque, settle, start, stepper, steps)
+    if is_concrete(motion.result) and int(motion.result):
+        raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(scene, int(motion.result))}")
+    return motion
+
+
+def natural_frequency(scene: Scene) -> Scalar:
+    """Highest natural frequency, all pairs in contact at their peak stiffness [rad/s]."""
+    contacts = scene.contacts(jnp.zeros_like(scene.system.input_speed))
+    assert scene.inertia is not None
+    assert scene.compliance is not None
+    lever = contacts.lever[: contacts.pairs]
+    stiffness = (lever * lever).sum() * scene.compliance.peak_stiffness()
+    return jnp.sqrt(stiffness / scene.inertia.moment(lever))
+
+
+def _advice(scene: Scene, fault: int) -> str:
+    if fault != 2:
+        return ""
+    longest = LONGEST_STEP / float(natural_frequency(scene))
+    return f": it must be at most {longest:.3g} s, give stepper=FixedStep(step={0.25 * longest:.2g})"
+
+
+class _Excitation(eqx.Module):
+    """What drives the motion at one time: everything but the output's own position. Rates are ``None`` undamped."""
+
+    lever: Array
+    gap: Array
+    lever_rate: Array | None
+    gap_rate: Array | None
+    stiffness: Array
+    load: Array
+
+
+class _Equation(eqx.Module):
+    """The scaled equation of motion of one scene under one torque."""
+
+    scene: Scene
+    torque: Scalar
+    frequency: Scalar
+    scale: Scalar
+
+    def load(self, time: Scalar) -> Scalar:
+        """Load torque [N m]."""
+        assert self.scene.load is not None
+        turns = self.scene.system.input_speed * time / (2 * jnp.pi)
+        return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+
+    def rest(self, time: Scalar) -> Scalar:
+        """Static equilibrium at a time [rad], with the stiffness and the torque of that time."""
+        return rest(self._contacts(time), self.scene, self.load(time)).position
+
+    def _contacts(self, time: Scalar) -> ContactSet:
+        return self.scene.contacts(self.scene.system.input_speed * time, "varying")
+
+    def excitation(self, time: Scalar) -> _Excitation:
+        """Contacts and load at a time [s]."""
+
+        def gaps(time):
+            contacts = self._contacts(time)
+            return (contacts.lever, contacts.gap), contacts.stiffness
+
+        if self.scene.damping is None:
+            (lever, gap), stiffness = gaps(time)
+            lever_rate = gap_rate = None
+        else:
+            (lever, gap), (lever_rate, gap_rate), stiffness = jax.jvp(
+                gaps, (time,), (jnp.ones_like(time),), has_aux=True
+            )
+        assert stiffness is not None
+        return _Excitation(lever, gap, lever_rate, gap_rate, stiffness, self.load(time))
+
+    def forces(self, time: Scalar, position: Scalar) -> Float[Array, " contact"]:
+        """Elastic force of each contact [N]."""
+        now = self.excitation(time)
+        return now.stiffness * self.scene.contact.penetration(now.lever * position - now.gap)
+
+    def acceleration(self, now: _Excitation, position: Scalar, velocity: Scalar) -> Scalar:
+        """Acceleration of the output's deviation [rad/s2]."""
+        scene = self.scene
+        assert scene.inertia is not None
+        assert scene.compliance is not None
+        pairs = scene_pairs(scene)
+        overlap = now.lever * position - now.gap
+        moment = -now.load - (now.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
+        if scene.damping is not None and now.lever_rate is not None and now.gap_rate is not None:
+            coefficient = scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), scene.inertia.mass)
+            speed = (now.lever * velocity + now.lever_rate * position - now.gap_rate)[:pairs]
+            engaged = scene.contact.closed(overlap)
+            if overlap.shape[0] > pairs:  # one damper per pair, while either of its flanks is in contact
+                engaged = 1.0 - (1.0 - engaged[:pairs]) * (1.0 - engaged[pairs:])
+            moment = moment - (now.lever[:pairs] * coefficient * engaged * speed).sum()
+        return moment / scene.inertia.moment(now.lever[:pairs])
+
+    def rate(self, now: _Excitation, state: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Change of the scaled state per scaled time."""
+        acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)
+        return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
+
+    def initial(self, time: Scalar, start: str) -> Float[Array, "2"]:
+        """Scaled position and velocity to start from."""
+        if start == "zero":
+            return jnp.zeros((2,), time.dtype)
+        position, velocity = jax.jvp(self.rest, (time,), (jnp.ones_like(time),))
+        return jnp.stack([position, velocity / self.frequency]) / self.scale
+
+
+def scene_pairs(scene: Scene) -> int:
+    """Number of driving contacts of a scene."""
+    return jax.eval_shape(scene.contacts, scene.system.input_speed).pairs
+
+
+@eqx.filter_jit
+def _simulate(
+    scene: Scene, ts: Array, torque: Array, settle: Array, start: str, stepper: Stepper, steps: int
+) -> Motion:
+    lever = jnp.mean(jnp.abs(scene.contacts(ts[0]).lever))
+    equation = _Equation(scene, torque, natural_frequency(scene), LENGTH_SCALE / lever)
+    state = equation.initial(ts[0], start)
+    fault = jnp.where(jnp.isfinite(state).all(), 0, 4)
+    state = jnp.nan_to_num(state)
+    if isinstance(stepper, AdaptiveStep):
+        states, highest, lowest, failed = _adaptive(equation, ts, state, stepper)
+    else:
+        states, highest, lowest, failed = _fixed(equation, ts, state, stepper, steps)
+    fault = jnp.where(fault > 0, fault, failed)
+    fault = jnp.where((fault == 0) & ~jnp.isfinite(states).all(), 1, fault)
+    te = states[:, 0] * equation.scale
+    velocity = states[:, 1] * (equation.scale * equation.frequency)
+    forces = jax.vmap(equation.forces)(ts, te)
+    return Motion(
+        ts, te, velocity, forces, highest * equation.scale, lowest * equation.scale, settle, fault, scene_pairs(scene)
+    )
+
+
+def _fixed(equation: _Equation, ts: Array, state: Array, stepper: FixedStep, steps: int):
+    """Even steps: a scan over the sample intervals, and over the steps of each.
+
+    What drives the motion is tabulated for all ends and middles of the steps of an interval at once (vectorised,
+    and out of the sequential loop); within a step it is interpolated, exactly so at the nodes of Runge-Kutta.
+    A step runs over the time 0 to 1.
+    """
+
+    now, unpack = ravel_pytree(equation.excitation(ts[0]))
+
+    def field(time, state, args):
+        rows, span = args
+        return span * equation.rate(unpack(_within(rows, time)), state)
+
+    terms = diffrax.ODETerm(field)
+
+    def interval(carry, times):
+        origin, length = times
+        span = length * equation.frequency / steps
+        nodes = origin + jnp.arange(2 * steps + 1).astype(ts.dtype) * (0.5 / steps) * length
+        table = jax.vmap(lambda time: ravel_pytree(equation.excitation(time))[0])(nodes)
+        rows = jnp.stack([table[:-1:2], table[1::2], table[2::2]], axis=1)
+
+        def step(inner, now):
+            rows, first = now
+            state, memory, highest, lowest = inner
+            new, _, _, memory, _ = stepper.solver.step(terms, 0.0, 1.0, state, (rows, span), memory, first)
+            highest = jnp.maximum(highest, highest_between(state[0], new[0], state[1], new[1], span))
+            lowest = jnp.minimum(lowest, -highest_between(-state[0], -new[0], -state[1], -new[1], span))
+            return (new, memory, highest, lowest), None
+
+        state, memory = carry
+        firsts = jnp.arange(steps) == 0
+        start = (state, memory, state[0], state[0])
+        # recompute each step when differentiating backwards: storing its inner values is slower and larger
+        carry, _ = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), start, (rows, firsts))
+        state, memory, highest, lowest = carry
+        return (state, memory), (state, highest, lowest)
+
+    memory = stepper.solver.init(terms, 0.0, 1.0, state, (jnp.stack([now, now, now]), jnp.ones_like(ts[0])))
+    intervals = (ts[:-1], ts[1:] - ts[:-1])
+    _, (states, highest, lowest) = jax.lax.scan(interval, (state, memory), intervals)
+    first = state[:1]
+    too_long = (intervals[1].max() * equation.frequency / steps) > LONGEST_STEP
+    return (
+        jnp.concatenate([state[None, :], states]),
+        jnp.concatenate([first, highest]),
+        jnp.concatenate([first, lowest]),
+        jnp.where(too_long, 2, 0),
+    )
+
+
+def _within(rows: Float[Array, "3 row"], time: float | Scalar) -> Float[Array, " row"]:
+    """A row within a step, at a time from 0 to 1: the parabola through its start, middle and end."""
+    if isinstance(time, float) and time in (0.0, 0.5, 1.0):
+        return rows[round(2 * time)]
+    weights = 2 * (time - 0.5) * (time - 1), 4 * time * (1 - time), 2 * time * (time - 0.5)
+    return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
+
+
+def _adaptive(equation: _Equation, ts: Array, state: Array, stepper: AdaptiveStep):
+    """diffrax's adaptive loop; extremes are those of the samples."""
+
+    def field(tau, state, origin):
+        return equation.rate(equation.excitation(origin + tau / equation.frequency), state)
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        stepper.solver,
+        t0=jnp.zeros_like(ts[0]),
+        t1=(ts[-1] - ts[0]) * equation.frequency,
+        dt0=jnp.full_like(ts[0], 0.05),
+        y0=state,
+        args=ts[0],
+        saveat=diffrax.SaveAt(ts=(ts - ts[0]) * equation.frequency),
+        stepsize_controller=diffrax.PIDController(rtol=stepper.rtol, atol=stepper.atol),
+        max_steps=stepper.max_steps,
+        adjoint=stepper.adjoint,
+        throw=False,
+    )
+    states = jnp.asarray(solution.ys)
+    failed = jnp.where(solution.result == diffrax.RESULTS.successful, 0, 3)
+    return states, states[:, 0], states[:, 0], failed

@@ -1,0 +1,70 @@
+"""Order spectrum: amplitude over cycles per turn."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import SceneError, is_concrete
+from gearjax.typing import Array, ArrayLike, Float
+
+
+class Spectrum(eqx.Module):
+    """Amplitude spectrum over orders.
+
+    Args:
+        order: cycles per turn, shape (m,) [-].
+        amplitude: amplitude of the sine at each order, in the unit of the record, shape (m,).
+    """
+
+    order: Float[Array, " m"]
+    amplitude: Float[Array, " m"]
+
+
+def order_spectrum(
+    values: ArrayLike, theta: ArrayLike, *, turn: ArrayLike = 2 * math.pi, window: str = "hann"
+) -> Spectrum:
+    """Order spectrum of a record sampled evenly over the angle, by FFT.
+
+    On whole cycles use ``window="none"``: each order is exact. On any other span ``window="hann"`` keeps leakage away;
+    a line is then two spacings wide, and read at its peak up to 15 % low.
+
+    Args:
+        values: record, shape (n,).
+        theta: input angles, evenly spaced, shape (n,) [rad]. With ``window="none"`` the last sample is one spacing
+            short of the whole span.
+        turn: input angle of the turn that orders count, ``2 pi`` for the input, ``2 pi / orders["output"]`` for the
+            output [rad].
+        window: ``"none"`` or ``"hann"``.
+
+    Raises:
+        SceneError: unknown window, too short a record, or uneven angles.
+
+    Example:
+        >>> import gearjax as gj, jax.numpy as jnp
+        >>> theta = 2 * jnp.pi * jnp.arange(256) / 256
+        >>> spectrum = gj.order_spectrum(0.3 * jnp.sin(5 * theta), theta, window="none")
+        >>> round(float(spectrum.amplitude[5]), 6)
+        0.3
+    """
+    if window not in ("none", "hann"):
+        raise SceneError(f'window = "{window}": valid: none, hann')
+    values, theta = jnp.asarray(values), jnp.asarray(theta)
+    size = values.shape[0] if values.ndim == 1 else 0
+    if size < 4 or theta.shape != values.shape:
+        raise SceneError(
+            f"a spectrum needs at least 4 samples and as many angles, got shapes {values.shape} and {theta.shape}"
+        )
+    if is_concrete(theta):
+        steps = np.diff(np.asarray(theta, dtype=float))
+        if not np.allclose(steps, steps.mean(), rtol=1e-3, atol=0):
+            raise SceneError("theta is unevenly spaced: an order spectrum needs even angles")
+    weights = jnp.ones(size, values.dtype)
+    if window == "hann":
+        weights = 0.5 * (1 - jnp.cos(2 * jnp.pi * jnp.arange(size, dtype=values.dtype) / size))
+    centred = values - (weights * values).sum() / weights.sum()
+    amplitude = 2 * jnp.abs(jnp.fft.rfft(weights * centred)) / weights.sum()
+    spacing = (theta[-1] - theta[0]) / (size - 1)
+    order = jnp.arange(amplitude.shape[0], dtype=values.dtype) * (jnp.asarray(turn, values.dtype) / (size * spacing))
+    return Spectrum(order, amplitude)

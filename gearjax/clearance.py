@@ -1,0 +1,27 @@
+"""Where the gaps are counted from: initial backlash, and the zero of the errors."""
+
+import equinox as eqx
+
+from gearjax.parameters import check_parameters, length
+from gearjax.typing import Number
+
+
+class InitialBacklash(eqx.Module):
+    """Backlash of each pair before the errors change it, ``B_i(0)`` of Wang et al. (2020), eq. 7.
+
+    With the reference zero at the start it is the backlash of each pair at input angle zero; without, the
+    backlash of a pair without errors.
+
+    Args:
+        initial: backlash along the line of action [m].
+    """
+
+    initial: Number = length(at_least=0.0, at_most=1.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+
+class ZeroAtStart(eqx.Module):
+    """Errors count from their values at input angle zero, as if every pair just touched there
+    (the t0 terms of Wang et al. 2020, eqs. 1-4)."""

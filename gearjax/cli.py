@@ -1,0 +1,158 @@
+"""Command line. Tables and JSON go to stdout, progress and one-line errors to stderr; a mistake ends with code 2."""
+
+import json
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax.config import loads, read_file
+from gearjax.plot import save_figures
+from gearjax.reproduce import PAPERS, Row
+from gearjax.results import METRICS, Case, highest_load_sharing, run_cases, save, stored_config
+from gearjax.scene import Scene
+from gearjax.units import arcmin
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+_progress = Console(stderr=True)
+
+ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures")]
+JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
+
+
+@app.callback(invoke_without_command=True)
+def _app(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+) -> None:
+    """Differentiable gear dynamics: transmission error without load, under load and in motion."""
+    if version:
+        print(f"gearjax {metadata.version('gearjax')}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@app.command()
+def run(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False) -> None:
+    """Every analysis that the configuration lists: table, figures and results file.
+
+    Without --out they go to out/NAME; with --json and no --out nothing is written.
+    """
+    text, scene = _read(config)
+    cases = []
+    for case in run_cases(scene):
+        _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
+        cases.append(case)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    if folder is not None:
+        written = save(scene, cases, text, folder) + save_figures(scene, cases, folder)
+        _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
+    if json_:
+        print(json.dumps({"config": str(config), "cases": [case.as_json() for case in cases]}))
+    else:
+        _print_cases(cases)
+
+
+@app.command()
+def reproduce(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="a paper; all of them without")] = None,
+    out: OutOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Published figures of a paper next to ours."""
+    if name is not None and name not in PAPERS:
+        raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
+    reports = []
+    for key in [name] if name is not None else PAPERS:
+        paper, rows = PAPERS[key]
+        _progress.print(f"computing: {paper}", style="dim", soft_wrap=True)
+        reports.append((paper, rows()))
+    if out is not None:
+        _write_rows(out, reports)
+    objects = [{"paper": paper, "rows": [row.as_json() for row in rows]} for paper, rows in reports]
+    if json_:
+        print(json.dumps(objects[0] if len(objects) == 1 else {"papers": objects}))
+        return
+    for paper, rows in reports:
+        _print_rows(paper, rows)
+
+
+def _read(config: Path) -> tuple[str, Scene]:
+    """Text and scene of a configuration, or of a results file's own configuration."""
+    text = stored_config(config) if config.suffix == ".nc" else read_file(config)
+    return text, loads(text)
+
+
+def _print_cases(cases: list[Case]) -> None:
+    compared = any(case.published for case in cases)
+    table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
+    for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "load sharing"):
+        table.add_column(column, justify="left" if column == "case" else "right")
+    for case in cases:
+        known = dict(case.published.metrics) if case.published else {}
+        values = [_cell(case.metrics[name], known.get(name)) for name in METRICS]
+        sharing = highest_load_sharing(case)
+        table.add_row(case.title, f"{case.window:g}", *values, "" if sharing is None else f"{sharing:.3f}")
+    _output().print(table)
+
+
+def _output() -> Console:
+    """Standard output; wide enough for every table where it is not a terminal."""
+    return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+
+
+def _cell(value: float, published: float | None) -> str:
+    text = f"{value / arcmin:.4f}"
+    return text if published is None else f"{text} ({published / arcmin:.3f})"
+
+
+def _print_rows(paper: str, rows: list[Row]) -> None:
+    table = Table(title=paper)
+    for column in ("item", "published", "ours", "deviation", "status"):
+        table.add_column(column, justify="left" if column in ("item", "status") else "right")
+    for row in rows:
+        table.add_row(row.item, row.published, f"{row.computed:.4f}", f"{row.deviation:+.4f}", row.status)
+    console = _output()
+    console.print(table)
+    for why in dict.fromkeys(row.why for row in rows if row.why):
+        first = next(row.item for row in rows if row.why == why)
+        console.print(f"{first} and like it: {why}", style="dim", soft_wrap=True)
+
+
+def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = ["paper,item,published,computed,deviation,unit,status"]
+        for paper, rows in reports:
+            lines += [
+                f'"{paper}","{row.item}",{row.published},{row.computed:.6g},{row.deviation:+.6g},{row.unit},{row.status}'
+                for row in rows
+            ]
+        (folder / "published.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as fault:
+        raise GearjaxError(f"--out {folder}: cannot be written ({fault.strerror or fault})") from fault
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the command ``gearjax``."""
+    jax.config.update("jax_enable_x64", True)
+    try:
+        code = app(arguments, prog_name="gearjax", standalone_mode=False)
+    except Exception as fault:
+        message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
+        if not isinstance(fault, GearjaxError) and message is None:
+            raise
+        words = " ".join(str(message() if message else fault).split())
+        print(f"gearjax: error: {words}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("gearjax: stopped", file=sys.stderr)
+        sys.exit(130)
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,25 @@
+"""What every compliance offers to a scene."""
+
+import abc
+
+import equinox as eqx
+
+from gearjax.typing import Array, Float, Scalar
+
+
+class AbstractCompliance(eqx.Module):
+    """Stiffness of the pairs of a gear set. ``kind`` is its name in a configuration."""
+
+    kind: eqx.AbstractClassVar[str]
+
+    @abc.abstractmethod
+    def mean_stiffness(self, pairs: int) -> Float[Array, " pair"]:
+        """Stiffness of each pair averaged over a mesh period, shape (pair,) [N/m]: what the static TE uses."""
+
+    @abc.abstractmethod
+    def stiffness(self, mesh_angle: Float[Array, " pair"]) -> Float[Array, " pair"]:
+        """Stiffness of each pair at its mesh phase [rad], shape (pair,) [N/m]."""
+
+    @abc.abstractmethod
+    def peak_stiffness(self) -> Scalar:
+        """A bound from above on the stiffness of a pair [N/m]."""

@@ -1,0 +1,223 @@
+"""From the tables of a configuration to a scene. What may stand in a table is read from the declared fields."""
+
+import dataclasses
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from gearjax import units
+from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.compliance import COMPLIANCES
+from gearjax.config.quantities import read_plain, read_quantity
+from gearjax.config.run import read_run
+from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
+from gearjax.errors import ERRORS
+from gearjax.inertia import DampingRatio, EquivalentMass
+from gearjax.load import LOADS
+from gearjax.parameters import Parameter, declared
+from gearjax.scene import Scene
+from gearjax.systems import SYSTEMS
+
+_LARGEST_FILE = 1_000_000  # bytes
+_LONGEST_SERIES = 1000
+_CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
+_SECTIONS = (
+    "system",
+    "errors",
+    "reference",
+    "backlash",
+    "compliance",
+    "inertia",
+    "damping",
+    "load",
+    "contact",
+    "run",
+    "published",
+)
+
+
+def load(path: str | Path) -> Scene:
+    """A scene, with its run section, from a TOML file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        GearjaxError: the file cannot be read, or something in it is wrong; one line that says where.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> scene.run.samples
+        3001
+    """
+    return loads(read_file(path))
+
+
+def read_file(path: str | Path) -> str:
+    """The text of a configuration file.
+
+    Raises:
+        GearjaxError: the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        if size > _LARGEST_FILE:
+            raise GearjaxError(f"{path}: {size} bytes, more than a configuration can have ({_LARGEST_FILE})")
+        return path.read_text(encoding="utf-8")
+    except OSError as fault:
+        raise GearjaxError(f"{path}: cannot be read ({fault.strerror or fault})") from fault
+    except UnicodeDecodeError as fault:
+        raise GearjaxError(f"{path}: not a text file in UTF-8") from fault
+
+
+def loads(text: str) -> Scene:
+    """A scene, with its run section, from TOML text.
+
+    Raises:
+        GearjaxError: something in it is wrong; one line that says where.
+    """
+    return build(read_tables(text))
+
+
+def read_tables(text: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        GearjaxError: it is not TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as fault:
+        words = " ".join(str(fault).split(";")[0].split())[:120] or "nested too deeply"
+        raise GearjaxError(f"not a TOML configuration: {words}") from fault
+
+
+def build(tables: dict[str, Any]) -> Scene:
+    """A scene from the tables of a configuration.
+
+    Raises:
+        ParameterError: naming the key, what was given and what would be right.
+    """
+    for key in tables:
+        if key not in _SECTIONS:
+            raise ParameterError(key, _kind_of(tables[key]), f"unknown section; {nearest(key, _SECTIONS)}")
+        if not isinstance(tables[key], dict) and key != "published":
+            raise ParameterError(key, tables[key], f"must be a section: [{key}]")
+    if "system" not in tables:
+        raise GearjaxError('no [system]: a configuration needs one, such as kind = "two_kv"')
+    system = _one_of("system", tables["system"], SYSTEMS)
+    errors = {}
+    for name, table in tables.get("errors", {}).items():
+        if not isinstance(table, dict):
+            raise ParameterError(f"errors.{name}", table, f"must be a section: [errors.{name}]")
+        errors[name] = _one_of(f"errors.{name}", table, ERRORS)
+    parts: dict[str, Any] = {}
+    for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", _CONTACTS)):
+        if section in tables:
+            parts[section] = _one_of(section, tables[section], kinds)
+    for section, part in (("backlash", InitialBacklash), ("inertia", EquivalentMass), ("damping", DampingRatio)):
+        if section in tables:
+            parts[section] = _part(section, tables[section], part)
+    if "reference" in tables:
+        parts["reference"] = _reference(tables["reference"])
+    scene = Scene(system, errors, **parts)
+    if "run" not in tables:
+        return scene
+    return dataclasses.replace(scene, run=read_run(tables["run"], tables.get("published", []), scene))
+
+
+def _kind_of(value: Any) -> str:
+    return "(a section)" if isinstance(value, dict) else str(value)
+
+
+def _reference(table: dict[str, Any]) -> ZeroAtStart | None:
+    known_keys("reference", table, ("zero",))
+    zero = table.get("zero")
+    if zero not in ("start", "absolute"):
+        raise ParameterError("reference.zero", zero, 'must be "start" or "absolute"')
+    return ZeroAtStart() if zero == "start" else None
+
+
+def _one_of(path: str, table: dict[str, Any], kinds: Iterable[Any]) -> Any:
+    """The part whose ``kind`` a table names."""
+    by_name = {part.kind: part for part in kinds}
+    if "kind" not in table:
+        raise ParameterError(f"{path}.kind", "(missing)", nearest("", by_name))
+    kind = table["kind"]
+    if not isinstance(kind, str) or kind not in by_name:
+        raise ParameterError(f"{path}.kind", kind, f"unknown kind; {nearest(str(kind), by_name)}")
+    return _part(path, {key: value for key, value in table.items() if key != "kind"}, by_name[kind], kind)
+
+
+def _part(path: str, table: dict[str, Any], part: Any, kind: str = "") -> Any:
+    """A part from the values of its table."""
+    parameters = declared(part)
+    known_keys(path, table, parameters, f' of kind "{kind}"' if kind else "")
+    optional = {field.name for field in dataclasses.fields(part) if field.default is not dataclasses.MISSING}
+    values = {}
+    for name, parameter in parameters.items():
+        if name in table:
+            values[name] = _value(f"{path}.{name}", table[name], parameter)
+        elif name not in optional:
+            raise ParameterError(f"{path}.{name}", "(missing)", f"must be given{_example(parameter)}")
+    try:
+        return part(**values)
+    except ParameterError as fault:
+        given = table.get(fault.key, fault.given)
+        raise ParameterError(f"{path}.{fault.key}", given, fault.right) from fault
+
+
+def known_keys(path: str, table: dict[str, Any], keys: Iterable[str], of: str = "") -> None:
+    """Refuse a key that a section does not know.
+
+    Raises:
+        ParameterError: naming the nearest key.
+    """
+    for key in table:
+        if key not in keys:
+            raise ParameterError(f"{path}.{key}"[:100], table[key], f"unknown key{of}; {nearest(key, keys)}")
+
+
+def _example(parameter: Parameter) -> str:
+    if parameter.dimension is not None and parameter.dimension.unit:
+        return f', {parameter.dimension.described} such as "{parameter.dimension.example}"'
+    return f", one of {', '.join(parameter.names)}" if parameter.names else ""
+
+
+def _value(key: str, given: Any, parameter: Parameter) -> Any:
+    """One value of a table, in SI."""
+    if parameter.kind == "name":
+        if not isinstance(given, str):
+            raise ParameterError(key, given, "must be a name in quotes")
+        return given
+    if parameter.kind == "count":
+        if isinstance(given, bool) or not isinstance(given, int):
+            raise ParameterError(key, given, "must be a whole number")
+        return given
+    if parameter.kind == "series":
+        if not isinstance(given, list) or len(given) > _LONGEST_SERIES:
+            raise ParameterError(key, given, f"must be a list of at most {_LONGEST_SERIES} values, [] for none")
+        return [_number(f"{key}[{index}]", value, parameter) for index, value in enumerate(given)]
+    if parameter.names and isinstance(given, str) and not any(letter.isdigit() for letter in given):
+        if given not in parameter.names:
+            raise ParameterError(key, given, f"{nearest(given, parameter.names)}{_or_number(parameter)}")
+        return given
+    return _number(key, given, parameter)
+
+
+def _or_number(parameter: Parameter) -> str:
+    assert parameter.dimension is not None
+    return f', or {parameter.dimension.described} such as "{parameter.dimension.example}"'
+
+
+def _number(key: str, given: Any, parameter: Parameter) -> float:
+    assert parameter.dimension is not None
+    plain = parameter.dimension is units.RATIO
+    value = read_plain(key, given) if plain else read_quantity(key, given, parameter.dimension)
+    if not parameter.holds(value):
+        raise ParameterError(key, given, f"must be {parameter.allowed()}")
+    return value

@@ -1,0 +1,101 @@
+"""The run section: what to compute."""
+
+from typing import Any
+
+from gearjax import units
+from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.config.quantities import read_quantity
+from gearjax.scene import Published, Run, Scene, require
+
+ANALYSES = ("no_load", "backlash", "static", "dynamic")
+STARTS = ("equilibrium", "zero")
+NEEDS = {
+    "no_load": (),
+    "backlash": ("backlash",),
+    "static": ("compliance",),
+    "dynamic": ("compliance", "load", "inertia"),
+}
+MOST_SAMPLES = 10_000_000
+METRICS = ("peak_to_peak", "amplitude", "mean", "std")
+_KEYS = ("duration", "samples", "start", "settle", "analyses", "torques")
+
+
+def read_run(table: dict[str, Any], published: Any, scene: Scene) -> Run:
+    """The run section, checked against what the scene lists, and the published values.
+
+    Raises:
+        ParameterError: a value is wrong.
+        SceneError: an analysis needs a section that the scene does not list.
+    """
+    for key in table:
+        if key not in _KEYS:
+            raise ParameterError(f"run.{key}"[:100], table[key], f"unknown key; {nearest(key, _KEYS)}")
+    for key in ("duration", "samples", "analyses"):
+        if key not in table:
+            raise ParameterError(f"run.{key}", "(missing)", "must be given")
+    analyses = _words(table["analyses"])
+    duration = read_quantity("run.duration", table["duration"], units.TIME)
+    if duration <= 0:
+        raise ParameterError("run.duration", table["duration"], "must be above 0 s")
+    samples = table["samples"]
+    if isinstance(samples, bool) or not isinstance(samples, int) or not 2 <= samples <= MOST_SAMPLES:
+        raise ParameterError("run.samples", samples, f"must be a whole number from 2 to {MOST_SAMPLES}")
+    start = table.get("start", "equilibrium")
+    if start not in STARTS:
+        raise ParameterError("run.start", start, nearest(str(start), STARTS))
+    settle = read_quantity("run.settle", table.get("settle", "0 s"), units.TIME)
+    if not 0 <= settle < duration:
+        raise ParameterError("run.settle", table.get("settle"), "must be at least 0 s and below run.duration")
+    torques = _torques(table, analyses, scene)
+    return Run(duration, samples, analyses, torques, start, settle, _published(published))
+
+
+def _words(analyses: Any) -> tuple[str, ...]:
+    if not isinstance(analyses, list) or not analyses:
+        raise ParameterError("run.analyses", analyses, f"must be a list of: {', '.join(ANALYSES)}")
+    for analysis in analyses:
+        if analysis not in ANALYSES:
+            raise ParameterError("run.analyses", analysis, f"unknown analysis; {nearest(str(analysis), ANALYSES)}")
+    return tuple(dict.fromkeys(analyses))
+
+
+def _torques(table: dict[str, Any], analyses: tuple[str, ...], scene: Scene) -> tuple[float, ...]:
+    for analysis in analyses:
+        try:
+            require(scene, analysis, *NEEDS[analysis])
+        except SceneError as fault:
+            raise SceneError(f"run.analyses: {fault}") from fault
+    given = table.get("torques", [])
+    if not isinstance(given, list) or len(given) > 1000:
+        raise ParameterError("run.torques", given, 'must be a list such as ["30 N*m"]')
+    torques = tuple(read_quantity(f"run.torques[{i}]", value, units.TORQUE) for i, value in enumerate(given))
+    loaded = [analysis for analysis in analyses if analysis in ("static", "dynamic")]
+    if loaded and not torques:
+        raise ParameterError("run.torques", given, f'"{loaded[0]}" needs a list such as ["30 N*m"]')
+    alternates = scene.load is not None and scene.load.alternates
+    if loaded and scene.backlash is None and (alternates or min(torques) < 0):
+        raise SceneError(
+            "run.torques: a torque that turns negative loads the back flanks, which need [backlash], not listed here"
+        )
+    return torques
+
+
+def _published(entries: Any) -> tuple[Published, ...]:
+    """Values to show next to the computed ones, from the ``[[published]]`` sections."""
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise ParameterError("published", entries, "must be a list of sections: [[published]]")
+    found = []
+    for index, entry in enumerate(entries):
+        path = f"published[{index}]"
+        keys = ("analysis", "torque", *METRICS)
+        for key in entry:
+            if key not in keys:
+                raise ParameterError(f"{path}.{key}"[:100], entry[key], f"unknown key; {nearest(key, keys)}")
+        if entry.get("analysis") not in ANALYSES:
+            raise ParameterError(f"{path}.analysis", entry.get("analysis"), f"must be one of {', '.join(ANALYSES)}")
+        torque = read_quantity(f"{path}.torque", entry.get("torque", "0 N*m"), units.TORQUE)
+        metrics = tuple(
+            (name, read_quantity(f"{path}.{name}", entry[name], units.ANGLE)) for name in METRICS if name in entry
+        )
+        found.append(Published(entry["analysis"], torque, metrics))
+    return tuple(found)

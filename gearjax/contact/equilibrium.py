@@ -1,0 +1,136 @@
+"""First contact, and the equilibrium of one-sided springs on one degree of freedom.
+
+The equilibrium position q solves ``sum_i J_i k_i max(J_i q - gap_i, 0) = Q``. The left side never falls with q, so a
+contact carries force exactly when the sum, taken where that contact begins to touch, has not yet reached Q: all
+active contacts are found at once, without iteration or sorting, and the position is exact.
+"""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.contact.frame import ContactSet
+from gearjax.contact.laws import AbstractContact, HardContact
+from gearjax.typing import Array, Float, Int, Scalar
+
+MAX_SMOOTH_PAIRS = 5  # the smooth equilibrium looks at every subset of each flank
+
+
+class Equilibrium(eqx.Module):
+    """Where the output rests under a torque.
+
+    Args:
+        position: displacement of the output from its ideal position [rad], nan where there is none.
+        forces: compression of each contact, shape (contact,) [N].
+        result: 0 found; 1 no flank can carry the torque.
+    """
+
+    position: Scalar
+    forces: Float[Array, " contact"]
+    result: Int[Array, ""]
+
+
+def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, Scalar | None]:
+    """Edges of the play: output positions [rad] at which the first driving and the first back flank touch.
+
+    Lower edge ``max_i(gap_i / J_i)`` over driving contacts (Wang et al. 2020, eq. 8), upper edge
+    ``min_i(gap_i / J_i)`` over back contacts (eq. 9), ``None`` without back flanks.
+    """
+    touch = contacts.gap / contacts.lever
+    scale = _scale(contacts)
+    lower = law.maximum(touch[: contacts.pairs] * scale) / scale
+    if not contacts.has_back:
+        return lower, None
+    return lower, -law.maximum(-touch[contacts.pairs :] * scale) / scale
+
+
+def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equilibrium:
+    """Static equilibrium ``J^T f = Q`` (Wang et al. 2020, eqs. 10-18, with T / r_p in eq. 15).
+
+    With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
+    equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
+    maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
+    show a slightly negative force).
+
+    Args:
+        contacts: candidate contacts, with a stiffness.
+        load: generalised force Q on the output [N m]; a positive load torque is negative here.
+        law: contact law.
+
+    Returns:
+        Position, forces and result code. At zero load the driving flanks touch.
+    """
+    if contacts.stiffness is None:
+        raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
+    if isinstance(law, HardContact):
+        return _hard(contacts, contacts.stiffness, load)
+    return _smooth(contacts, contacts.stiffness, load, law)
+
+
+def _scale(contacts: ContactSet) -> Scalar:
+    """Lever that turns positions into lengths on the line of action [m/rad]."""
+    return jnp.mean(jnp.abs(contacts.lever))
+
+
+def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar) -> Equilibrium:
+    lever = contacts.lever
+    touch = contacts.gap / lever
+    driving = lever < 0
+    # reaction[j]: what all the contacts together carry where contact j begins to touch
+    apart = touch[None, :] - touch[:, None]
+    overlap = jnp.maximum(lever[:, None] * apart, 0.0)
+    reaction = ((lever * stiffness)[:, None] * overlap).sum(axis=0)
+    active = jnp.where(driving, reaction >= load, reaction < load)
+    weight = jnp.where(active, lever * lever * stiffness, 0.0)
+    found = active.any()
+    total = jnp.where(found, weight.sum(), 1.0)
+    travel = (load + (apart * weight[None, :]).sum(axis=1)) / total  # of each contact since it touched
+    one = jnp.argmax(active)
+    position = jnp.where(found, touch[one] + travel[one], jnp.nan)
+    forces = jnp.where(active, stiffness * lever * travel, 0.0)
+    return Equilibrium(position, forces, jnp.where(found, 0, 1))
+
+
+def _subsets(size: int) -> np.ndarray:
+    """All subsets of ``size`` contacts as rows of 0 and 1, the empty one first."""
+    return np.array(list(itertools.product((0.0, 1.0), repeat=size)))
+
+
+def _smooth(
+    contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar, law: AbstractContact
+) -> Equilibrium:
+    """The sum of forces is ``min over S max over R`` of the linear springs S (driving) and R (back) held closed,
+    so its root is the ``max over S min over R`` of their roots (reference form for two pairs:
+    ``max(D1 - q, D2 - q, (D1 + D2 - q) / 2)``)."""
+    if contacts.pairs > MAX_SMOOTH_PAIRS:
+        raise ValueError(
+            f"the smooth equilibrium is for at most {MAX_SMOOTH_PAIRS} pairs, this scene has {contacts.pairs}: "
+            'use contact "hard"'
+        )
+    pairs, dtype = contacts.pairs, contacts.gap.dtype
+    drive = _subsets(pairs)
+    back = _subsets(contacts.gap.shape[0] - pairs)
+    members = jnp.asarray(  # (drive subset, back subset, contact)
+        [[np.concatenate([s, r]) for r in back] for s in drive], dtype=dtype
+    )
+    lever, scale = contacts.lever, _scale(contacts)
+    touch = contacts.gap / lever
+    origin = touch[0]
+    weight = members * (lever * lever * stiffness)[None, None, :]
+    total = weight.sum(axis=-1).at[0, 0].set(1.0)
+    root = (load + (weight * (touch - origin)[None, None, :]).sum(axis=-1)) / total
+    # no spring at all: the sum of forces is zero everywhere, its root is beyond all others on the side of the load
+    nowhere = jnp.where(load > 0, 1e3, -1e3).astype(dtype)
+    root = (root * scale).at[0, 0].set(nowhere)
+    inner = -jax.vmap(law.maximum)(-root)
+    inner_weights = jax.vmap(law.weights)(-root)
+    outer_weights = law.weights(inner)
+    chosen = outer_weights[:, None] * inner_weights
+    position = origin + law.maximum(inner) / scale
+    found = chosen[0, 0] < 0.5
+    each = (stiffness * lever)[None, None, :] * ((root / scale)[:, :, None] - (touch - origin)[None, None, :])
+    forces = (chosen[:, :, None] * members * each).sum(axis=(0, 1))
+    return Equilibrium(jnp.where(found, position, jnp.nan), forces, jnp.where(found, 0, 1))

@@ -1,0 +1,124 @@
+"""Contact laws: how an overlap becomes a force, and how the first of several contacts is chosen.
+
+The law is chosen by type (each compiles once); the width of a smooth law is a traced number, so that it can be
+annealed without compiling anew. Descend smooth, judge hard: reported figures come from `HardContact`.
+"""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.parameters import check_parameters, length
+from gearjax.typing import Array, Float, Number
+
+
+class AbstractContact(eqx.Module):
+    """A contact law ``f = k penetration(overlap)`` and the maximum that belongs to it."""
+
+    kind: eqx.AbstractClassVar[str]
+
+    @abc.abstractmethod
+    def penetration(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The overlap that makes force [m]: ``max(overlap, 0)`` or a stand-in."""
+
+    @abc.abstractmethod
+    def closed(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        """How far a contact is closed, 0 to 1: the slope of `penetration`."""
+
+    @abc.abstractmethod
+    def weights(self, values: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Weights, adding to 1, of each value in `maximum`: its gradient. Values in metres."""
+
+    @abc.abstractmethod
+    def maximum(self, values: Float[Array, " n"]) -> Float[Array, ""]:
+        """The largest value, or its smooth stand-in [m]."""
+
+
+class HardContact(AbstractContact):
+    """One-sided spring without smoothing: ``max(overlap, 0)``."""
+
+    kind: ClassVar[str] = "hard"
+
+    def penetration(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        return jnp.maximum(overlap, 0.0)
+
+    def closed(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        return jnp.where(overlap > 0, 1.0, 0.0).astype(overlap.dtype)
+
+    def weights(self, values: Float[Array, " n"]) -> Float[Array, " n"]:
+        return jax.nn.one_hot(jnp.argmax(values), values.shape[0], dtype=values.dtype)
+
+    def maximum(self, values: Float[Array, " n"]) -> Float[Array, ""]:
+        return jnp.max(values)
+
+
+class SoftplusContact(AbstractContact):
+    """Softplus law ``w log(1 + exp(overlap / w))``: infinitely smooth, but acts at a distance.
+
+    Its maximum is ``w log(sum(exp(values / w)))``, above the largest value by at most ``w log(n)``.
+
+    Args:
+        width: smoothing width w [m].
+    """
+
+    kind: ClassVar[str] = "softplus"
+    width: Number = length(above=0.0, at_most=1.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def penetration(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.width * jax.nn.softplus(overlap / self.width)
+
+    def closed(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        return jax.nn.sigmoid(overlap / self.width)
+
+    def weights(self, values: Float[Array, " n"]) -> Float[Array, " n"]:
+        return jax.nn.softmax(values / self.width)
+
+    def maximum(self, values: Float[Array, " n"]) -> Float[Array, ""]:
+        return self.width * jax.nn.logsumexp(values / self.width)
+
+
+class QuadraticContact(AbstractContact):
+    """Compact blend: 0 below -w, ``(overlap + w)^2 / (4 w)`` within the width, the overlap above.
+
+    It makes no force at a distance.
+
+    Its maximum over two values is the same blend of their difference; over n values it is the maximum over the
+    weights on the simplex of ``sum(weights values) - w (sum(weights^2) - 1) / 2`` (Martins and Astudillo 2016,
+    sparsemax), exact where one value leads by the width, and above the largest by at most ``w / 2``.
+
+    Args:
+        width: half-width w of the blend [m].
+    """
+
+    kind: ClassVar[str] = "quadratic"
+    width: Number = length(above=0.0, at_most=1.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def penetration(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        inside = jnp.clip(overlap + self.width, 0.0, 2 * self.width)
+        return inside * inside / (4 * self.width) + jnp.maximum(overlap - self.width, 0.0)
+
+    def closed(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
+        return jnp.clip((overlap + self.width) / (2 * self.width), 0.0, 1.0)
+
+    def weights(self, values: Float[Array, " n"]) -> Float[Array, " n"]:
+        lead = jnp.maximum(values[:, None] - values[None, :], 0.0).sum(axis=0)
+        taking_part = lead < self.width
+        reference = jax.lax.stop_gradient(jnp.max(values))
+        shifted = values - reference
+        level = (jnp.where(taking_part, shifted, 0.0).sum() - self.width) / taking_part.sum().astype(values.dtype)
+        return jnp.where(taking_part, (shifted - level) / self.width, 0.0)
+
+    def maximum(self, values: Float[Array, " n"]) -> Float[Array, ""]:
+        weights = self.weights(values)
+        reference = jax.lax.stop_gradient(jnp.max(values))
+        used = jnp.where(weights > 0, values - reference, 0.0)
+        return reference + (weights * used).sum() - 0.5 * self.width * ((weights * weights).sum() - 1.0)

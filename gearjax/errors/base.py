@@ -1,0 +1,19 @@
+"""What every error offers to a scene."""
+
+import abc
+
+import equinox as eqx
+
+from gearjax.contact import BodyView
+from gearjax.typing import Array, Float
+
+
+class AbstractError(eqx.Module):
+    """An error of one body. ``kind`` is its name in a configuration."""
+
+    kind: eqx.AbstractClassVar[str]
+    body: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        """Change of the gaps, shape (contact,) [m]."""

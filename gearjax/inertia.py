@@ -1,0 +1,42 @@
+"""Inertia and damping, for the dynamic transmission error."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from gearjax import units
+from gearjax.parameters import check_parameters, number
+from gearjax.typing import Array, Float, Number, Scalar
+
+
+class EquivalentMass(eqx.Module):
+    """Inertia of the output as a mass on the line of action (Wang et al. 2020, eq. 19).
+
+    Args:
+        mass: equivalent mass [kg].
+    """
+
+    mass: Number = number(units.MASS, above=0.0, at_most=1e9)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def moment(self, lever: Float[Array, " contact"]) -> Scalar:
+        """Moment of inertia on the output's axis, ``mass * mean(lever^2)`` [kg m2]."""
+        return self.mass * jnp.mean(lever * lever)
+
+
+class DampingRatio(eqx.Module):
+    """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``, acting while one of its flanks is in contact.
+
+    Args:
+        ratio: damping ratio [-]; k is the mean stiffness of the pair, m the equivalent mass.
+    """
+
+    ratio: Number = number(units.RATIO, at_least=0.0, at_most=100.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def coefficient(self, stiffness: Float[Array, " pair"], mass: Scalar) -> Float[Array, " pair"]:
+        """Damping coefficient of each pair [N s/m]."""
+        return self.ratio * jnp.sqrt(2.0 * stiffness * mass)

@@ -1,0 +1,60 @@
+"""Load torque on the output as a function of time."""
+
+import abc
+from collections.abc import Mapping
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from gearjax import units
+from gearjax.parameters import Named, check_parameters, number
+from gearjax.typing import Array, Float, Number
+
+
+class AbstractLoad(eqx.Module):
+    """How the load torque runs in time; its size is the ``torque`` that an analysis is given."""
+
+    kind: eqx.AbstractClassVar[str]
+    alternates: eqx.AbstractClassVar[bool]
+    """Whether the torque changes its sign."""
+
+    @abc.abstractmethod
+    def shape(self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]) -> Float[Array, "..."]:
+        """Torque over its size, at a number of turns of the input and a time [s].
+
+        ``orders`` are the named frequencies of the system, per turn of the input.
+        """
+
+
+class ConstantLoad(AbstractLoad):
+    """Constant torque."""
+
+    kind: ClassVar[str] = "constant"
+    alternates: ClassVar[bool] = False
+
+    def shape(self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]) -> Float[Array, "..."]:
+        return jnp.ones_like(time)
+
+
+class SinusoidalLoad(AbstractLoad):
+    """Alternating torque ``T sin(2 pi f t)`` (Wang et al. 2020, figs. 7, 11 and 12).
+
+    Args:
+        frequency: f [Hz], or the name of a frequency of the system: ``"crank"``, ``"mesh"``.
+    """
+
+    kind: ClassVar[str] = "sinusoidal"
+    alternates: ClassVar[bool] = True
+    frequency: Named | Number = number(units.FREQUENCY, above=0.0, at_most=1e9, names=("crank", "mesh"))
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def shape(self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]) -> Float[Array, "..."]:
+        if isinstance(self.frequency, Named):
+            return jnp.sin(2 * jnp.pi * orders[self.frequency.name] * turns)
+        return jnp.sin(2 * jnp.pi * self.frequency * time)
+
+
+LOADS: tuple[type[AbstractLoad], ...] = (ConstantLoad, SinusoidalLoad)

@@ -1,0 +1,166 @@
+"""Fields of a part: each physical parameter is declared once, with its dimension and the values it may have.
+
+A configuration, an error message and a table all read the declaration from the dataclass metadata.
+Every physical number is stored as a floating-point array leaf (a Python float would compile once per value);
+tooth numbers and names are static.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import ParameterError, is_concrete, nearest
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """What one field of a part may hold.
+
+    Args:
+        dimension: its dimension, ``None`` for tooth numbers and names.
+        kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"`` or ``"name"``.
+        above, at_least, below, at_most: bounds, in SI.
+        names: words that may stand in place of a number, or the words that a name may be.
+    """
+
+    dimension: units.Dimension | None
+    kind: str = "number"
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    names: tuple[str, ...] = ()
+
+    def allowed(self) -> str:
+        """The bounds in words."""
+        unit, size = (self.dimension.shown, self.dimension.per_shown) if self.dimension else ("", 1.0)
+        words = [
+            f"{word} {bound / size:g} {unit}".rstrip()
+            for word, bound in (
+                ("above", self.above),
+                ("at least", self.at_least),
+                ("below", self.below),
+                ("at most", self.at_most),
+            )
+            if bound is not None
+        ]
+        return " and ".join(words)
+
+    def holds(self, value: Any) -> bool:
+        """Whether finite values within the bounds are given."""
+        value = np.asarray(value)
+        return bool(
+            np.all(np.isfinite(value))
+            and (self.above is None or np.all(value > self.above))
+            and (self.at_least is None or np.all(value >= self.at_least))
+            and (self.below is None or np.all(value < self.below))
+            and (self.at_most is None or np.all(value <= self.at_most))
+        )
+
+
+class Named(eqx.Module):
+    """A word that stands for a number which another part knows (``"crank"``, ``"planet"``)."""
+
+    name: str = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def as_leaf(value: Any) -> Any:
+    """A number as a floating-point array; arrays that are floating-point already keep their precision."""
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
+        return value
+    if isinstance(value, (str, bool)) or value is None:
+        raise TypeError(f"expected a number, got {value!r}")
+    return jnp.asarray(value, dtype=float)
+
+
+def as_leaf_or_named(value: Any) -> Any:
+    """A number as an array, a word as a `Named`."""
+    if isinstance(value, Named):
+        return value
+    return Named(value) if isinstance(value, str) else as_leaf(value)
+
+
+def _field(parameter: Parameter, **keywords: Any) -> Any:
+    return eqx.field(metadata={"parameter": parameter}, **keywords)
+
+
+def number(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
+    """A physical number of the given dimension; ``names=`` lists words that may stand in its place."""
+    parameter = Parameter(dimension, **bounds)
+    converter = as_leaf_or_named if parameter.names else as_leaf
+    keywords = {} if default is dataclasses.MISSING else {"default": default}
+    return _field(parameter, converter=converter, **keywords)
+
+
+def length(**bounds: Any) -> Any:
+    """A length [m]."""
+    return number(units.LENGTH, **bounds)
+
+
+def angle(**bounds: Any) -> Any:
+    """An angle [rad]."""
+    return number(units.ANGLE, **bounds)
+
+
+def series(dimension: units.Dimension, **bounds: Any) -> Any:
+    """A list of numbers of the given dimension, of any length."""
+    return _field(Parameter(dimension, "series", **bounds), converter=as_leaf)
+
+
+def count(*, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int = 100_000) -> Any:
+    """A whole number such as a number of teeth: static, a change of it compiles anew."""
+    parameter = Parameter(None, "count", at_least=float(at_least), at_most=float(at_most))
+    keywords = {} if default is dataclasses.MISSING else {"default": default}
+    return _field(parameter, static=True, **keywords)
+
+
+def name(*, names: tuple[str, ...] = ()) -> Any:
+    """A word, static; one of ``names`` where they are given."""
+    return _field(Parameter(None, "name", names=names), static=True)
+
+
+def declared(part: Any) -> dict[str, Parameter]:
+    """The declared parameters of a part (class or instance), by field name."""
+    return {
+        field.name: field.metadata["parameter"] for field in dataclasses.fields(part) if "parameter" in field.metadata
+    }
+
+
+def check_parameters(part: Any) -> None:
+    """Refuse values outside what the fields declare. Traced values pass: they cannot be read.
+
+    Raises:
+        ParameterError: naming the field, the value given and what would be right.
+    """
+    for key, parameter in declared(part).items():
+        check_value(key, parameter, getattr(part, key))
+
+
+def check_value(key: str, parameter: Parameter, value: Any) -> None:
+    """Refuse a value that the parameter's declaration does not allow.
+
+    Raises:
+        ParameterError: naming the key, the value given and what would be right.
+    """
+    if isinstance(value, Named):
+        value = value.name
+    if isinstance(value, str):
+        if parameter.names and value not in parameter.names:
+            raise ParameterError(key, value, nearest(value, parameter.names))
+        return
+    if not is_concrete(value):
+        return
+    if parameter.kind == "count" and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
+        raise ParameterError(key, value, "must be a whole number")
+    if parameter.kind == "count" and abs(value) > 2**62:
+        raise ParameterError(key, value, f"must be {parameter.allowed()}")
+    if not parameter.holds(value):
+        raise ParameterError(key, value, f"must be {parameter.allowed() or 'finite'}")

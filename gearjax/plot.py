@@ -1,0 +1,134 @@
+"""Figures. Angles are drawn in arcmin, forces in N, times in seconds."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gearjax.analysis import Motion, TransmissionError, order_spectrum
+from gearjax.results import Case, required_run
+from gearjax.scene import Scene
+from gearjax.units import arcmin
+
+MOST_POINTS = 20_000  # drawn per curve
+
+
+def thin(*arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Every k-th sample, so that no curve has more than `MOST_POINTS`."""
+    every = max(1, len(arrays[0]) // MOST_POINTS)
+    return tuple(np.asarray(array)[::every] for array in arrays)
+
+
+def new_figure(
+    rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.2
+) -> tuple[Figure, list[Axes]]:
+    """A figure with a column of axes, apart from any interactive window."""
+    figure = Figure(figsize=(width, height * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    return figure, [ax for row in axes for ax in row]
+
+
+def draw_curve(ax: Axes, time: np.ndarray, angle: np.ndarray, label: str, **style) -> None:
+    """An angle [rad] over time [s], in arcmin."""
+    time, angle = thin(time, angle)
+    ax.plot(time, angle / arcmin, label=label, linewidth=style.pop("linewidth", 1.0), **style)
+
+
+def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission error [arcmin]") -> None:
+    """Title, labels, grid and legend."""
+    ax.set(title=title, xlabel=x, ylabel=y)
+    ax.grid(alpha=0.3)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.005, 1.0), borderaxespad=0.0, frameon=False)
+    ax.margins(x=0.01)
+
+
+def error_figure(scene: Scene, cases: list[Case]) -> Figure:
+    """Transmission error over time: without load, static and dynamic under each torque."""
+    groups = [
+        (title, [case for case in cases if case.analysis in kinds])
+        for title, kinds in (
+            ("Transmission error without load and under static torque", ("no_load", "static")),
+            ("Dynamic transmission error", ("dynamic",)),
+            ("Backlash", ("backlash",)),
+        )
+    ]
+    groups = [(title, members) for title, members in groups if members]
+    figure, axes = new_figure(len(groups))
+    run = required_run(scene)
+    time = np.linspace(0.0, run.duration, run.samples)
+    for ax, (title, members) in zip(axes, groups, strict=True):
+        for case in members:
+            draw_curve(ax, time, case.record, case.title)
+        finish(ax, title, y="backlash [arcmin]" if title == "Backlash" else "transmission error [arcmin]")
+    return figure
+
+
+def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
+    """Contact force of each driving flank over time, one row per loaded case; ``None`` without loaded cases."""
+    loaded = [case for case in cases if getattr(case.result, "forces", None) is not None]
+    if not loaded:
+        return None
+    figure, axes = new_figure(len(loaded), height=2.2)
+    run = required_run(scene)
+    time = np.linspace(0.0, run.duration, run.samples)
+    for ax, case in zip(axes, loaded, strict=True):
+        assert isinstance(case.result, (TransmissionError, Motion))
+        forces = np.asarray(case.result.forces)
+        for contact in range(forces.shape[1]):
+            pair, back = contact % case.result.pairs + 1, contact >= case.result.pairs
+            if back and not forces[:, contact].any():
+                continue
+            ax.plot(
+                *thin(time, forces[:, contact]), label=f"pair {pair}{', back flank' if back else ''}", linewidth=1.0
+            )
+        finish(ax, case.title, y="contact force [N]")
+    return figure
+
+
+def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
+    """Order spectra per turn of the output, with the crank frequency and its multiples marked."""
+    members = [case for case in cases if case.analysis != "backlash"]
+    if not members:
+        return None
+    figure, axes = new_figure(1, height=3.6)
+    ax = axes[0]
+    run, orders = required_run(scene), scene.system.orders
+    theta = np.linspace(0.0, run.duration, run.samples) * float(scene.system.input_speed)
+    turn = 2 * np.pi / orders["output"]
+    for case in members:
+        start = int(np.searchsorted(theta, theta[0] + run.settle * float(scene.system.input_speed)))
+        start = start if case.analysis == "dynamic" else 0
+        if len(theta) - start < 8:
+            continue
+        spectrum = order_spectrum(case.record[start:], theta[start:], turn=turn, window="hann")
+        ax.plot(np.asarray(spectrum.order), np.asarray(spectrum.amplitude) / arcmin, label=case.title, linewidth=1.0)
+    mark = orders.get("crank", orders["mesh"]) / orders["output"]
+    ax.set_xlim(0, min(8 * mark, float(np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi))))
+    mark_multiples(ax, mark, "crank" if "crank" in orders else "mesh")
+    finish(ax, "Order spectrum (Hann window)", x="order [cycles per turn of the output]", y="amplitude [arcmin]")
+    return figure
+
+
+def mark_multiples(ax: Axes, base: float, name: str) -> None:
+    """Dotted lines at an order and its multiples."""
+    limit = ax.get_xlim()[1]
+    for number in range(1, int(limit / base) + 1):
+        label = f"multiples of the {name} order" if number == 1 else None
+        ax.axvline(number * base, color="0.5", linestyle=":", linewidth=0.8, label=label)
+
+
+def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
+    """Write the figures of a run as PNG."""
+    figures = {
+        "transmission_error.png": error_figure(scene, cases),
+        "contact_forces.png": force_figure(scene, cases),
+        "order_spectrum.png": spectrum_figure(scene, cases),
+    }
+    paths = []
+    for name, figure in figures.items():
+        if figure is not None:
+            figure.savefig(folder / name, dpi=130)
+            paths.append(folder / name)
+    return paths

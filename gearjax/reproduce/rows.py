@@ -1,0 +1,58 @@
+"""One published number next to ours."""
+
+import dataclasses
+import math
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A published value, ours, and how the two compare.
+
+    Args:
+        item: where the value stands in the paper.
+        published: the printed value, as text, so that its precision is kept.
+        computed: ours.
+        unit: of both.
+        tolerance: deviation up to which the value counts as reproduced.
+        inferred: whether it rests on constants that the paper does not give.
+        why: what a reader should know about the deviation.
+    """
+
+    item: str
+    published: str
+    computed: float
+    unit: str
+    tolerance: float
+    inferred: bool = False
+    why: str = ""
+
+    @property
+    def deviation(self) -> float:
+        """Computed minus published."""
+        return self.computed - float(self.published)
+
+    @property
+    def status(self) -> str:
+        """``reproduced``, ``inferred`` or ``not reproduced``."""
+        if not math.isfinite(self.computed):
+            return "not reproduced"
+        if self.inferred:
+            return "inferred"
+        return "reproduced" if abs(self.deviation) <= self.tolerance else "not reproduced"
+
+    def as_json(self) -> dict:
+        """The row as ``gearjax reproduce --json`` prints it."""
+        why = self.why or f"within {self.tolerance:.2g} {self.unit}"
+        return {
+            "item": self.item,
+            "published": float(self.published),
+            "computed": self.computed,
+            "unit": self.unit,
+            "status": self.status,
+            "why": f"deviation {self.deviation:+.4f} {self.unit}; {why}",
+        }
+
+
+def printed_precision(value: str) -> float:
+    """One unit of the last printed digit: papers truncate as often as they round."""
+    return 10.0 ** -len(value.partition(".")[2])

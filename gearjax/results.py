@@ -1,0 +1,240 @@
+"""Results of a run: cases with their metrics, and files that hold them with units and the configuration inside."""
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
+from gearjax.analysis.dynamics import LONGEST_STEP, natural_frequency
+from gearjax.checks import GearjaxError, SceneError
+from gearjax.scene import Published, Run, Scene
+from gearjax.units import arcmin
+
+METRICS = ("peak_to_peak", "amplitude", "mean", "std")
+MOST_STEPS = 1_000_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One analysis at one torque.
+
+    Args:
+        analysis: ``no_load``, ``backlash``, ``static`` or ``dynamic``.
+        torque: size of the load torque [N m], 0 without.
+        window: length of the record that the metrics count [s].
+        result: the analysis' own result.
+        metrics: by name [rad].
+        published: values to compare with, or ``None``.
+    """
+
+    analysis: str
+    torque: float
+    window: float
+    result: TransmissionError | Backlash | Motion
+    metrics: dict[str, float]
+    published: Published | None
+
+    @property
+    def title(self) -> str:
+        """Analysis and torque in words."""
+        words = self.analysis.replace("_", "-")
+        return words if self.analysis in ("no_load", "backlash") else f"{words}, {self.torque:g} N m"
+
+    @property
+    def record(self) -> np.ndarray:
+        """The curve of the case, shape (n,) [rad]."""
+        return np.asarray(self.result.backlash if isinstance(self.result, Backlash) else self.result.te)
+
+    def as_json(self) -> dict:
+        """The case as ``gearjax run --json`` prints it."""
+        metrics = {f"{name}_arcmin": value / arcmin for name, value in self.metrics.items()}
+        return {"analysis": self.analysis, "torque_Nm": self.torque, "window_s": self.window, "metrics": metrics}
+
+
+def required_run(scene: Scene) -> Run:
+    """The run section of a scene.
+
+    Raises:
+        SceneError: it has none.
+    """
+    if scene.run is None:
+        raise SceneError("the configuration has no [run]: list duration, samples and analyses")
+    return scene.run
+
+
+def suitable_step(scene: Scene, duration: float) -> FixedStep:
+    """Steps that resolve the highest natural frequency of the scene.
+
+    Raises:
+        SceneError: the record would need more than `MOST_STEPS` steps.
+    """
+    step = min(4e-5, 0.4 * LONGEST_STEP / float(natural_frequency(scene)))
+    if duration / step > MOST_STEPS:
+        raise SceneError(
+            f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow the highest "
+            f"natural frequency, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
+        )
+    return FixedStep(step)
+
+
+def run_cases(scene: Scene) -> Iterator[Case]:
+    """Every analysis that the run section lists, one after the other.
+
+    Raises:
+        SceneError: no run section, or an analysis that cannot be done.
+    """
+    run = required_run(scene)
+    ts = jnp.linspace(0.0, run.duration, run.samples)
+    theta = scene.system.input_speed * ts
+    for analysis in run.analyses:
+        if analysis == "no_load":
+            yield _case(run, analysis, 0.0, transmission_error(scene, theta))
+        elif analysis == "backlash":
+            yield _case(run, analysis, 0.0, backlash(scene, theta))
+        for torque in run.torques if analysis in ("static", "dynamic") else ():
+            yield _loaded(scene, run, analysis, torque, ts)
+
+
+def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts) -> Case:
+    if analysis == "static":
+        theta = scene.system.input_speed * ts
+        history = torque_history(scene, ts, torque)
+        result = transmission_error(scene, theta, history)
+        if bool((result.result != 0).any()):
+            raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
+        return _case(run, analysis, torque, result)
+    stepper = suitable_step(scene, run.duration)
+    motion = simulate(scene, ts, torque, start=run.start, settle=run.settle, stepper=stepper)
+    return _case(run, analysis, torque, motion)
+
+
+def torque_history(scene: Scene, ts, torque: float):
+    """Load torque of a scene over time, shape (n,) [N m]; constant without a load."""
+    if scene.load is None:
+        return jnp.full_like(ts, torque)
+    turns = scene.system.input_speed * ts / (2 * jnp.pi)
+    return torque * scene.load.shape(turns, ts, scene.system.orders)
+
+
+def _case(run: Run, analysis: str, torque: float, result: TransmissionError | Backlash | Motion) -> Case:
+    metrics = {name: float(getattr(result, name)) for name in METRICS}
+    window = run.duration - (run.settle if analysis == "dynamic" else 0.0)
+    published = [
+        entry
+        for entry in run.published
+        if entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
+    ]
+    return Case(analysis, torque, window, result, metrics, published[0] if published else None)
+
+
+def dataset(scene: Scene, cases: list[Case], config: str) -> xr.Dataset:
+    """All curves of a run with named dimensions, units as attributes and the configuration inside.
+
+    Args:
+        scene: the scene.
+        cases: its cases.
+        config: text of the configuration.
+    """
+    run = required_run(scene)
+    time = np.linspace(0.0, run.duration, run.samples)
+    theta = time * float(scene.system.input_speed)
+    coordinates = {
+        "time": ("time", time, {"units": "s", "long_name": "time"}),
+        "theta": ("time", theta, {"units": "rad", "long_name": "input angle"}),
+    }
+    variables = {}
+    for case in cases:
+        name = case.analysis if case.analysis in ("no_load", "backlash") else f"{case.analysis}_{case.torque:g}_Nm"
+        name = name.replace("-", "minus_").replace("+", "")
+        attributes = {"units": "rad", "long_name": f"{case.title}", "window_s": case.window, "torque_Nm": case.torque}
+        attributes |= {f"{metric}_rad": value for metric, value in case.metrics.items()}
+        variables[name] = ("time", case.record, attributes)
+        forces = getattr(case.result, "forces", None)
+        if forces is not None:
+            label = {"units": "N", "long_name": f"contact forces, {case.title}, driving flanks first"}
+            variables[f"{name}_force"] = (("time", "contact"), np.asarray(forces), label)
+        if isinstance(case.result, Backlash):
+            for edge in ("lower", "upper"):
+                label = {"units": "rad", "long_name": f"{edge} edge of the backlash"}
+                variables[f"{name}_{edge}"] = ("time", np.asarray(getattr(case.result, edge)), label)
+    return xr.Dataset(variables, coordinates, {"title": "gearjax run", "config": config})
+
+
+def save(scene: Scene, cases: list[Case], config: str, folder: Path) -> list[Path]:
+    """Write ``results.nc`` (netCDF), ``curves.csv`` and ``metrics.csv``.
+
+    Raises:
+        GearjaxError: the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / "results.nc", folder / "curves.csv", folder / "metrics.csv"]
+        dataset(scene, cases, config).to_netcdf(paths[0], engine="scipy")
+        paths[1].write_text(_curves(scene, cases), encoding="utf-8")
+        paths[2].write_text(_metrics(cases), encoding="utf-8")
+    except OSError as fault:
+        raise GearjaxError(f"--out {folder}: cannot be written ({fault.strerror or fault})") from fault
+    return paths
+
+
+def stored_config(path: Path) -> str:
+    """The configuration inside a results file.
+
+    Raises:
+        GearjaxError: the file holds none.
+    """
+    try:
+        with xr.open_dataset(path, engine="scipy") as stored:
+            return str(stored.attrs["config"])
+    except (OSError, KeyError, ValueError, TypeError) as fault:
+        raise GearjaxError(f"{path}: not a results file of gearjax") from fault
+
+
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    return "\n".join([",".join(header), *(",".join(row) for row in rows)]) + "\n"
+
+
+def _curves(scene: Scene, cases: list[Case]) -> str:
+    run = required_run(scene)
+    time = np.linspace(0.0, run.duration, run.samples)
+    header = ["time [s]", "input angle [rad]", *(f"{case.title.replace(',', '')} [arcmin]" for case in cases)]
+    columns = [time, time * float(scene.system.input_speed), *(case.record / arcmin for case in cases)]
+    return _table(header, [[f"{value:.9g}" for value in row] for row in np.stack(columns, axis=1)])
+
+
+def _metrics(cases: list[Case]) -> str:
+    header = [
+        "analysis",
+        "torque [N m]",
+        "window [s]",
+        *(f"{name} [arcmin]" for name in METRICS),
+        "load sharing factor [-]",
+    ]
+    rows = []
+    for case in cases:
+        sharing = highest_load_sharing(case)
+        values = [f"{case.metrics[name] / arcmin:.9g}" for name in METRICS]
+        rows.append(
+            [
+                case.analysis,
+                f"{case.torque:g}",
+                f"{case.window:g}",
+                *values,
+                "" if sharing is None else f"{sharing:.9g}",
+            ]
+        )
+    return _table(header, rows)
+
+
+def highest_load_sharing(case: Case) -> float | None:
+    """Highest load-sharing factor of a case, after settling; ``None`` without forces."""
+    if isinstance(case.result, Backlash) or case.result.forces is None:
+        return None
+    sharing = np.asarray(case.result.load_sharing)
+    if isinstance(case.result, Motion):
+        sharing = sharing[np.asarray(case.result.settled)]
+    return float(np.nanmax(sharing)) if np.isfinite(sharing).any() else None

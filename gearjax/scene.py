@@ -1,0 +1,149 @@
+"""A scene: one gear set and the effects that are modelled, nothing else."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.compliance import AbstractCompliance
+from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact
+from gearjax.contact.frame import join
+from gearjax.errors import AbstractError
+from gearjax.inertia import DampingRatio, EquivalentMass
+from gearjax.load import AbstractLoad
+from gearjax.parameters import Named
+from gearjax.systems import AbstractSystem
+from gearjax.typing import Array, Float, Scalar
+
+Stiffness = Literal["rigid", "mean", "varying"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Published:
+    """Published or measured values to show next to computed ones.
+
+    Args:
+        analysis, torque: the case they belong to; torque in N m, 0 without load.
+        metrics: pairs of a metric's name and its value [rad].
+    """
+
+    analysis: str
+    torque: float
+    metrics: tuple[tuple[str, float], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What a configuration asks to be computed. Times in seconds, torques in N m.
+
+    Args:
+        duration: length of the record [s].
+        samples: number of samples of the record, both ends included.
+        analyses: of ``no_load``, ``backlash``, ``static``, ``dynamic``.
+        torques: sizes of the load torque [N m].
+        start: of the dynamic TE, ``"equilibrium"`` or ``"zero"``.
+        settle: time that the metrics of the dynamic TE leave out [s].
+        published: values to show next to the computed ones.
+    """
+
+    duration: float
+    samples: int
+    analyses: tuple[str, ...]
+    torques: tuple[float, ...] = ()
+    start: str = "equilibrium"
+    settle: float = 0.0
+    published: tuple[Published, ...] = ()
+
+
+class Scene(eqx.Module):
+    """A gear set with the effects that are modelled. An absent effect is ``None``, or not in the dict.
+
+    Args:
+        system: the gear set.
+        errors: errors of its bodies, summed into the gaps; the key is the name in a configuration.
+        reference: `ZeroAtStart`, or ``None`` to count errors absolutely.
+        backlash: initial backlash; without it there are no back flanks.
+        compliance: stiffness of the teeth; ``None`` is rigid.
+        load: how the load torque runs in time.
+        contact: contact law.
+        inertia, damping: for the dynamic transmission error.
+        run: what the configuration asked for; not part of the physics.
+
+    Raises:
+        ParameterError: an error is placed on a body that the system does not have, or the load names a frequency
+            that the system does not have.
+    """
+
+    system: AbstractSystem
+    errors: Mapping[str, AbstractError] = eqx.field(default_factory=dict)
+    reference: ZeroAtStart | None = None
+    backlash: InitialBacklash | None = None
+    compliance: AbstractCompliance | None = None
+    load: AbstractLoad | None = None
+    contact: AbstractContact = HardContact()
+    inertia: EquivalentMass | None = None
+    damping: DampingRatio | None = None
+    run: Run | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        for key, error in self.errors.items():
+            if error.body not in self.system.bodies:
+                raise ParameterError(f"errors.{key}.body", error.body, nearest(error.body, self.system.bodies))
+        frequency = getattr(self.load, "frequency", None)
+        if isinstance(frequency, Named) and frequency.name not in self.system.orders:
+            raise ParameterError("load.frequency", frequency.name, nearest(frequency.name, self.system.orders))
+
+    def physics(self) -> "Scene":
+        """The scene without its run section: what compiled programs depend on."""
+        return self if self.run is None else dataclasses.replace(self, run=None)
+
+    def contacts(self, theta: Scalar, stiffness: Stiffness = "rigid") -> ContactSet:
+        """Candidate contacts at an input angle [rad], errors, reference and backlash included.
+
+        Args:
+            theta: input angle [rad].
+            stiffness: ``"rigid"`` for none, ``"mean"``, or ``"varying"`` with the mesh phase.
+        """
+        drive = self._flank(theta, Flank.DRIVE)
+        back = None if self.backlash is None else self._flank(theta, Flank.BACK)
+        if back is not None and self.backlash is not None:
+            back = ContactFrame(back.jacobian, back.gap + self.backlash.initial)
+        springs = None if stiffness == "rigid" else self._stiffness(theta, drive.gap.shape[0], stiffness)
+        return join(drive, back, springs)
+
+    def _stiffness(self, theta: Scalar, pairs: int, stiffness: Stiffness) -> Float[Array, " pair"]:
+        if self.compliance is None:
+            raise SceneError("the scene has no compliance: list a [compliance] to find forces under torque")
+        if stiffness == "mean":
+            return self.compliance.mean_stiffness(pairs)
+        return self.compliance.stiffness(self.system.mesh_angle(theta))
+
+    def _flank(self, theta: Scalar, flank: Flank) -> ContactFrame:
+        frame = self.system.frame(theta, flank)
+        if not self.errors:
+            return frame
+        gap = frame.gap + self._errors(theta, flank)
+        if self.reference is not None:
+            gap = gap - self._errors(jnp.zeros_like(theta), flank)
+        return ContactFrame(frame.jacobian, gap)
+
+    def _errors(self, theta: Scalar, flank: Flank) -> Float[Array, " contact"]:
+        gaps = [error.gap(self.system.view(error.body, theta, flank)) for error in self.errors.values()]
+        return jax.tree.reduce(jnp.add, gaps)
+
+
+def require(scene: Scene, what: str, *slots: str) -> None:
+    """Refuse an analysis whose slots the scene does not list, by name.
+
+    Raises:
+        SceneError: naming the analysis and the sections to add.
+    """
+    missing = [slot for slot in slots if getattr(scene, slot) is None]
+    if missing:
+        listed = " and ".join(f"[{slot}]" for slot in missing)
+        raise SceneError(f'"{what}" needs {listed}, which this scene does not list')

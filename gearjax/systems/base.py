@@ -1,0 +1,48 @@
+"""What every gear set offers to a scene."""
+
+import abc
+from collections.abc import Mapping
+
+import equinox as eqx
+
+from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.typing import Array, Float, Scalar
+
+
+class AbstractSystem(eqx.Module):
+    """A gear set: geometry and topology, nothing else.
+
+    A subclass is one file: parameters as fields (`gearjax.parameters`), and the methods below. ``kind`` is its
+    name in a configuration.
+    """
+
+    kind: eqx.AbstractClassVar[str]
+    input_speed: eqx.AbstractVar[Array]
+    """Angular speed of the input [rad/s]."""
+
+    @property
+    @abc.abstractmethod
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that errors may be placed on."""
+
+    @property
+    @abc.abstractmethod
+    def orders(self) -> Mapping[str, float]:
+        """Named frequencies, in cycles per turn of the input; ``output`` and ``mesh`` are always there."""
+
+    @property
+    @abc.abstractmethod
+    def cycle(self) -> float:
+        """Input angle after which the errors of the bodies repeat [rad]."""
+
+    @abc.abstractmethod
+    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
+        """Contacts of one flank at an input angle [rad], for ideal bodies."""
+
+    @abc.abstractmethod
+    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
+        """How a displacement fixed on a body is seen from the lines of action of one flank."""
+
+    @abc.abstractmethod
+    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
+        """Mesh phase of the pairs, ``2 pi`` per tooth, shape (contact,) [rad]."""

@@ -1,0 +1,123 @@
+"""2K-V small-tooth-difference reducer (Wang, Su, Zou 2020)."""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from gearjax import units
+from gearjax.checks import ParameterError, is_concrete, nearest
+from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.geometry import FewTeethDifference, base_radius, internal_centre_distance
+from gearjax.parameters import Named, angle, check_parameters, count, length, number
+from gearjax.systems.base import AbstractSystem
+from gearjax.typing import Array, Float, Number, Scalar
+
+
+class TwoKV(AbstractSystem):
+    """2K-V reducer: an external first stage on the carrier, then planet wheels that roll in a fixed ring.
+
+    Pair i is planet wheel i in the ring, its line of action turning with the crank. Planet wheels sit evenly
+    around the crank: pair i sees the eccentricities of the revolution and of the output wheel
+    ``(i - 1) / planets`` of a turn later than pair 1 does; the phase of a planet wheel is counted from its own line.
+    Seen from the line, planet wheels and revolution turn ``z_r / (z_r - z_p)`` times per turn of the output and
+    the output wheel ``z_p / (z_r - z_p)`` times (26 and 25 for 50 and 52 teeth; Wang et al. 2020, eqs. 1-4).
+
+    Args:
+        sun_teeth, first_stage_planet_teeth: tooth numbers of the first stage.
+        planet_teeth, ring_teeth: tooth numbers of the second stage.
+        module: module of the second stage [m].
+        cutting_pressure_angle: pressure angle of the rack [rad].
+        working_pressure_angle: working pressure angle of the second stage [rad].
+        input_speed: speed of the sun [rad/s].
+        te_radius: base circle that turns line-of-action lengths into output angles, ``"planet"``, ``"ring"``, or a
+            radius [m].
+        planets: number of planet wheels.
+
+    Raises:
+        ParameterError: a value is not physical.
+    """
+
+    kind: ClassVar[str] = "two_kv"
+
+    sun_teeth: int = count()
+    first_stage_planet_teeth: int = count()
+    planet_teeth: int = count(at_least=2)
+    ring_teeth: int = count(at_least=3)
+    module: Number = length(above=0.0, at_most=1.0)
+    cutting_pressure_angle: Number = angle(above=0.0, below=math.pi / 4)
+    working_pressure_angle: Number = angle(above=0.0, below=math.pi / 2)
+    input_speed: Number = number(units.ANGULAR_SPEED, above=0.0, at_most=1e6)
+    te_radius: Named | Number = length(above=0.0, at_most=100.0, names=("planet", "ring"))
+    planets: int = count(default=2, at_most=5)
+
+    def __check_init__(self):
+        check_parameters(self)
+        if self.planet_teeth >= self.ring_teeth:
+            raise ParameterError("planet_teeth", self.planet_teeth, f"must be below ring_teeth ({self.ring_teeth})")
+        angles = self.cutting_pressure_angle, self.working_pressure_angle
+        if is_concrete(angles) and float(angles[1]) < float(angles[0]) * (1 - 1e-6):
+            raise ParameterError(
+                "working_pressure_angle",
+                f"{float(angles[1]) / units.deg:.6g} deg",
+                "the centre distance cannot give it: a cos(working) = module (ring_teeth - planet_teeth) cos(cutting) "
+                f"/ 2 with a at or above its standard value needs {float(angles[0]) / units.deg:.6g} deg to 90 deg",
+            )
+
+    @property
+    def train(self) -> FewTeethDifference:
+        """Kinematics of the two stages."""
+        return FewTeethDifference(self.sun_teeth, self.first_stage_planet_teeth, self.planet_teeth, self.ring_teeth)
+
+    @property
+    def centre_distance(self) -> Scalar:
+        """Working centre distance of the second stage: throw of the crank [m]."""
+        return internal_centre_distance(
+            self.ring_teeth - self.planet_teeth, self.module, self.cutting_pressure_angle, self.working_pressure_angle
+        )
+
+    @property
+    def radius(self) -> Scalar:
+        """Radius that turns line-of-action lengths into output angles [m]."""
+        if not isinstance(self.te_radius, Named):
+            return self.te_radius
+        teeth = self.planet_teeth if self.te_radius.name == "planet" else self.ring_teeth
+        return base_radius(teeth, self.module, self.cutting_pressure_angle)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        return *(f"planet_{i + 1}" for i in range(self.planets)), "revolution", "output_wheel"
+
+    @property
+    def orders(self) -> Mapping[str, float]:
+        train = self.train
+        per_output_turn = {
+            "output": 1,
+            "crank": train.crank_to_frame,
+            "planet": train.crank_to_output,
+            "mesh": train.mesh,
+        }
+        return {name: float(order / train.ratio) for name, order in per_output_turn.items()}
+
+    @property
+    def cycle(self) -> float:
+        return 2 * math.pi * float(self.train.ratio * self.train.cycle)
+
+    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
+        column = jnp.broadcast_to(-float(flank) * self.radius, (self.planets, 1))
+        return ContactFrame(jacobian=column, gap=jnp.zeros((self.planets,), column.dtype))
+
+    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
+        if body not in self.bodies:
+            raise ParameterError("body", body, nearest(body, self.bodies))
+        order = self.orders["crank" if body == "output_wheel" else "planet"]
+        angle = order * theta - float(flank) * self.working_pressure_angle
+        if body.startswith("planet_"):
+            own = jnp.arange(self.planets) == int(body.removeprefix("planet_")) - 1
+            return BodyView(jnp.broadcast_to(angle, (self.planets,)), -float(flank) * own.astype(angle.dtype))
+        place = jnp.arange(self.planets, dtype=angle.dtype) * (2 * math.pi / self.planets)
+        return BodyView(angle - place, jnp.full((self.planets,), -float(flank), angle.dtype))
+
+    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
+        return jnp.broadcast_to(self.orders["mesh"] * theta, (self.planets,))

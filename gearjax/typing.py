@@ -1,0 +1,15 @@
+"""Array types used in signatures: shapes are written by name, e.g. ``Float[Array, " contact"]``."""
+
+from typing import TYPE_CHECKING, Any
+
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
+
+Scalar = Float[Array, ""]
+
+if TYPE_CHECKING:  # a type checker sees what a constructor takes: anything that the field's converter accepts
+    Number = Any
+else:
+    Number = Float[Array, "..."]
+
+__all__ = ["Array", "ArrayLike", "Float", "Int", "Number", "Scalar"]

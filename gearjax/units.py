@@ -1,0 +1,46 @@
+"""Units. SI and radians are used everywhere inside; multiply by these on the way in, divide on the way out.
+
+>>> from gearjax.units import um, arcmin
+>>> amplitude = 10 * um          # metres
+>>> round(1e-3 / arcmin, 3)      # 1 mrad in arcmin
+3.438
+"""
+
+import math
+from typing import NamedTuple
+
+mm = 1e-3
+um = 1e-6
+deg = math.pi / 180
+arcmin = deg / 60
+arcsec = deg / 3600
+rpm = 2 * math.pi / 60
+
+
+class Dimension(NamedTuple):
+    """A physical dimension: its name, its unit inside gearjax, and how a configuration writes it.
+
+    ``shown`` and ``per_shown`` are the unit that messages use and its size in SI.
+    """
+
+    name: str
+    unit: str
+    example: str
+    shown: str
+    per_shown: float = 1.0
+
+    @property
+    def described(self) -> str:
+        """``a length`` or ``an angle``."""
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
+
+
+LENGTH = Dimension("length", "m", "10 um", "m")
+ANGLE = Dimension("angle", "rad", "90 deg", "deg", deg)
+ANGULAR_SPEED = Dimension("angular speed", "rad/s", "300 rpm", "rpm", rpm)
+FREQUENCY = Dimension("frequency", "Hz", "1.6 Hz", "Hz")
+TIME = Dimension("time", "s", "3 s", "s")
+MASS = Dimension("mass", "kg", "3 kg", "kg")
+STIFFNESS = Dimension("stiffness", "N/m", "9.2e7 N/m", "N/m")
+TORQUE = Dimension("torque", "N*m", "30 N*m", "N*m")
+RATIO = Dimension("ratio", "", "0.1", "")

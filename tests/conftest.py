@@ -1,0 +1,47 @@
+"""Tests run in float64, and refuse silent promotion of ranks and dtypes."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.reproduce import two_kv
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+ROOT = Path(__file__).parents[1]
+CONFIG = ROOT / "configs" / "two_kv" / "wang_2020.toml"
+
+
+@pytest.fixture
+def config_text() -> str:
+    return CONFIG.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def scene() -> gj.Scene:
+    """The reducer of Wang et al. (2020), phases before optimisation, without a run section."""
+    return two_kv.scene()
+
+
+@pytest.fixture(scope="session")
+def theta(scene) -> jax.Array:
+    """Three seconds of input angles, 1 ms apart."""
+    return scene.system.input_speed * jax.numpy.linspace(0.0, 3.0, 3001)
+
+
+@pytest.fixture
+def rng(request) -> np.random.Generator:
+    """Random numbers, different for each test and the same in each run."""
+    return np.random.default_rng(sum(request.node.name.encode()))
+
+
+@pytest.fixture(scope="session")
+def with_contact():
+    """The scene with another contact law."""
+    return lambda scene, law: dataclasses.replace(scene, contact=law)

@@ -1,0 +1,88 @@
+"""Imports point downwards only."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import gearjax
+
+PACKAGE = Path(gearjax.__file__).parent
+LAYERS = {
+    "units": 0,
+    "typing": 0,
+    "checks": 0,
+    "parameters": 0,
+    "geometry": 0,
+    "contact": 0,
+    "systems": 1,
+    "errors": 1,
+    "compliance": 1,
+    "load": 1,
+    "inertia": 1,
+    "clearance": 1,
+    "scene": 2,
+    "analysis": 3,
+    "studies": 4,
+    "config": 5,
+    "results": 5,
+    "plot": 5,
+    "reproduce": 6,
+    "cli": 6,
+    "__main__": 6,
+}
+
+
+def room(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported_rooms(source: str) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        names = []
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            module = node.module or ""
+            names = [f"{module}.{alias.name}" for alias in node.names] if module == "gearjax" else [module]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        found |= {name.split(".")[1] for name in names if name.startswith("gearjax.")}
+    return found
+
+
+def upward(own: str, source: str) -> list[str]:
+    """Rooms that a file of the room ``own`` imports from above its layer."""
+    return [other for other in imported_rooms(source) if LAYERS.get(other, 99) > LAYERS[own]]
+
+
+FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_downwards(path):
+    assert room(path) in LAYERS, "a new room needs a layer"
+    assert upward(room(path), path.read_text(encoding="utf-8")) == []
+
+
+def test_systems_never_import_each_other():
+    folder = PACKAGE / "systems"
+    shared = {"__init__", "base"}
+    for path in folder.glob("*.py"):
+        if path.stem == "__init__":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gearjax.systems."):
+                assert node.module.split(".")[2] in shared
+
+
+def test_an_upward_import_is_found():
+    assert upward("contact", "from gearjax.scene import Scene") == ["scene"]
+    assert upward("systems", "import gearjax.analysis.dynamics") == ["analysis"]
+    assert upward("analysis", "from gearjax import plot") == ["plot"]
+    assert upward("scene", "from gearjax.contact import laws\nimport jax") == []
+
+
+def test_the_library_never_touches_jax_config():
+    touching = [path.name for path in FILES if "config.update" in path.read_text(encoding="utf-8")]
+    assert touching == ["cli.py"]

@@ -1,0 +1,157 @@
+"""A gear set that gearjax has never heard of runs through every analysis, unchanged."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax import plot, results, units
+from gearjax.config import build
+from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.parameters import check_parameters, count, length, number
+from gearjax.systems import AbstractSystem
+from gearjax.typing import Array, Float, Number, Scalar
+
+
+class SpurPair(AbstractSystem):
+    """Two spur wheels with run-out: one contact per flank."""
+
+    kind: ClassVar[str] = "spur_pair"
+    pinion_teeth: int = count()
+    wheel_teeth: int = count()
+    wheel_base_radius: Number = length(above=0.0)
+    pressure_angle: Number = number(units.ANGLE, above=0.0)
+    input_speed: Number = number(units.ANGULAR_SPEED, above=0.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        return ("pinion", "wheel")
+
+    @property
+    def orders(self) -> Mapping[str, float]:
+        return {"output": self.pinion_teeth / self.wheel_teeth, "mesh": float(self.pinion_teeth)}
+
+    @property
+    def cycle(self) -> float:
+        return 2 * math.pi * self.wheel_teeth / math.gcd(self.pinion_teeth, self.wheel_teeth)
+
+    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
+        return ContactFrame(jnp.reshape(-float(flank) * self.wheel_base_radius, (1, 1)), jnp.zeros((1,)))
+
+    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
+        order = 1.0 if body == "pinion" else -self.pinion_teeth / self.wheel_teeth
+        influence = jnp.full((1,), -float(flank) * (1.0 if body == "pinion" else -1.0))
+        return BodyView(jnp.reshape(order * theta + float(flank) * self.pressure_angle, (1,)), influence)
+
+    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
+        return jnp.reshape(self.pinion_teeth * theta, (1,))
+
+
+CONFIG = """
+[system]
+kind = "spur_pair"
+pinion_teeth = 20
+wheel_teeth = 31
+wheel_base_radius = "30 mm"
+pressure_angle = "20 deg"
+input_speed = "600 rpm"
+[errors.pinion_runout]
+kind = "eccentricity"
+body = "pinion"
+amplitude = "8 um"
+phase = "10 deg"
+[errors.wheel_runout]
+kind = "eccentricity"
+body = "wheel"
+amplitude = "15 um"
+phase = "70 deg"
+[backlash]
+initial = "0.1 mm"
+[compliance]
+kind = "harmonic_stiffness"
+mean = "2e8 N/m"
+relative_amplitudes = [0.1, 0.03]
+phases = ["0 deg", "40 deg"]
+[inertia]
+mass = "2 kg"
+[damping]
+ratio = 0.08
+[load]
+kind = "constant"
+[run]
+duration = "0.31 s"
+samples = 311
+settle = "0.05 s"
+analyses = ["no_load", "backlash", "static", "dynamic"]
+torques = ["20 N*m"]
+"""
+
+
+@pytest.fixture
+def spur(monkeypatch) -> gj.Scene:
+    """The pair, read from a configuration once it is listed among the systems."""
+    monkeypatch.setattr(build, "SYSTEMS", (*build.SYSTEMS, SpurPair))
+    return gj.loads(CONFIG)
+
+
+def run_out(theta, flank=1.0):
+    """The same by hand: rise of the ideal output along the line of action [m]."""
+    angle = flank * math.radians(20)
+    pinion = 8e-6 * np.sin(theta + angle + math.radians(10))
+    wheel = -15e-6 * np.sin(-20 / 31 * theta + angle + math.radians(70))
+    return pinion + wheel
+
+
+def test_quasi_static(spur):
+    theta = jnp.linspace(0.0, spur.system.cycle, 2001)
+    te = gj.transmission_error(spur, theta)
+    np.testing.assert_allclose(te.te, run_out(np.asarray(theta)) / 0.03, rtol=0, atol=1e-15)
+    static = gj.transmission_error(spur, theta, torque=20.0)
+    np.testing.assert_allclose(static.te, te.te - 20.0 / (2e8 * 0.03**2), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(static.forces[:, 0], 20.0 / 0.03, rtol=1e-9)
+    play = gj.backlash(spur, theta)
+    expected = (1e-4 + run_out(np.asarray(theta), -1.0) - run_out(np.asarray(theta))) / 0.03
+    np.testing.assert_allclose(play.backlash, expected, rtol=0, atol=1e-15)
+
+
+def test_every_case_and_figure(spur, tmp_path):
+    cases = list(results.run_cases(spur))
+    assert [case.analysis for case in cases] == ["no_load", "backlash", "static", "dynamic"]
+    results.save(spur, cases, CONFIG, tmp_path)
+    assert [path.name for path in plot.save_figures(spur, cases, tmp_path)] == [
+        "transmission_error.png",
+        "contact_forces.png",
+        "order_spectrum.png",
+    ]
+    assert cases[-1].metrics["mean"] == pytest.approx(cases[2].record[50:].mean(), rel=0.03)
+
+
+def test_gradients_and_batches(spur):
+    theta = jnp.linspace(0.0, spur.system.cycle, 501)
+
+    def amplitude(size):
+        where = eqx.tree_at(lambda s: s.errors["wheel_runout"].amplitude, spur, size)
+        return gj.transmission_error(where, theta).amplitude
+
+    sizes = jnp.array([5e-6, 15e-6, 40e-6])
+    slopes = jax.jit(jax.vmap(jax.grad(amplitude)))(sizes)
+    step = 1e-9
+    central = [(amplitude(size + step) - amplitude(size - step)) / (2 * step) for size in sizes]
+    np.testing.assert_allclose(slopes, central, rtol=1e-6)
+
+
+def test_simulate_without_damping_and_back_flanks(spur):
+    bare = dataclasses.replace(spur, damping=None, backlash=None, run=None)
+    motion = gj.simulate(bare, jnp.linspace(0.0, 0.05, 51), torque=20.0)
+    assert motion.forces.shape == (51, 1)
+    assert bool((motion.forces > 0).all())

@@ -1,0 +1,135 @@
+"""Metrics, extremes between samples, and order spectra, against exact values."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.analysis.metrics import extremes, load_sharing_factor
+from gearjax.units import arcmin
+
+
+def kinked(shift, angle):
+    """The larger of two sines: its lowest points are kinks."""
+    return jnp.maximum(jnp.sin(angle), 0.7 * jnp.cos(angle + shift))
+
+
+def exact_minimum(shift):
+    """Where the two sines cross downwards."""
+    fine = np.linspace(0, 2 * np.pi, 4_000_001)
+    values = np.maximum(np.sin(fine), 0.7 * np.cos(fine + shift))
+    return values.min()
+
+
+def test_a_kink_between_samples_is_found():
+    for size in (20, 57, 400):
+        theta = jnp.linspace(0.0, 2 * jnp.pi, size)
+        values = jax.vmap(kinked, in_axes=(None, 0))(0.3, theta)
+        found = extremes(kinked, jnp.asarray(0.3), theta, values)
+        lost = float(values.min()) - exact_minimum(0.3)
+        assert lost > 1e-4, "the samples alone miss it"
+        assert float(found.minimum) == pytest.approx(exact_minimum(0.3), abs=1e-6)
+        assert float(found.maximum) == pytest.approx(1.0, abs=1e-12)
+        assert float(found.theta_maximum) == pytest.approx(np.pi / 2, abs=1e-6)
+
+
+def test_the_gradient_at_a_kink_is_that_of_the_true_extreme():
+    theta = jnp.linspace(0.0, 2 * jnp.pi, 57)
+
+    def lowest(shift):
+        values = jax.vmap(kinked, in_axes=(None, 0))(shift, theta)
+        return extremes(kinked, shift, theta, values).minimum
+
+    shift, step = jnp.asarray(0.3), 1e-5
+    central = (lowest(shift + step) - lowest(shift - step)) / (2 * step)
+    assert float(jax.grad(lowest)(shift)) == pytest.approx(float(central), rel=1e-8)
+    assert float(jax.jvp(lowest, (shift,), (1.0,))[1]) == pytest.approx(float(central), rel=1e-8)
+
+
+def test_extremes_at_the_ends_and_of_a_constant():
+    theta = jnp.linspace(0.0, 1.0, 11)
+    rising = extremes(lambda k, a: k * a, jnp.asarray(2.0), theta, 2.0 * theta)
+    assert (float(rising.minimum), float(rising.maximum)) == (0.0, 2.0)
+    flat = extremes(lambda k, a: k + 0 * a, jnp.asarray(2.0), theta, jnp.full(11, 2.0))
+    assert (float(flat.minimum), float(flat.maximum)) == (2.0, 2.0)
+    one = extremes(lambda k, a: k * a, jnp.asarray(2.0), theta[3:4], 2.0 * theta[3:4])
+    assert float(one.maximum) == float(one.minimum) == pytest.approx(0.6)
+
+
+def test_sampling_hardly_changes_the_metrics(scene):
+    """The extremes of 5 ms samples are those of 0.05 ms samples; plain samples would lose 0.008 arcmin."""
+    fine = gj.transmission_error(scene, scene.system.input_speed * jnp.linspace(0.0, 3.0, 60001))
+    coarse = gj.transmission_error(scene, scene.system.input_speed * jnp.linspace(0.0, 3.0, 601))
+    assert abs(float(coarse.peak_to_peak - fine.peak_to_peak)) / arcmin < 1e-4
+    assert abs(float(coarse.amplitude - fine.amplitude)) / arcmin < 1e-4
+    assert float(fine.amplitude - abs(coarse.te).max()) / arcmin > 0.004
+    assert abs(float(coarse.mean - fine.mean)) / arcmin < 1e-3
+
+
+def test_metrics_are_those_of_the_record(scene, theta):
+    te = gj.transmission_error(scene, theta)
+    assert float(te.mean) == pytest.approx(np.mean(te.te), rel=1e-12)
+    assert float(te.std) == pytest.approx(np.std(te.te), rel=1e-12)
+    assert float(te.peak_to_peak) >= np.ptp(te.te)
+    assert float(te.amplitude) >= np.abs(te.te).max()
+    play = gj.backlash(scene, theta)
+    assert float(play.range) >= np.ptp(play.backlash)
+    assert float(play.range) == float(play.peak_to_peak)
+
+
+def test_load_sharing_factor():
+    forces = jnp.array([[100.0, 0.0, 0.0, 0.0], [50.0, 50.0, 0.0, 0.0], [0.0, 0.0, 30.0, 10.0], [0.0, 0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(load_sharing_factor(forces, 2), [2.0, 1.0, 1.5, np.nan])
+
+
+def test_load_sharing_without_torque_is_refused(scene, theta):
+    with pytest.raises(gj.SceneError, match="load sharing needs a torque"):
+        _ = gj.transmission_error(scene, theta[:5]).load_sharing
+
+
+def test_spectrum_on_whole_turns_is_exact():
+    theta = 2 * jnp.pi * 3 * jnp.arange(600) / 600
+    record = 0.7 + 0.3 * jnp.sin(4 * theta + 0.2) + 0.05 * jnp.cos(11 * theta)
+    spectrum = gj.order_spectrum(record, theta, window="none")
+    lines = {round(float(o), 6): float(a) for o, a in zip(spectrum.order, spectrum.amplitude, strict=True)}
+    assert lines[4.0] == pytest.approx(0.3, rel=1e-12)
+    assert lines[11.0] == pytest.approx(0.05, rel=1e-12)
+    rest = [amplitude for order, amplitude in lines.items() if order not in (4.0, 11.0)]
+    assert max(rest) < 1e-12
+
+
+def test_windowed_spectrum_on_a_broken_span():
+    theta = jnp.linspace(0.0, 2 * jnp.pi * 7.37, 4000)
+    spectrum = gj.order_spectrum(0.3 * jnp.sin(4 * theta), theta)
+    peak = int(jnp.argmax(spectrum.amplitude))
+    assert float(spectrum.order[peak]) == pytest.approx(4.0, abs=0.1)
+    assert 0.3 * 0.84 < float(spectrum.amplitude[peak]) <= 0.3
+    far = spectrum.amplitude[jnp.abs(spectrum.order - 4) > 1.0]
+    assert float(far.max()) < 0.003
+
+
+def test_the_no_load_spectrum_sits_on_crank_and_planet_orders(scene):
+    """Over one output turn: orders 25 and 26 and their multiples, as in fig. 16."""
+    theta = scene.system.cycle * jnp.arange(8192) / 8192
+    te = gj.transmission_error(scene, theta)
+    turn = 2 * jnp.pi / scene.system.orders["output"]
+    spectrum = gj.order_spectrum(te.te, theta, turn=turn, window="none")
+    assert int(round(float(spectrum.order[jnp.argmax(spectrum.amplitude)]))) == 26
+    single = gj.order_spectrum(gj.transmission_error(scene, theta, 1e5).te, theta, turn=turn, window="none")
+    strong = {int(round(float(o))) for o in single.order[single.amplitude > 1e-3 * single.amplitude.max()]}
+    assert strong <= {25, 26}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((jnp.ones(8), jnp.arange(8.0), {"window": "hamming"}), 'window = "hamming": valid: none, hann'),
+        ((jnp.ones(3), jnp.arange(3.0), {}), "at least 4 samples"),
+        ((jnp.ones(5), jnp.array([0.0, 1, 2, 3, 7]), {}), "unevenly spaced"),
+    ],
+)
+def test_spectrum_refuses(arguments, message):
+    values, theta, keywords = arguments
+    with pytest.raises(gj.SceneError, match=message):
+        gj.order_spectrum(values, theta, **keywords)
