@@ -20,7 +20,9 @@ class AbstractLoad(eqx.Module):
     """Whether the torque changes its sign."""
 
     @abc.abstractmethod
-    def shape(self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]) -> Float[Array, "..."]:
+    def shape(
+        self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]
+    ) -> Float[Array, "..."]:
         """Torque over its size, at a number of turns of the input and a time [s].
 
         ``orders`` are the named frequencies of the system, per turn of the input.
@@ -33,7 +35,9 @@ class ConstantLoad(AbstractLoad):
     kind: ClassVar[str] = "constant"
     alternates: ClassVar[bool] = False
 
-    def shape(self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]) -> Float[Array, "..."]:
+    def shape(
+        self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]
+    ) -> Float[Array, "..."]:
         return jnp.ones_like(time)
 
 
@@ -51,7 +55,9 @@ class SinusoidalLoad(AbstractLoad):
     def __check_init__(self):
         check_parameters(self)
 
-    def shape(self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]) -> Float[Array, "..."]:
+    def shape(
+        self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]
+    ) -> Float[Array, "..."]:
         if isinstance(self.frequency, Named):
             return jnp.sin(2 * jnp.pi * orders[self.frequency.name] * turns)
         return jnp.sin(2 * jnp.pi * self.frequency * time)

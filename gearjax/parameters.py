@@ -81,6 +81,12 @@ def as_leaf(value: Any) -> Any:
     return jnp.asarray(value, dtype=float)
 
 
+def strong(value: Any) -> Any:
+    """A number as an array with a definite dtype: weakly typed ones would compile anew."""
+    leaf = as_leaf(value)
+    return jnp.asarray(leaf, dtype=leaf.dtype)
+
+
 def as_leaf_or_named(value: Any) -> Any:
     """A number as an array, a word as a `Named`."""
     if isinstance(value, Named):

@@ -16,10 +16,11 @@ from gearjax.contact.frame import join
 from gearjax.errors import AbstractError
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import AbstractLoad
-from gearjax.parameters import Named
+from gearjax.parameters import Named, strong
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Scalar
 
+_OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
 Stiffness = Literal["rigid", "mean", "varying"]
 
 
@@ -98,9 +99,14 @@ class Scene(eqx.Module):
         if isinstance(frequency, Named) and frequency.name not in self.system.orders:
             raise ParameterError("load.frequency", frequency.name, nearest(frequency.name, self.system.orders))
 
-    def physics(self) -> "Scene":
-        """The scene without its run section: what compiled programs depend on."""
-        return self if self.run is None else dataclasses.replace(self, run=None)
+    def physics(self, *slots: str) -> "Scene":
+        """What the program of an analysis depends on, and nothing else.
+
+        That is the system, its errors, reference and contact law, and the named optional slots; every number is an
+        array of a definite dtype.
+        """
+        unused = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
+        return jax.tree.map(strong, dataclasses.replace(self, **unused))
 
     def contacts(self, theta: Scalar, stiffness: Stiffness = "rigid") -> ContactSet:
         """Candidate contacts at an input angle [rad], errors, reference and backlash included.

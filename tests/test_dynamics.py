@@ -18,56 +18,74 @@ MASS, STIFFNESS, TORQUE = 3.0, 9.245e7, 300.0
 
 
 @pytest.fixture
+def still(scene) -> gj.Scene:
+    """Perfect bodies and constant stiffness."""
+    return dataclasses.replace(scene, errors={}, compliance=gj.HarmonicStiffness(STIFFNESS, [], []))
+
+
+@pytest.fixture
 def oscillator(scene) -> gj.Scene:
-    """Perfect bodies, constant stiffness: both pairs in contact, a linear oscillator of stiffness 2 k."""
+    """One pair that never opens, excited by one eccentricity: a linear oscillator."""
     return dataclasses.replace(
-        scene, errors={}, compliance=gj.HarmonicStiffness(STIFFNESS, [], []), backlash=None, damping=None
+        scene,
+        system=dataclasses.replace(scene.system, planets=1),
+        errors={"planet_1": gj.Eccentricity("planet_1", SIZE, PHASE)},
+        reference=None,
+        backlash=None,
+        compliance=gj.HarmonicStiffness(STIFFNESS, [], []),
+        damping=None,
     )
 
 
-def exact(ts, ratio):
-    """Response of ``m x'' + 2 c x' + 2 k x = -T / r`` from rest, c = ratio sqrt(2 k m) per pair [rad]."""
-    omega, zeta = np.sqrt(2 * STIFFNESS / MASS), ratio
-    damped = omega * np.sqrt(1 - zeta**2)
-    still = -TORQUE / RADIUS / (2 * STIFFNESS)
-    swing = np.cos(damped * ts) + zeta / np.sqrt(1 - zeta**2) * np.sin(damped * ts)
-    return still * (1 - np.exp(-zeta * omega * ts) * swing) / RADIUS
+SIZE, PHASE, ALPHA = 100e-6, 1.0, np.radians(35.266)
+SLOW = 2 * np.pi * 26 / 15.8  # rad/s
+
+
+def exact(ts, ratio=0.0, stiffness=STIFFNESS, torque=TORQUE):
+    """``m x'' + c x' + k x = k e + c e' - T / r`` from rest at zero, e = SIZE sin(SLOW t + PHASE - ALPHA) [rad]."""
+    damping = ratio * np.sqrt(2 * stiffness * MASS)
+    rise = SIZE * np.exp(1j * (PHASE - ALPHA))
+    forced = rise * (stiffness + 1j * damping * SLOW) / (stiffness - MASS * SLOW**2 + 1j * damping * SLOW)
+    still = -torque / RADIUS / stiffness
+    start, speed = forced.imag + still, (1j * SLOW * forced).imag
+    decay = damping / (2 * MASS)
+    swing = np.sqrt(stiffness / MASS - decay**2)
+    own = -start * np.cos(swing * ts) - (speed + decay * start) / swing * np.sin(swing * ts)
+    return ((forced * np.exp(1j * SLOW * ts)).imag + still + np.exp(-decay * ts) * own) / RADIUS
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.4])
 def test_linear_oscillator(oscillator, ratio):
-    ts = jnp.linspace(0.0, 0.02, 201)
+    ts = jnp.linspace(0.0, 0.05, 201)
     damped = oscillator if ratio == 0 else dataclasses.replace(oscillator, damping=gj.DampingRatio(ratio))
     motion = gj.simulate(damped, ts, TORQUE, start="zero", stepper=gj.FixedStep(1e-6))
-    # a damper acts only in contact: the response never leaves it here
+    assert float(motion.forces.min()) > 100.0, "the pair stays closed"
     np.testing.assert_allclose(motion.te, exact(np.asarray(ts), ratio), rtol=0, atol=2e-12)
 
 
 def test_gradients_of_the_linear_oscillator(oscillator):
-    """d x / d T and d x / d k at a time, against the exact derivatives."""
+    """d x / d T and d x / d k at a time, against the exact solution."""
     ts = jnp.linspace(0.0, 0.002, 21)
 
     def last(torque, stiffness):
         scene = dataclasses.replace(oscillator, compliance=gj.HarmonicStiffness(stiffness, [], []))
-        return gj.simulate(scene, ts, torque, start="zero", stepper=gj.FixedStep(2e-7)).te[-1]
+        return gj.simulate(scene, ts, torque, start="zero", stepper=gj.FixedStep(5e-7)).te[-1]
 
     torque, stiffness = jnp.asarray(TORQUE), jnp.asarray(STIFFNESS)
-    omega, time = np.sqrt(2 * STIFFNESS / MASS), 0.002
-    phase = omega * time
-    still = -TORQUE / (RADIUS**2 * 2 * STIFFNESS)
-    by_torque = still * (1 - np.cos(phase)) / TORQUE
-    by_stiffness = still / STIFFNESS * (-(1 - np.cos(phase)) + 0.5 * phase * np.sin(phase))
+    by_torque = exact(0.002, torque=TORQUE + 1) - exact(0.002)  # linear in the torque
+    step = 1e-5 * STIFFNESS
+    by_stiffness = (exact(0.002, stiffness=STIFFNESS + step) - exact(0.002, stiffness=STIFFNESS - step)) / (2 * step)
     for derivative in (jax.grad, jax.jacfwd):
-        assert float(derivative(last, 0)(torque, stiffness)) == pytest.approx(by_torque, rel=1e-8)
-        assert float(derivative(last, 1)(torque, stiffness)) == pytest.approx(by_stiffness, rel=1e-8)
+        assert float(derivative(last, 0)(torque, stiffness)) == pytest.approx(by_torque, rel=1e-9)
+        assert float(derivative(last, 1)(torque, stiffness)) == pytest.approx(by_stiffness, rel=1e-7)
 
 
 def test_fourth_order(oscillator):
     ts = jnp.linspace(0.0, 0.01, 11)
     errors = []
-    for steps in (25, 50, 100):
+    for steps in (12, 24, 48):
         motion = gj.simulate(oscillator, ts, TORQUE, start="zero", stepper=gj.FixedStep(per_sample=steps))
-        errors.append(float(abs(motion.te - exact(np.asarray(ts), 0.0)).max()))
+        errors.append(float(abs(motion.te - exact(np.asarray(ts))).max()))
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     np.testing.assert_allclose(orders, 4.0, atol=0.1)
 
@@ -76,20 +94,25 @@ def test_other_diffrax_solvers_step_too(oscillator):
     ts = jnp.linspace(0.0, 0.01, 11)
     for solver in (diffrax.Tsit5(), diffrax.Dopri8()):
         motion = gj.simulate(oscillator, ts, TORQUE, start="zero", stepper=gj.FixedStep(1e-5, solver=solver))
-        np.testing.assert_allclose(motion.te, exact(np.asarray(ts), 0.0), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(motion.te, exact(np.asarray(ts)), rtol=0, atol=1e-11)
 
 
-def test_energy_is_conserved_without_damping(oscillator):
-    motion = gj.simulate(oscillator, jnp.linspace(0.0, 0.5, 501), TORQUE, start="zero", stepper=gj.FixedStep(5e-6))
-    x, v = np.asarray(motion.te) * RADIUS, np.asarray(motion.velocity) * RADIUS
-    energy = 0.5 * MASS * v**2 + STIFFNESS * np.minimum(x, 0) ** 2 + TORQUE / RADIUS * x
-    scale = (TORQUE / RADIUS) ** 2 / (2 * STIFFNESS)
-    assert np.ptp(energy) < 1e-6 * scale
+def test_energy_is_conserved_without_damping(still):
+    """From rest at the touching point: two springs that open and close once per swing."""
+    undamped = dataclasses.replace(still, damping=None)
+
+    def drift(step):
+        motion = gj.simulate(undamped, jnp.linspace(0.0, 0.5, 501), TORQUE, start="zero", stepper=gj.FixedStep(step))
+        x, v = np.asarray(motion.te) * RADIUS, np.asarray(motion.velocity) * RADIUS
+        energy = 0.5 * MASS * v**2 + STIFFNESS * np.minimum(x, 0) ** 2 + TORQUE / RADIUS * x
+        return np.ptp(energy) / ((TORQUE / RADIUS) ** 2 / (2 * STIFFNESS))
+
+    assert drift(5e-6) < 1e-5
+    assert drift(5e-6) < drift(2e-5) / 4  # the kink of the contact lowers the order to two
 
 
-def test_free_flight_through_the_backlash(scene):
+def test_free_flight_through_the_backlash(still):
     """Perfect bodies, torque reversed: constant acceleration until the back flanks close."""
-    still = dataclasses.replace(scene, errors={}, backlash=gj.InitialBacklash(150e-6))
     ts = jnp.linspace(0.0, 0.0004, 41)
     motion = gj.simulate(still, ts, -TORQUE, start="zero", stepper=gj.FixedStep(1e-6))
     flight = 0.5 * TORQUE / RADIUS / MASS * np.asarray(ts) ** 2
@@ -98,9 +121,8 @@ def test_free_flight_through_the_backlash(scene):
     np.testing.assert_allclose(np.asarray(motion.te)[free] * RADIUS, flight[free], rtol=1e-9, atol=1e-15)
 
 
-def test_equilibrium_is_where_it_comes_to_rest(scene):
+def test_equilibrium_is_where_it_comes_to_rest(still):
     """With constant gaps the motion settles on the static equilibrium; started there it stays."""
-    still = dataclasses.replace(scene, errors={}, compliance=gj.HarmonicStiffness(STIFFNESS, [], []))
     ts = jnp.linspace(0.0, 0.2, 101)
     static = gj.transmission_error(still, jnp.zeros(1), 100.0).te[0]
     settled = gj.simulate(still, ts, 100.0, start="zero")
@@ -138,19 +160,20 @@ def test_settle_is_left_out(scene):
 
 def test_extremes_between_samples(scene):
     """Samples 1 ms apart miss the vibration at 1.5 kHz; the metrics do not."""
-    coarse = gj.simulate(scene, jnp.linspace(0.0, 0.1, 11), 300.0, start="zero", stepper=gj.FixedStep(2e-5))
+    coarse = gj.simulate(scene, jnp.linspace(0.0, 0.1, 11), 300.0, start="zero", stepper=gj.FixedStep(5e-6))
     fine = gj.simulate(scene, jnp.linspace(0.0, 0.1, 20001), 300.0, start="zero", stepper=gj.FixedStep(5e-6))
-    assert float(coarse.peak_to_peak) == pytest.approx(float(np.ptp(fine.te)), rel=1e-5)
-    assert float(np.ptp(coarse.te)) < 0.8 * float(coarse.peak_to_peak)
+    assert float(coarse.peak_to_peak) == pytest.approx(float(fine.peak_to_peak), rel=1e-9)
+    assert float(coarse.peak_to_peak) == pytest.approx(float(np.ptp(np.asarray(fine.te))), rel=1e-4)
+    assert float(np.ptp(np.asarray(coarse.te))) < 0.95 * float(coarse.peak_to_peak)
 
 
 def test_stiffness_harmonics_of_any_length(scene):
     """Each harmonic shows at its multiple of the mesh frequency under a load that keeps both pairs closed."""
     rich = gj.HarmonicStiffness(STIFFNESS, [0.08, 0.0, 0.04], [0.3, 0.0, 1.0])
-    still = dataclasses.replace(scene, errors={}, compliance=rich)
+    even = dataclasses.replace(scene, errors={}, compliance=rich)
     mesh = float(scene.system.input_speed) * scene.system.orders["mesh"] / (2 * np.pi)
-    ts = jnp.arange(4096) * (20 / mesh / 4096)
-    motion = gj.simulate(still, ts, 3000.0, settle=0.0)
+    ts = jnp.arange(4096.0) * (20 / mesh / 4096)
+    motion = gj.simulate(even, ts, 3000.0)
     late = np.asarray(motion.te)[2048:]
     lines = np.abs(np.fft.rfft(late - late.mean())) * 2 / 2048
     assert lines[10] > 20 * lines[15]
@@ -178,12 +201,10 @@ def test_times_come_from_the_step_number(scene):
     single_scene = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
     single = gj.simulate(single_scene, jnp.asarray(ts, jnp.float32), jnp.float32(300.0), settle=jnp.float32(0.03))
     assert single.te.dtype == jnp.float32
-    assert float(np.abs(single.te[30:] - double.te[30:]).max()) / arcmin < 2e-3
+    assert np.abs(np.asarray(single.te) - np.asarray(double.te))[30:].max() / arcmin < 2e-3
 
 
-@pytest.mark.parametrize(
-    ("slot", "name"), [("inertia", "inertia"), ("load", "load"), ("compliance", "compliance")]
-)
+@pytest.mark.parametrize(("slot", "name"), [("inertia", "inertia"), ("load", "load"), ("compliance", "compliance")])
 def test_a_missing_part_is_named(scene, slot, name):
     bare = dataclasses.replace(scene, **{slot: None})
     with pytest.raises(gj.SceneError, match=rf'"dynamic" needs \[{name}\], which this scene does not list'):

@@ -123,7 +123,9 @@ def test_smooth_equilibrium_converges_and_balances(law, torque, rng):
             smooth = equilibrium(contacts, jnp.asarray(-torque), law(width))
             bound = width * np.log(64) if law is SoftplusContact else width
             assert abs(float(smooth.position - hard.position)) * LEVER <= bound * (1 + 1e-9)
-            assert float((contacts.lever * smooth.forces).sum()) == pytest.approx(-torque, abs=1e-9 + 1e-9 * abs(torque))
+            assert float((contacts.lever * smooth.forces).sum()) == pytest.approx(
+                -torque, abs=1e-9 + 1e-9 * abs(torque)
+            )
 
 
 def test_softplus_equilibrium_is_the_reference_form():

@@ -1,5 +1,7 @@
 """Metrics, extremes between samples, and order spectra, against exact values."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -64,17 +66,17 @@ def test_sampling_hardly_changes_the_metrics(scene):
     assert abs(float(coarse.peak_to_peak - fine.peak_to_peak)) / arcmin < 1e-4
     assert abs(float(coarse.amplitude - fine.amplitude)) / arcmin < 1e-4
     assert float(fine.amplitude - abs(coarse.te).max()) / arcmin > 0.004
-    assert abs(float(coarse.mean - fine.mean)) / arcmin < 1e-3
+    assert abs(float(coarse.mean - fine.mean)) / arcmin < 2e-3
 
 
 def test_metrics_are_those_of_the_record(scene, theta):
     te = gj.transmission_error(scene, theta)
-    assert float(te.mean) == pytest.approx(np.mean(te.te), rel=1e-12)
-    assert float(te.std) == pytest.approx(np.std(te.te), rel=1e-12)
-    assert float(te.peak_to_peak) >= np.ptp(te.te)
+    assert float(te.mean) == pytest.approx(np.mean(np.asarray(te.te)), rel=1e-12)
+    assert float(te.std) == pytest.approx(np.std(np.asarray(te.te)), rel=1e-12)
+    assert float(te.peak_to_peak) >= np.ptp(np.asarray(te.te))
     assert float(te.amplitude) >= np.abs(te.te).max()
     play = gj.backlash(scene, theta)
-    assert float(play.range) >= np.ptp(play.backlash)
+    assert float(play.range) >= np.ptp(np.asarray(play.backlash))
     assert float(play.range) == float(play.peak_to_peak)
 
 
@@ -89,7 +91,7 @@ def test_load_sharing_without_torque_is_refused(scene, theta):
 
 
 def test_spectrum_on_whole_turns_is_exact():
-    theta = 2 * jnp.pi * 3 * jnp.arange(600) / 600
+    theta = 2 * jnp.pi * 3 * jnp.arange(600.0) / 600
     record = 0.7 + 0.3 * jnp.sin(4 * theta + 0.2) + 0.05 * jnp.cos(11 * theta)
     spectrum = gj.order_spectrum(record, theta, window="none")
     lines = {round(float(o), 6): float(a) for o, a in zip(spectrum.order, spectrum.amplitude, strict=True)}
@@ -111,7 +113,7 @@ def test_windowed_spectrum_on_a_broken_span():
 
 def test_the_no_load_spectrum_sits_on_crank_and_planet_orders(scene):
     """Over one output turn: orders 25 and 26 and their multiples, as in fig. 16."""
-    theta = scene.system.cycle * jnp.arange(8192) / 8192
+    theta = scene.system.cycle * jnp.arange(8192.0) / 8192
     te = gj.transmission_error(scene, theta)
     turn = 2 * jnp.pi / scene.system.orders["output"]
     spectrum = gj.order_spectrum(te.te, theta, turn=turn, window="none")
@@ -133,3 +135,12 @@ def test_spectrum_refuses(arguments, message):
     values, theta, keywords = arguments
     with pytest.raises(gj.SceneError, match=message):
         gj.order_spectrum(values, theta, **keywords)
+
+
+@pytest.mark.parametrize("samples", [1581, 15801, 158001])
+def test_the_extremes_do_not_depend_on_the_samples(scene, samples):
+    """Every kink is resolved: none is missed where fused code rounds the branches of the maximum differently."""
+    absolute = dataclasses.replace(scene, reference=None)
+    te = gj.transmission_error(absolute, jnp.linspace(0.0, scene.system.cycle, samples))
+    assert float(te.peak_to_peak) / arcmin == pytest.approx(2.1010055900, abs=1e-8)
+    assert float(te.amplitude) / arcmin == pytest.approx(1.4465759985, abs=1e-8)

@@ -58,46 +58,56 @@ class Motion(eqx.Module):
     @property
     def settled(self) -> Array:
         """Which samples the metrics count, shape (n,)."""
-        return self.ts >= self.ts[0] + self.settle
+        return self.ts >= self.ts[..., :1] + self.settle[..., None]
 
     @property
-    def _maximum(self) -> Scalar:
-        return jnp.where(self._after, self.highest, -jnp.inf).max()
+    def _maximum(self) -> Float[Array, "..."]:
+        return _pick(self.highest, jnp.argmax(jnp.where(self._after, self.highest, -jnp.inf), axis=-1))
 
     @property
-    def _minimum(self) -> Scalar:
-        return jnp.where(self._after, self.lowest, jnp.inf).min()
+    def _minimum(self) -> Float[Array, "..."]:
+        return _pick(self.lowest, jnp.argmin(jnp.where(self._after, self.lowest, jnp.inf), axis=-1))
 
     @property
     def _after(self) -> Array:
         """Intervals that lie wholly after the settling time; the first entry is the first sample itself."""
-        return jnp.concatenate([self.settled[:1], self.settled[:-1]])
+        settled = self.settled
+        return jnp.concatenate([settled[..., :1], settled[..., :-1]], axis=-1)
 
     @property
-    def peak_to_peak(self) -> Scalar:
+    def peak_to_peak(self) -> Float[Array, "..."]:
         """Highest minus lowest over all steps after settling [rad]."""
         return self._maximum - self._minimum
 
     @property
-    def amplitude(self) -> Scalar:
+    def amplitude(self) -> Float[Array, "..."]:
         """Largest absolute value over all steps after settling [rad]."""
         return jnp.maximum(self._maximum, -self._minimum)
 
     @property
-    def mean(self) -> Scalar:
+    def mean(self) -> Float[Array, "..."]:
         """Mean of the samples after settling [rad]."""
-        return jnp.where(self.settled, self.te, 0.0).sum() / self.settled.sum().astype(self.te.dtype)
+        return _mean(self.te, self.settled)
 
     @property
-    def std(self) -> Scalar:
+    def std(self) -> Float[Array, "..."]:
         """Standard deviation of the samples after settling [rad]."""
-        square = jnp.where(self.settled, self.te - self.mean, 0.0) ** 2
-        return jnp.sqrt(square.sum() / self.settled.sum().astype(self.te.dtype))
+        return jnp.sqrt(_mean((self.te - self.mean[..., None]) ** 2, self.settled))
 
     @property
-    def load_sharing(self) -> Float[Array, " n"]:
+    def load_sharing(self) -> Float[Array, "... n"]:
         """Load of the most loaded pair over the mean load, shape (n,) [-]."""
         return load_sharing_factor(self.forces, self.pairs)
+
+
+def _pick(values: Float[Array, "... n"], index: Int[Array, "..."]) -> Float[Array, "..."]:
+    """One sample of each record."""
+    return jnp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
+
+
+def _mean(values: Float[Array, "... n"], counted: Array) -> Float[Array, "..."]:
+    """Mean of the counted samples."""
+    return jnp.where(counted, values, 0.0).sum(axis=-1) / counted.sum(axis=-1).astype(values.dtype)
 
 
 def simulate(
@@ -145,7 +155,8 @@ def simulate(
     if is_concrete((ts, settle)) and not 0 <= float(settle) < float(ts[-1] - ts[0]):
         raise SceneError(f"settle = {float(settle):g} s: must be at least 0 and less than the record")
     steps = stepper.steps(ts) if isinstance(stepper, FixedStep) else 0
-    motion = _simulate(scene.physics(), ts, torque, settle, start, stepper, steps)
+    physics = scene.physics("backlash", "compliance", "load", "inertia", "damping")
+    motion = _simulate(physics, ts, torque, settle, start, stepper, steps)
     if is_concrete(motion.result) and int(motion.result):
         raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(scene, int(motion.result))}")
     return motion

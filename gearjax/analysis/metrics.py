@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Bool, Float, Scalar
 
 
 class Extremes(eqx.Module):
@@ -40,44 +40,43 @@ def extremes(
         theta: where it was sampled, increasing, shape (n,).
         values: the samples, shape (n,).
     """
-    highest, at_highest = _highest(curve, physics, theta, values, 1.0)
-    lowest, at_lowest = _highest(curve, physics, theta, values, -1.0)
-    return Extremes(highest, -lowest, at_highest, at_lowest)
-
-
-def _highest(curve, physics, theta, values, sign: float) -> tuple[Scalar, Scalar]:
-    """Highest value of ``sign * curve`` and where it is."""
-    values = sign * values
-    best = jnp.argmax(values)
     if theta.shape[0] < 2:
-        return values[best], theta[best]
+        return Extremes(values[0], values[0], theta[0], theta[0])
     frozen, theta = jax.lax.stop_gradient((physics, theta))
 
     def slope_and_value(angle: Scalar) -> tuple[Scalar, Scalar]:
-        value, slope = jax.jvp(lambda a: sign * curve(frozen, a), (angle,), (jnp.ones_like(angle),))
+        value, slope = jax.jvp(lambda a: curve(frozen, a), (angle,), (jnp.ones_like(angle),))
         return slope, value
 
     slopes, frozen_values = jax.vmap(slope_and_value)(theta)
-    left, right = _bracket(theta, frozen_values, slopes)
-    halvings = 30 if theta.dtype == jnp.float64 else 9
+    signs = jnp.array([1.0, -1.0], values.dtype)  # the highest value, and the highest of the negative
 
-    def halve(_, ends):
-        low, high = ends
-        middle = 0.5 * (low + high)
-        rising = slope_and_value(middle)[0] > 0
-        return jnp.where(rising, middle, low), jnp.where(rising, high, middle)
+    def turning_point(sign: Scalar) -> tuple[Float[Array, "2"], Float[Array, "2"], Bool[Array, ""]]:
+        """Both sides of the best turning point, the weights of the curve there, and whether there is one."""
+        ends = _bracket(theta, sign * frozen_values, sign * slopes)
 
-    left, right = jax.lax.fori_loop(0, halvings, halve, (left, right))
-    slope_left, slope_right = slope_and_value(left)[0], slope_and_value(right)[0]
-    turning = (slope_left > 0) & (slope_right < 0)
-    across = jnp.where(turning, slope_left - slope_right, 1.0)
-    weight = jax.lax.stop_gradient(jnp.where(turning, -slope_right / across, 0.5))
-    refined = weight * sign * curve(physics, left) + (1.0 - weight) * sign * curve(physics, right)
-    better = turning & (refined > values[best])
-    return jnp.where(better, refined, values[best]), jnp.where(better, 0.5 * (left + right), theta[best])
+        def halve(_, ends):
+            middle = ends.mean()
+            rising = sign * slope_and_value(middle)[0] > 0
+            return jnp.where(rising, jnp.stack([middle, ends[1]]), jnp.stack([ends[0], middle]))
+
+        ends = jax.lax.fori_loop(0, 30 if theta.dtype == jnp.float64 else 9, halve, ends)
+        rise, fall = sign * jax.vmap(slope_and_value)(ends)[0] * jnp.array([1.0, -1.0], theta.dtype)
+        turning = (rise > 0) & (fall > 0)
+        share = jnp.where(turning, fall / jnp.where(turning, rise + fall, 1.0), 0.5)
+        return ends, jnp.stack([share, 1.0 - share]), turning
+
+    ends, weights, turning = jax.lax.stop_gradient(jax.vmap(turning_point)(signs))
+    refined = (weights * jax.vmap(jax.vmap(lambda angle: curve(physics, angle)))(ends)).sum(axis=1)
+    at_sample = jnp.stack([jnp.argmax(values), jnp.argmin(values)])
+    sampled = values[at_sample]
+    better = turning & (signs * refined > signs * sampled)
+    found = jnp.where(better, refined, sampled)
+    where = jnp.where(better, ends.mean(axis=1), theta[at_sample])
+    return Extremes(found[0], found[1], where[0], where[1])
 
 
-def _bracket(theta, values, slopes) -> tuple[Scalar, Scalar]:
+def _bracket(theta: Float[Array, " n"], values: Float[Array, " n"], slopes: Float[Array, " n"]) -> Float[Array, "2"]:
     """The interval whose tangents meet highest, among those that rise at the left and fall at the right."""
     step = theta[1:] - theta[:-1]
     rise, fall = slopes[:-1], -slopes[1:]
@@ -85,10 +84,10 @@ def _bracket(theta, values, slopes) -> tuple[Scalar, Scalar]:
     total = jnp.where(turning, rise + fall, 1.0)
     meet = (fall * values[:-1] + rise * values[1:] + rise * fall * step) / total
     interval = jnp.argmax(jnp.where(turning, meet, -jnp.inf))
-    return theta[interval], theta[interval + 1]
+    return jnp.stack([theta[interval], theta[interval + 1]])
 
 
-def load_sharing_factor(forces: Float[Array, "n contact"], pairs: int) -> Float[Array, " n"]:
+def load_sharing_factor(forces: Float[Array, "... n contact"], pairs: int) -> Float[Array, "... n"]:
     """Share of the most loaded pair over the mean share, 1 (even) to ``pairs`` (one carries all), shape (n,).
 
     The mesh load factor ``K_gamma`` of ISO 6336-1 for planet wheels, at each sample; nan without load.
@@ -97,7 +96,7 @@ def load_sharing_factor(forces: Float[Array, "n contact"], pairs: int) -> Float[
         forces: compression of each contact, driving flanks first, shape (n, contact) [N].
         pairs: number of driving contacts.
     """
-    carried = forces.reshape(forces.shape[0], -1, pairs).sum(axis=1)
-    total = carried.sum(axis=1)
+    carried = forces.reshape(*forces.shape[:-1], -1, pairs).sum(axis=-2)
+    total = carried.sum(axis=-1)
     loaded = total > 0
-    return jnp.where(loaded, pairs * carried.max(axis=1) / jnp.where(loaded, total, 1.0), jnp.nan)
+    return jnp.where(loaded, pairs * carried.max(axis=-1) / jnp.where(loaded, total, 1.0), jnp.nan)

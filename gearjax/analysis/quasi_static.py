@@ -14,6 +14,8 @@ from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 class TransmissionError(eqx.Module):
     """Transmission error over input angles: output position minus ideal position, positive when the output leads.
 
+    Of a batch (`jax.vmap`) every array has the batch's axes in front, and so have the metrics.
+
     Args:
         theta: input angles, shape (n,) [rad].
         te: transmission error, shape (n,) [rad].
@@ -31,27 +33,27 @@ class TransmissionError(eqx.Module):
     pairs: int = eqx.field(static=True)
 
     @property
-    def peak_to_peak(self) -> Scalar:
+    def peak_to_peak(self) -> Float[Array, "..."]:
         """Highest minus lowest [rad]."""
         return self.extremes.maximum - self.extremes.minimum
 
     @property
-    def amplitude(self) -> Scalar:
+    def amplitude(self) -> Float[Array, "..."]:
         """Largest absolute value [rad]."""
         return jnp.maximum(self.extremes.maximum, -self.extremes.minimum)
 
     @property
-    def mean(self) -> Scalar:
+    def mean(self) -> Float[Array, "..."]:
         """Mean of the samples [rad]."""
-        return self.te.mean()
+        return self.te.mean(axis=-1)
 
     @property
-    def std(self) -> Scalar:
+    def std(self) -> Float[Array, "..."]:
         """Standard deviation of the samples [rad]."""
-        return self.te.std()
+        return self.te.std(axis=-1)
 
     @property
-    def load_sharing(self) -> Float[Array, " n"]:
+    def load_sharing(self) -> Float[Array, "... n"]:
         """Load of the most loaded pair over the mean load, shape (n,) [-]."""
         if self.forces is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
@@ -74,31 +76,31 @@ class Backlash(eqx.Module):
     extremes: Extremes
 
     @property
-    def backlash(self) -> Float[Array, " n"]:
+    def backlash(self) -> Float[Array, "... n"]:
         """Upper minus lower edge, shape (n,) [rad]; negative where both flanks are jammed."""
         return self.upper - self.lower
 
     @property
-    def range(self) -> Scalar:
+    def range(self) -> Float[Array, "..."]:
         """Largest minus smallest backlash [rad]."""
         return self.extremes.maximum - self.extremes.minimum
 
     peak_to_peak = range
 
     @property
-    def amplitude(self) -> Scalar:
+    def amplitude(self) -> Float[Array, "..."]:
         """Largest absolute value [rad]."""
         return jnp.maximum(self.extremes.maximum, -self.extremes.minimum)
 
     @property
-    def mean(self) -> Scalar:
+    def mean(self) -> Float[Array, "..."]:
         """Mean of the samples [rad]."""
-        return self.backlash.mean()
+        return self.backlash.mean(axis=-1)
 
     @property
-    def std(self) -> Scalar:
+    def std(self) -> Float[Array, "..."]:
         """Standard deviation of the samples [rad]."""
-        return self.backlash.std()
+        return self.backlash.std(axis=-1)
 
 
 def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None) -> TransmissionError:
@@ -137,7 +139,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         raise SceneError(
             f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
         )
-    return _transmission_error(scene.physics(), theta, jnp.broadcast_to(torque, theta.shape))
+    return _transmission_error(scene.physics("backlash", "compliance"), theta, jnp.broadcast_to(torque, theta.shape))
 
 
 def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
@@ -158,7 +160,7 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
         True
     """
     require(scene, "backlash", "backlash")
-    return _backlash(scene.physics(), _angles(theta))
+    return _backlash(scene.physics("backlash"), _angles(theta))
 
 
 def _angles(theta: ArrayLike) -> Float[Array, " n"]:
