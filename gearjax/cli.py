@@ -27,16 +27,20 @@ OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="fo
 JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 
 
-@app.callback(invoke_without_command=True)
+def _show_version(wanted: bool | None) -> None:
+    if wanted:
+        print(f"gearjax {metadata.version('gearjax')}")
+        raise typer.Exit
+
+
+@app.callback()
 def _app(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+    version: Annotated[
+        bool | None, typer.Option("--version", help="print the version", callback=_show_version, is_eager=True)
+    ] = None,
 ) -> None:
     """Differentiable gear dynamics: transmission error without load, under load and in motion."""
-    if version:
-        print(f"gearjax {metadata.version('gearjax')}")
-    elif context.invoked_subcommand is None:
-        print(context.get_help())
+    del version  # its callback has printed it
 
 
 @app.command()
@@ -144,7 +148,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point of the command ``gearjax``."""
     jax.config.update("jax_enable_x64", True)
     try:
-        code = app(arguments, prog_name="gearjax", standalone_mode=False)
+        given = sys.argv[1:] if arguments is None else arguments
+        code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
     except Exception as fault:
         message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
         if not isinstance(fault, GearjaxError) and message is None:

@@ -9,15 +9,17 @@ from matplotlib.figure import Figure
 from gearjax.analysis import Motion, TransmissionError, order_spectrum
 from gearjax.results import Case, required_run
 from gearjax.scene import Scene
+from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
 
 MOST_POINTS = 20_000  # drawn per curve
 
 
-def thin(*arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+def thin(*arrays: ArrayLike) -> tuple[np.ndarray, ...]:
     """Every k-th sample, so that no curve has more than `MOST_POINTS`."""
-    every = max(1, len(arrays[0]) // MOST_POINTS)
-    return tuple(np.asarray(array)[::every] for array in arrays)
+    drawn = [np.asarray(array) for array in arrays]
+    every = max(1, len(drawn[0]) // MOST_POINTS)
+    return tuple(array[::every] for array in drawn)
 
 
 def new_figure(
@@ -29,7 +31,7 @@ def new_figure(
     return figure, [ax for row in axes for ax in row]
 
 
-def draw_curve(ax: Axes, time: np.ndarray, angle: np.ndarray, label: str, **style) -> None:
+def draw_curve(ax: Axes, time: ArrayLike, angle: ArrayLike, label: str, **style) -> None:
     """An angle [rad] over time [s], in arcmin."""
     time, angle = thin(time, angle)
     ax.plot(time, angle / arcmin, label=label, linewidth=style.pop("linewidth", 1.0), **style)

@@ -77,7 +77,7 @@ def test_a_changed_number_does_not_retrace(scene, with_contact, analysis):
     assert len(set(values)) == 3
 
 
-def test_the_public_functions_do_not_retrace(scene, theta, config_text):
+def test_the_public_functions_do_not_retrace(scene, theta):
     """Counted at the innermost: the system's own frame, called once per trace."""
     calls = []
 

@@ -117,9 +117,9 @@ def test_the_no_load_spectrum_sits_on_crank_and_planet_orders(scene):
     te = gj.transmission_error(scene, theta)
     turn = 2 * jnp.pi / scene.system.orders["output"]
     spectrum = gj.order_spectrum(te.te, theta, turn=turn, window="none")
-    assert int(round(float(spectrum.order[jnp.argmax(spectrum.amplitude)]))) == 26
+    assert round(float(spectrum.order[jnp.argmax(spectrum.amplitude)])) == 26
     single = gj.order_spectrum(gj.transmission_error(scene, theta, 1e5).te, theta, turn=turn, window="none")
-    strong = {int(round(float(o))) for o in single.order[single.amplitude > 1e-3 * single.amplitude.max()]}
+    strong = {round(float(o)) for o in single.order[single.amplitude > 1e-3 * single.amplitude.max()]}
     assert strong <= {25, 26}
 
 
@@ -142,5 +142,5 @@ def test_the_extremes_do_not_depend_on_the_samples(scene, samples):
     """Every kink is resolved: none is missed where fused code rounds the branches of the maximum differently."""
     absolute = dataclasses.replace(scene, reference=None)
     te = gj.transmission_error(absolute, jnp.linspace(0.0, scene.system.cycle, samples))
-    assert float(te.peak_to_peak) / arcmin == pytest.approx(2.1010055900, abs=1e-8)
-    assert float(te.amplitude) / arcmin == pytest.approx(1.4465759985, abs=1e-8)
+    assert float(te.peak_to_peak) / arcmin == pytest.approx(2.1010055900, abs=1e-7)
+    assert float(te.amplitude) / arcmin == pytest.approx(1.4465759985, abs=1e-7)

@@ -126,7 +126,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         >>> scene = gj.load("configs/two_kv/wang_2020.toml")
         >>> te = gj.transmission_error(scene, jnp.linspace(0.0, 3 * scene.system.input_speed, 3001))
         >>> round(float(te.peak_to_peak / gj.units.arcmin), 3)
-        2.245
+        2.246
     """
     theta = _angles(theta)
     if torque is None:

@@ -43,7 +43,7 @@ def order_spectrum(
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
-        >>> theta = 2 * jnp.pi * jnp.arange(256) / 256
+        >>> theta = 2 * jnp.pi * jnp.arange(256.0) / 256
         >>> spectrum = gj.order_spectrum(0.3 * jnp.sin(5 * theta), theta, window="none")
         >>> round(float(spectrum.amplitude[5]), 6)
         0.3

@@ -15,7 +15,7 @@ from gearjax.scene import Scene
 from gearjax.systems import TwoKV
 from gearjax.units import arcmin, deg, mm, rpm, um
 
-PAPER = "Wang, Su, Zou (2020), 2K-V reducer: transmission error with eccentricity excitation"
+PAPER = "Wang, Su, Zou (2020), Uneven Load Contact Dynamic Modelling and Transmission Error Analysis of a 2K-V Reducer"
 SPACING = 1e-4  # s between samples: what Table 4 was most likely computed with
 
 # Phases of planet 1, planet 2, revolution and output wheel [deg]: Table 2, section 2.4.2 and Table 3.

@@ -1,0 +1,170 @@
+"""The command line as a user meets it."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from gearjax.cli import main
+from gearjax.units import arcmin
+from tests.conftest import CONFIG, ROOT
+
+FAST = CONFIG.read_text(encoding="utf-8").replace('"3 s"', '"0.2 s"').replace("3001", "201")
+
+
+@pytest.fixture
+def fast(tmp_path):
+    path = tmp_path / "fast.toml"
+    path.write_text(FAST, encoding="utf-8")
+    return path
+
+
+def command(capsys, *arguments) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of ``gearjax *arguments``."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return int(stopped.value.code or 0), out, err
+
+
+def test_run_json(capsys, tmp_path, monkeypatch, fast):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = command(capsys, "run", fast, "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["config"] == str(fast)
+    cases = found["cases"]
+    names = [(case["analysis"], case["torque_Nm"]) for case in cases]
+    assert names[:2] == [("no_load", 0.0), ("backlash", 0.0)]
+    assert names[2:] == [(kind, torque) for kind in ("static", "dynamic") for torque in (30.0, 100.0, 300.0)]
+    assert [case["window_s"] for case in cases] == pytest.approx([0.2] * 5 + [0.15] * 3)
+    metrics = {"peak_to_peak_arcmin", "amplitude_arcmin", "mean_arcmin", "std_arcmin"}
+    assert all(set(case["metrics"]) == metrics for case in cases)
+    assert "done: static, 100 N m" in err
+    assert list(tmp_path.iterdir()) == [fast], "nothing is written without --out"
+
+
+def test_run_writes_what_it_shows(capsys, tmp_path, fast):
+    folder = tmp_path / "deep" / "results"
+    code, out, _ = command(capsys, "run", fast, "--out", folder)
+    assert code == 0
+    assert "static, 300 N m" in out
+    assert "(2.848)" in out, "published values stand in brackets"
+    names = {path.name for path in folder.iterdir()}
+    figures = {"transmission_error.png", "contact_forces.png", "order_spectrum.png"}
+    assert names == {"results.nc", "curves.csv", "metrics.csv"} | figures
+    with xr.open_dataset(folder / "results.nc", engine="scipy") as stored:
+        assert stored.attrs["config"] == FAST
+        assert stored.no_load.attrs["units"] == "rad"
+        assert stored.time.attrs["units"] == "s"
+        assert stored.static_300_Nm.dims == ("time",)
+        assert stored.dynamic_30_Nm_force.dims == ("time", "contact")
+        assert stored.no_load.attrs["peak_to_peak_rad"] >= float(np.ptp(stored.no_load.values))
+    with (folder / "curves.csv").open() as lines:
+        rows = list(csv.reader(lines))
+    assert rows[0][:3] == ["time [s]", "input angle [rad]", "no-load [arcmin]"]
+    assert len(rows) == 202
+    with (folder / "metrics.csv").open() as lines:
+        table = list(csv.DictReader(lines))
+    assert [row["analysis"] for row in table] == ["no_load", "backlash"] + ["static"] * 3 + ["dynamic"] * 3
+    assert 1.0 <= float(table[2]["load sharing factor [-]"]) <= 2.0
+    for name in figures:
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_results_file_runs_again(capsys, tmp_path, fast):
+    command(capsys, "run", fast, "--out", tmp_path / "first")
+    _, first, _ = command(capsys, "run", fast, "--json")
+    code, again, _ = command(capsys, "run", tmp_path / "first" / "results.nc", "--json")
+    assert code == 0
+    assert json.loads(again)["cases"] == json.loads(first)["cases"]
+
+
+def test_without_out_the_pictures_go_to_a_folder_named_after_the_config(capsys, tmp_path, monkeypatch, fast):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = command(capsys, "run", fast)
+    assert code == 0
+    assert (tmp_path / "out" / "fast" / "transmission_error.png").exists()
+    assert "out/fast" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "no/such.toml"], "no/such.toml: cannot be read"),
+        (["runn"], "No such command 'runn'"),
+        (["run"], "Missing argument 'CONFIG'"),
+        (["run", "x.toml", "--jason"], "No such option: --jason"),
+        (["run", "broken.nc"], "not a results file"),
+        (["reproduce", "two_k"], 'unknown paper; did you mean "two_kv"?'),
+    ],
+)
+def test_mistakes_are_one_line(capsys, arguments, words):
+    code, out, err = command(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("gearjax: error: ")
+    assert words in err
+
+
+def test_config_mistakes_exit_with_two(capsys, fast):
+    fast.write_text(FAST.replace('[inertia]\nmass = "3 kg"', ""), encoding="utf-8")
+    code, out, err = command(capsys, "run", fast, "--json")
+    assert (code, out) == (2, "")
+    assert err == 'gearjax: error: run.analyses: "dynamic" needs [inertia], which this scene does not list\n'
+    fast.write_text(FAST.replace('duration = "0.2 s"', 'duration = "1e9 s"'), encoding="utf-8")
+    code, _, err = command(capsys, "run", fast, "--json")
+    assert code == 2
+    assert "run.duration = 1e+09 s needs" in err.splitlines()[-1]
+    fast.write_text(FAST[: FAST.index("[run]")], encoding="utf-8")
+    code, _, err = command(capsys, "run", fast)
+    assert code == 2
+    assert "no [run]" in err
+
+
+def test_an_output_folder_that_cannot_be_written(capsys, tmp_path, fast):
+    (tmp_path / "file").write_text("in the way")
+    code, _, err = command(capsys, "run", fast, "--out", tmp_path / "file")
+    assert code == 2
+    assert "--out" in err.splitlines()[-1]
+
+
+def test_version_and_help(capsys):
+    assert command(capsys, "--version")[1].startswith("gearjax 0.")
+    assert "reproduce" in command(capsys)[1]
+    assert "--json" in command(capsys, "run", "--help")[1]
+
+
+def test_as_a_module_in_a_fresh_process(fast):
+    """The command sets float64 itself; stdout holds JSON alone."""
+    done = subprocess.run(
+        [sys.executable, "-m", "gearjax", "run", str(fast), "--json"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0
+    cases = json.loads(done.stdout)["cases"]
+    assert cases[0]["metrics"]["peak_to_peak_arcmin"] > 1.0
+    assert "Warning" not in done.stderr
+
+
+def test_alternating_loads_run(capsys, fast):
+    fast.write_text(FAST.replace('kind = "constant"', 'kind = "sinusoidal"\nfrequency = "crank"'), encoding="utf-8")
+    code, out, _ = command(capsys, "run", fast, "--json")
+    assert code == 0
+    static = json.loads(out)["cases"][2]
+    assert static["metrics"]["peak_to_peak_arcmin"] * arcmin > 0
+
+
+def test_smooth_contacts_run(capsys, fast):
+    fast.write_text(FAST.replace('kind = "hard"', 'kind = "quadratic"\nwidth = "0.5 um"'), encoding="utf-8")
+    code, out, _ = command(capsys, "run", fast, "--json")
+    assert code == 0
+    assert json.loads(out)["cases"][0]["metrics"]["mean_arcmin"] < 0

@@ -1,0 +1,243 @@
+"""Configurations: what a file lists becomes the scene, and every mistake is one line that says what would be right."""
+
+import dataclasses
+import time
+
+import jax
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.config.quantities import read_quantity
+from gearjax.reproduce import two_kv
+from gearjax.units import ANGLE, ANGULAR_SPEED, LENGTH, TORQUE
+
+
+def test_the_shipped_config_is_the_reducer_of_the_paper(config_text):
+    ours, paper = gj.loads(config_text), two_kv.scene()
+    bare = dataclasses.replace(ours, run=None)
+    assert jax.tree.structure(bare) == jax.tree.structure(paper)
+    for one, other in zip(jax.tree.leaves(bare), jax.tree.leaves(paper), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14)
+    assert ours.run is not None
+    assert (ours.run.duration, ours.run.samples, ours.run.settle) == (3.0, 3001, 0.05)
+    assert ours.run.torques == (30.0, 100.0, 300.0)
+
+
+def test_only_what_a_file_lists_is_there(config_text):
+    system = config_text[config_text.index("[system]") : config_text.index("[errors.planet_1]")]
+    scene = gj.loads(system)
+    assert scene.errors == {}
+    for slot in ("reference", "backlash", "compliance", "load", "inertia", "damping", "run"):
+        assert getattr(scene, slot) is None
+    assert isinstance(scene.contact, gj.HardContact)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "value"),
+    [
+        ("10 um", LENGTH, 1e-5),
+        ("10 µm", LENGTH, 1e-5),
+        ("-1.5e-3mm", LENGTH, -1.5e-6),
+        (".5 inch", LENGTH, 0.0127),
+        ("90 deg", ANGLE, np.pi / 2),
+        ("1 arcmin", ANGLE, np.pi / 10800),
+        ("0.25 turn", ANGLE, np.pi / 2),
+        ("300 rpm", ANGULAR_SPEED, 10 * np.pi),
+        ("2 turn/s", ANGULAR_SPEED, 4 * np.pi),
+        ("30 N*m", TORQUE, 30.0),
+        ("30 N m", TORQUE, 30.0),
+        ("3 kN·mm", TORQUE, 3.0),
+        ("2 kg*m^2/s^2", TORQUE, 2.0),
+    ],
+)
+def test_quantities(text, dimension, value):
+    assert read_quantity("x", text, dimension) == pytest.approx(value, rel=1e-12)
+
+
+# what is replaced, by what, and words that the message must have
+MISTAKES = [
+    ('module = "2.5 mm"', 'module = "-2.5 mm"', ["system.module", '"-2.5 mm"', "above 0 m"]),
+    ('module = "2.5 mm"', 'module = "0 mm"', ["system.module", "above 0 m"]),
+    ('module = "2.5 mm"', "module = 2.5", ["system.module = 2.5", "no unit", '"10 um"']),
+    ('module = "2.5 mm"', 'module = "2.5"', ["system.module", "no unit"]),
+    ('module = "2.5 mm"', 'module = "2.5 kg"', ["system.module", "wrong dimension [mass]", "give a length"]),
+    ('module = "2.5 mm"', 'module = "2.5 mn"', ["system.module", 'unknown unit "mn"']),
+    ('module = "2.5 mm"', 'modul = "2.5 mm"', ["system.modul ", "unknown key", 'did you mean "module"?']),
+    ('module = "2.5 mm"\n', "", ["system.module", "(missing)", "a length"]),
+    ('module = "2.5 mm"', "module = true", ["system.module", "give a length"]),
+    ('module = "2.5 mm"', 'module = ["2.5 mm"]', ["system.module", "give a length"]),
+    ('module = "2.5 mm"', 'module = "1e300 km"', ["system.module", "at most 1 m"]),
+    ("\nplanet_teeth = 50", "\nplanet_teeth = 52", ["system.planet_teeth = 52", "below ring_teeth (52)"]),
+    ("\nplanet_teeth = 50", "\nplanet_teeth = 60", ["system.planet_teeth = 60", "below ring_teeth (52)"]),
+    ("\nplanet_teeth = 50", "\nplanet_teeth = 50.5", ["system.planet_teeth = 50.5", "whole number"]),
+    ("\nplanet_teeth = 50", "\nplanet_teeth = -50", ["system.planet_teeth = -50", "at least 2"]),
+    ("sun_teeth = 12", "sun_teeth = 0", ["system.sun_teeth = 0", "at least 1"]),
+    ('"35.266 deg"', '"95 deg"', ["system.working_pressure_angle", "95 deg", "below 90 deg"]),
+    ('"35.266 deg"', '"15 deg"', ["working_pressure_angle", '"15 deg"', "centre distance cannot give", "20 deg to 90"]),
+    ('"300 rpm"', '"5 Hz"', ["system.input_speed", "wrong dimension", "rpm or rad/s"]),
+    ('"300 rpm"', '"-300 rpm"', ["system.input_speed", "above 0 rpm"]),
+    ('te_radius = "planet"', 'te_radius = "planets"', ["system.te_radius", 'did you mean "planet"?', "or a length"]),
+    ('te_radius = "planet"', 'te_radius = "61.08"', ["system.te_radius", "no unit"]),
+    ('kind = "two_kv"', 'kind = "two_k"', ["system.kind", "unknown kind", "two_kv"]),
+    (
+        'body = "planet_1"',
+        'body = "planet_3"',
+        ["errors.planet_1.body", '"planet_3"', "planet_1, planet_2, revolution"],
+    ),
+    ('body = "revolution"', 'body = "revoluton"', ["errors.revolution.body", 'did you mean "revolution"?']),
+    ('amplitude = "20 um"', 'amplitude = "20 deg"', ["errors.planet_2.amplitude", "wrong dimension [angle]"]),
+    ('amplitude = "20 um"', 'amplitude = "-20 um"', ["errors.planet_2.amplitude", '"-20 um"', "at least 0 m"]),
+    ('phase = "-135 deg"', 'phase = "-135"', ["errors.revolution.phase", "no unit", "an angle"]),
+    ('zero = "start"', 'zero = "end"', ["reference.zero", '"end"', '"start" or "absolute"']),
+    ('initial = "0.15 mm"', 'initial = "-0.15 mm"', ["backlash.initial", "at least 0 m"]),
+    ('mean = "9.245e7 N/m"', 'mean = "-9e7 N/m"', ["compliance.mean", '"-9e7 N/m"', "above 0 N/m"]),
+    ("= [0.13]", "= [1.13]", ["compliance.relative_amplitudes", "[1.13]", "stiffness becomes negative"]),
+    ("= [0.13]", "= [0.13, 0.1]", ["compliance.phases", "one per relative amplitude, 2"]),
+    ("= [0.13]", '= ["0.13"]', ["compliance.relative_amplitudes[0]", "without unit"]),
+    ("= [0.13]", "= [inf]", ["compliance.relative_amplitudes[0] = inf", "finite"]),
+    ("= [0.13]", "= 0.13", ["compliance.relative_amplitudes", "must be a list"]),
+    ('mass = "3 kg"', 'mass = "0 kg"', ["inertia.mass", "above 0 kg"]),
+    ("ratio = 0.1", 'ratio = "0.1"', ["damping.ratio", "without unit"]),
+    ("ratio = 0.1", "ratio = -0.1", ["damping.ratio = -0.1", "at least 0"]),
+    ("ratio = 0.1", "ratio = nan", ["damping.ratio = nan", "finite"]),
+    ('kind = "constant"', 'kind = "sinusoid"', ["load.kind", 'did you mean "sinusoidal"?']),
+    ('kind = "constant"', 'kind = "sinusoidal"', ["load.frequency", "(missing)"]),
+    ('kind = "constant"', 'kind = "sinusoidal"\nfrequency = "cranc"', ["load.frequency", 'did you mean "crank"?']),
+    ('kind = "constant"', 'kind = "sinusoidal"\nfrequency = "10 rpm"', ["load.frequency", "wrong dimension"]),
+    (
+        'kind = "constant"',
+        'kind = "constant"\nfrequency = "1 Hz"',
+        ["load.frequency", 'unknown key of kind "constant"'],
+    ),
+    ('kind = "hard"', 'kind = "softplus"', ["contact.width", "(missing)"]),
+    ('kind = "hard"', 'kind = "softplus"\nwidth = "-1 um"', ["contact.width", "above 0 m"]),
+    ('kind = "hard"', 'kind = "hard"\nwidth = "1 um"', ["contact.width", 'unknown key of kind "hard"']),
+    ('[inertia]\nmass = "3 kg"', "", ["run.analyses", '"dynamic" needs [inertia]']),
+    ('[load]\nkind = "constant"', "", ["run.analyses", '"dynamic" needs [load]']),
+    ('[backlash]\ninitial = "0.15 mm"', "", ["run.analyses", '"backlash" needs [backlash]']),
+    ('duration = "3 s"', 'duration = "3 m"', ["run.duration", "wrong dimension [length]", "give a time"]),
+    ('duration = "3 s"', 'duration = "-3 s"', ["run.duration", "above 0 s"]),
+    ("samples = 3001", "samples = 1", ["run.samples = 1", "from 2 to"]),
+    ("samples = 3001", "samples = 1000000000000", ["run.samples", "10000000"]),
+    ('start = "equilibrium"', 'start = "zeros"', ["run.start", 'did you mean "zero"?']),
+    ('settle = "0.05 s"', 'settle = "5 s"', ["run.settle", "below run.duration"]),
+    ('"static", "dynamic"]', '"static", "dinamic"]', ["run.analyses", 'did you mean "dynamic"?']),
+    ('["30 N*m", "100 N*m", "300 N*m"]', "[]", ["run.torques", '"static" needs a list']),
+    ('["30 N*m", "100 N*m", "300 N*m"]', '["30 N"]', ["run.torques[0]", "wrong dimension", "a torque"]),
+    ("[run]", "[runn]", ["runn", "unknown section", 'did you mean "run"?']),
+    ("samples = 3001", "sampels = 3001", ["run.sampels", 'did you mean "samples"?']),
+    ('analysis = "no_load"', 'analysis = "noload"', ["published[0].analysis", "no_load"]),
+    ('std = "0.637 arcmin"', 'std = "0.637 mm"', ["published[0].std", "wrong dimension"]),
+    ("[reference]", "[reference]\nzero = 3", ["not a TOML configuration"]),
+    ("[reference]", "x = [[[[", ["not a TOML configuration"]),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), MISTAKES, ids=[f"{m[2][0]}-{i}" for i, m in enumerate(MISTAKES)])
+def test_mistakes(config_text, old, new, words):
+    assert old in config_text
+    with pytest.raises(gj.GearjaxError) as caught:
+        gj.loads(config_text.replace(old, new))
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 400
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [
+        '"9**9**9 m"',
+        '"2.5 m**9**9**9"',
+        '"2.5 m**99999999"',
+        '"(2.5) mm"',
+        '"1+1 mm"',
+        '"nan mm"',
+        '"inf mm"',
+        '"-inf mm"',
+        '"1e999 mm"',
+        '"2.5 mm; 3"',
+        "\"__import__('os') mm\"",
+        '"0x10 mm"',
+        '"²5 mm"',
+        '""',
+        '" "',
+        '"mm"',
+        "nan",
+        "inf",
+        '"' + "9" * 900_000 + ' mm"',
+        '"2.5 ' + "m*" * 400_000 + 'm"',
+        '"2.5 ' + "m" * 900_000 + '"',
+        "9" * 4000,
+    ],
+    ids=lambda text: text[:24],
+)
+def test_absurd_strings_are_refused_at_once(config_text, absurd):
+    began = time.monotonic()
+    with pytest.raises(gj.GearjaxError) as caught:
+        gj.loads(config_text.replace('"2.5 mm"', absurd))
+    assert time.monotonic() - began < 2.0
+    assert "system.module" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def test_absurd_files(tmp_path):
+    for text, words in (
+        ("a = " + "[" * 100_000, "not a TOML"),
+        ("teeth = " + "9" * 5000, "4300 digits"),
+        ("", "no [system]"),
+        ("system = 3", "must be a section"),
+        ("[errors]\nx = 3\n[system]\nkind = 4", "system.kind = 4"),
+    ):
+        with pytest.raises(gj.GearjaxError) as caught:
+            gj.loads(text)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+    for name, content, words in (
+        ("missing.toml", None, "cannot be read (No such file"),
+        ("binary.toml", b"\xff\xfe\x00\x01", "not a text file"),
+        ("large.toml", b"#" * 1_100_000, "more than a configuration can have"),
+    ):
+        path = tmp_path / name
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(gj.GearjaxError, match="toml") as caught:
+            gj.load(path)
+        assert words in str(caught.value)
+    with pytest.raises(gj.GearjaxError, match="cannot be read"):
+        gj.load(tmp_path)
+
+
+def test_a_torque_that_turns_negative_needs_back_flanks(config_text):
+    bare = config_text.replace('[backlash]\ninitial = "0.15 mm"', "").replace('"no_load", "backlash", ', "")
+    with pytest.raises(gj.SceneError, match=r"run.torques: .*need \[backlash\]"):
+        gj.loads(bare.replace('"30 N*m", ', '"-30 N*m", '))
+    with pytest.raises(gj.SceneError, match=r"run.torques: .*need \[backlash\]"):
+        gj.loads(bare.replace('kind = "constant"', 'kind = "sinusoidal"\nfrequency = "crank"'))
+    assert gj.loads(bare).backlash is None
+
+
+def test_constructors_check_too(scene):
+    with pytest.raises(gj.ParameterError, match=r"amplitude = -1: must be at least 0 m"):
+        gj.Eccentricity("planet_1", -1.0, 0.0)
+    with pytest.raises(gj.ParameterError, match=r"errors\.wheel\.body"):
+        dataclasses.replace(scene, errors={"wheel": gj.Eccentricity("wheel", 1e-6, 0.0)})
+    with pytest.raises(gj.ParameterError, match="te_radius"):
+        dataclasses.replace(scene.system, te_radius="sun")
+    with pytest.raises(gj.ParameterError, match="planets = 6"):
+        dataclasses.replace(scene.system, planets=6)
+    with pytest.raises(gj.ParameterError, match="width = 0"):
+        gj.QuadraticContact(0.0)
+    with pytest.raises(TypeError, match="expected a number"):
+        gj.EquivalentMass("3 kg")
+
+
+def test_three_planets_from_a_config(config_text):
+    three = config_text.replace('te_radius = "planet"', 'te_radius = "ring"\nplanets = 3').replace(
+        'body = "revolution"', 'body = "planet_3"'
+    )
+    scene = gj.loads(three)
+    assert scene.system.bodies == ("planet_1", "planet_2", "planet_3", "revolution", "output_wheel")
