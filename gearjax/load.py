@@ -45,12 +45,12 @@ class SinusoidalLoad(AbstractLoad):
     """Alternating torque ``T sin(2 pi f t)`` (Wang et al. 2020, figs. 7, 11 and 12).
 
     Args:
-        frequency: f [Hz], or the name of a frequency of the system: ``"crank"``, ``"mesh"``.
+        frequency: f [Hz], or the name of one of the system's orders: ``"crank"``, ``"mesh"``.
     """
 
     kind: ClassVar[str] = "sinusoidal"
     alternates: ClassVar[bool] = True
-    frequency: Named | Number = number(units.FREQUENCY, above=0.0, at_most=1e9, names=("crank", "mesh"))
+    frequency: Named | Number = number(units.FREQUENCY, above=0.0, at_most=1e9, words=True)
 
     def __check_init__(self):
         check_parameters(self)

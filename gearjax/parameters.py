@@ -26,6 +26,7 @@ class Parameter:
         kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"`` or ``"name"``.
         above, at_least, below, at_most: bounds, in SI.
         names: words that may stand in place of a number, or the words that a name may be.
+        words: whether any word may stand in place of a number; the scene knows which ones mean something.
     """
 
     dimension: units.Dimension | None
@@ -35,6 +36,7 @@ class Parameter:
     below: float | None = None
     at_most: float | None = None
     names: tuple[str, ...] = ()
+    words: bool = False
 
     def allowed(self) -> str:
         """The bounds in words."""
@@ -99,9 +101,9 @@ def _field(parameter: Parameter, **keywords: Any) -> Any:
 
 
 def number(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
-    """A physical number of the given dimension; ``names=`` lists words that may stand in its place."""
+    """A physical number of the given dimension; ``names=`` or ``words=True`` let words stand in its place."""
     parameter = Parameter(dimension, **bounds)
-    converter = as_leaf_or_named if parameter.names else as_leaf
+    converter = as_leaf_or_named if parameter.names or parameter.words else as_leaf
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(parameter, converter=converter, **keywords)
 

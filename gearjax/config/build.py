@@ -67,7 +67,7 @@ def read_file(path: str | Path) -> str:
         size = path.stat().st_size
         if size > _LARGEST_FILE:
             raise GearjaxError(f"{path}: {size} bytes, more than a configuration can have ({_LARGEST_FILE})")
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as fault:
         raise GearjaxError(f"{path}: cannot be read ({fault.strerror or fault})") from fault
     except UnicodeDecodeError as fault:
@@ -202,8 +202,9 @@ def _value(key: str, given: Any, parameter: Parameter) -> Any:
         if not isinstance(given, list) or len(given) > _LONGEST_SERIES:
             raise ParameterError(key, given, f"must be a list of at most {_LONGEST_SERIES} values, [] for none")
         return [_number(f"{key}[{index}]", value, parameter) for index, value in enumerate(given)]
-    if parameter.names and isinstance(given, str) and not any(letter.isdigit() for letter in given):
-        if given not in parameter.names:
+    worded = parameter.names or parameter.words
+    if worded and isinstance(given, str) and given.isidentifier():
+        if parameter.names and given not in parameter.names:
             raise ParameterError(key, given, f"{nearest(given, parameter.names)}{_or_number(parameter)}")
         return given
     return _number(key, given, parameter)
