@@ -9,13 +9,14 @@ from typing import Annotated
 import jax
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from gearjax.checks import GearjaxError, ParameterError, nearest
 from gearjax.config import loads, read_file
 from gearjax.plot import save_figures
 from gearjax.reproduce import PAPERS, Row
-from gearjax.results import METRICS, Case, highest_load_sharing, run_cases, save, stored_config
+from gearjax.results import METRICS, Case, highest_load_sharing, remarks, run_cases, save, stored_config
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
@@ -50,6 +51,8 @@ def run(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False
     Without --out they go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
+    for remark in remarks(scene):
+        _progress.print(f"note: {remark}", soft_wrap=True)
     cases = []
     for case in run_cases(scene):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
@@ -97,14 +100,18 @@ def _read(config: Path) -> tuple[str, Scene]:
 def _print_cases(cases: list[Case]) -> None:
     compared = any(case.published for case in cases)
     table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
-    for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "load sharing"):
-        table.add_column(column, justify="left" if column == "case" else "right")
+    for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
+        table.add_column(escape(column), justify="left" if column == "case" else "right")
     for case in cases:
         known = dict(case.published.metrics) if case.published else {}
         values = [_cell(case.metrics[name], known.get(name)) for name in METRICS]
         sharing = highest_load_sharing(case)
         table.add_row(case.title, f"{case.window:g}", *values, "" if sharing is None else f"{sharing:.3f}")
-    _output().print(table)
+    console = _output()
+    console.print(table)
+    for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
+        titles = ", ".join(case.title for case in cases if case.published and case.published.note == note)
+        console.print(f"{titles}: {note}", style="dim", soft_wrap=True)
 
 
 def _output() -> Console:
@@ -118,7 +125,7 @@ def _cell(value: float, published: float | None) -> str:
 
 
 def _print_rows(paper: str, rows: list[Row]) -> None:
-    table = Table(title=paper)
+    table = Table(title=f"{paper}, in arcmin")
     for column in ("item", "published", "ours", "deviation", "status"):
         table.add_column(column, justify="left" if column in ("item", "status") else "right")
     for row in rows:
@@ -126,8 +133,8 @@ def _print_rows(paper: str, rows: list[Row]) -> None:
     console = _output()
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
-        first = next(row.item for row in rows if row.why == why)
-        console.print(f"{first} and like it: {why}", style="dim", soft_wrap=True)
+        items = dict.fromkeys(row.item.rpartition(",")[0] for row in rows if row.why == why)
+        console.print(f"{'; '.join(items)}: {why}", style="dim", soft_wrap=True)
 
 
 def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:

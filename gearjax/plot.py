@@ -90,34 +90,51 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
 
 
 def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
-    """Order spectra per turn of the output, with the crank frequency and its multiples marked."""
-    members = [case for case in cases if case.analysis != "backlash"]
-    if not members:
+    """Order spectra per turn of the output: errors of the bodies, and up to the mesh where the motion was computed.
+
+    The crank order (the mesh order where a system has no crank) and its multiples are marked.
+    """
+    groups = [
+        (title, [case for case in cases if case.analysis in kinds])
+        for title, kinds in (("without load and static", ("no_load", "static")), ("dynamic", ("dynamic",)))
+    ]
+    groups = [(title, members) for title, members in groups if members]
+    if not groups:
         return None
-    figure, axes = new_figure(1, height=3.6)
-    ax = axes[0]
+    figure, axes = new_figure(len(groups), height=3.6)
     run, orders = required_run(scene), scene.system.orders
     theta = np.linspace(0.0, run.duration, run.samples) * float(scene.system.input_speed)
     turn = 2 * np.pi / orders["output"]
-    for case in members:
-        start = int(np.searchsorted(theta, theta[0] + run.settle * float(scene.system.input_speed)))
-        start = start if case.analysis == "dynamic" else 0
+    name = "crank" if "crank" in orders else "mesh"
+    highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)
+    for ax, (title, members) in zip(axes, groups, strict=True):
+        dynamic = title == "dynamic"
+        start = int(np.searchsorted(theta, theta[0] + run.settle * float(scene.system.input_speed))) if dynamic else 0
         if len(theta) - start < 8:
             continue
-        spectrum = order_spectrum(case.record[start:], theta[start:], turn=turn, window="hann")
-        ax.plot(np.asarray(spectrum.order), np.asarray(spectrum.amplitude) / arcmin, label=case.title, linewidth=1.0)
-    mark = orders.get("crank", orders["mesh"]) / orders["output"]
-    ax.set_xlim(0, min(8 * mark, float(np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi))))
-    mark_multiples(ax, mark, "crank" if "crank" in orders else "mesh")
-    finish(ax, "Order spectrum (Hann window)", x="order [cycles per turn of the output]", y="amplitude [arcmin]")
+        for case in members:
+            spectrum = order_spectrum(case.record[start:], theta[start:], turn=turn, window="hann")
+            ax.semilogy(spectrum.order, np.asarray(spectrum.amplitude) / arcmin, label=case.title, linewidth=1.0)
+        limit = 2.2 * orders["mesh"] if dynamic else 8 * orders[name]
+        ax.set_xlim(0, min(limit / orders["output"], highest))
+        top = ax.get_ylim()[1]
+        ax.set_ylim(1e-5 * top, 2 * top)
+        mark = orders["mesh"] if dynamic else orders[name]
+        mark_multiples(ax, mark / orders["output"], "mesh" if dynamic else name)
+        width = 2 * np.pi / (theta[-1] - theta[start]) / orders["output"]
+        finish(
+            ax,
+            f"Order spectrum, {title} (Hann window, lines {width:.2g} orders apart)",
+            x="order [cycles per turn of the output]",
+            y="amplitude [arcmin]",
+        )
     return figure
 
 
 def mark_multiples(ax: Axes, base: float, name: str) -> None:
     """Dotted lines at an order and its multiples."""
-    limit = ax.get_xlim()[1]
-    for number in range(1, int(limit / base) + 1):
-        label = f"multiples of the {name} order" if number == 1 else None
+    for number in range(1, int(ax.get_xlim()[1] / base) + 1):
+        label = f"{name} order {base:g}\nand multiples" if number == 1 else None
         ax.axvline(number * base, color="0.5", linestyle=":", linewidth=0.8, label=label)
 
 

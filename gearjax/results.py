@@ -66,6 +66,23 @@ def required_run(scene: Scene) -> Run:
     return scene.run
 
 
+def remarks(scene: Scene) -> list[str]:
+    """What a reader of the metrics should know about the record that the run section asks for."""
+    run, speed = required_run(scene), float(scene.system.input_speed)
+    found = []
+    cycle = scene.system.cycle / speed
+    if run.duration < cycle * (1 - 1e-6):
+        found.append(f"metrics are of {run.duration:g} s; the errors repeat after {cycle:g} s")
+    fastest = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=0.0)
+    spacing = run.duration / (run.samples - 1)
+    per_turn = 2 * np.pi / (speed * fastest * spacing) if fastest else np.inf
+    if per_turn < 20:
+        found.append(
+            f"only {per_turn:.3g} samples per turn of the fastest error: extremes may be missed, raise run.samples"
+        )
+    return found
+
+
 def suitable_step(scene: Scene, duration: float) -> FixedStep:
     """Steps that resolve the highest natural frequency of the scene.
 

@@ -31,11 +31,13 @@ class Published:
     Args:
         analysis, torque: the case they belong to; torque in N m, 0 without load.
         metrics: pairs of a metric's name and its value [rad].
+        note: what a reader of the comparison should know.
     """
 
     analysis: str
     torque: float
     metrics: tuple[tuple[str, float], ...]
+    note: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

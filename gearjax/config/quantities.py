@@ -18,7 +18,7 @@ _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*({_FACTOR}(?:\s*[*/·]\s*{_FACTOR}|\s
 
 
 @functools.cache
-def _registry() -> pint.UnitRegistry:
+def _registry() -> Any:
     """Units in which an angle is a dimension of its own: 5 Hz is not 5 rad/s, and 0.1 is not an angle."""
     folder = importlib.resources.files("pint")
     definitions = (folder / "default_en.txt").read_text(encoding="utf-8")

@@ -87,7 +87,7 @@ def _published(entries: Any) -> tuple[Published, ...]:
     found = []
     for index, entry in enumerate(entries):
         path = f"published[{index}]"
-        keys = ("analysis", "torque", *METRICS)
+        keys = ("analysis", "torque", "note", *METRICS)
         for key in entry:
             if key not in keys:
                 raise ParameterError(f"{path}.{key}"[:100], entry[key], f"unknown key; {nearest(key, keys)}")
@@ -97,5 +97,8 @@ def _published(entries: Any) -> tuple[Published, ...]:
         metrics = tuple(
             (name, read_quantity(f"{path}.{name}", entry[name], units.ANGLE)) for name in METRICS if name in entry
         )
-        found.append(Published(entry["analysis"], torque, metrics))
+        note = entry.get("note", "")
+        if not isinstance(note, str):
+            raise ParameterError(f"{path}.note", note, "must be text in quotes")
+        found.append(Published(entry["analysis"], torque, metrics, note))
     return tuple(found)
