@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+_LONGEST_KEY = 100
 _SHOWN = 40  # characters of a given value that an error repeats
 
 
@@ -25,11 +26,7 @@ class ParameterError(GearjaxError):
 
     def __init__(self, key: str, given: object, right: str):
         self.key, self.given, self.right = key, given, right
-        super().__init__(f"{key} = {shown(given)}: {right}")
-
-    def under(self, path: str) -> "ParameterError":
-        """The same error one level further out in the configuration."""
-        return ParameterError(f"{path}.{self.key}", self.given, self.right)
+        super().__init__(f"{_clean(key[:_LONGEST_KEY])} = {shown(given)}: {right}")
 
 
 class SceneError(GearjaxError):
@@ -39,26 +36,39 @@ class SceneError(GearjaxError):
 def shown(value: object) -> str:
     """A value as an error repeats it: one short line."""
     if isinstance(value, str):
-        text = '"' + value[: 2 * _SHOWN].replace("\n", " ").replace("\r", " ") + '"'
-        long = len(value) > _SHOWN
-    elif isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 64:
-        return f"(an integer of {value.bit_length()} bits)"
-    elif isinstance(value, (dict, list, tuple)) and len(value) > 8:
+        return _clean(f'"{value[:_SHOWN]}"') + (f"... ({len(value)} characters)" if len(value) > _SHOWN else "")
+    if isinstance(value, (dict, list, tuple)) and len(value) > 8:
         return f"(a {type(value).__name__} of {len(value)})"
-    elif isinstance(value, (float, np.ndarray, jax.Array)) and np.ndim(value) == 0:
-        text, long = f"{float(value):.12g}", False
-    else:
-        text = str(value).replace("\n", " ")
-        long = len(text) > _SHOWN
-    return text[:_SHOWN] + f"... ({len(str(value))} characters)" if long else text
+    if isinstance(value, (np.ndarray, np.floating, jax.Array)) and np.ndim(value) == 0:
+        return f"{float(value):.12g}"
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, tables in tables
+        return f"(a {type(value).__name__} too large to show)"
+    return _clean(text[:_SHOWN]) + (f"... ({len(text)} characters)" if len(text) > _SHOWN else "")
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def _clean(text: str) -> str:
+    """The text without what would break a line or a terminal."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+def nearest(name: object, names: Iterable[str]) -> str:
     """``did you mean "x"? valid: a, b`` for a name that is not among ``names``."""
     names = list(names)
-    close = difflib.get_close_matches(str(name)[:100], names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name[:100], names, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f'did you mean "{close[0]}"? ' if close else ""
     return f"{hint}valid: {', '.join(names) if names else '(none)'}"
+
+
+class Missing:
+    """Stands for a value that was not given."""
+
+    def __repr__(self) -> str:
+        return "(missing)"
+
+
+MISSING = Missing()
 
 
 def is_concrete(value: object) -> bool:

@@ -62,7 +62,7 @@ def run(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False
         written = save(scene, cases, text, folder) + save_figures(scene, cases, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
-        print(json.dumps({"config": str(config), "cases": [case.as_json() for case in cases]}))
+        print(json.dumps({"config": str(config), "cases": [case.as_json() for case in cases]}, allow_nan=False))
     else:
         _print_cases(cases)
 

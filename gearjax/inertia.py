@@ -15,7 +15,7 @@ class EquivalentMass(eqx.Module):
         mass: equivalent mass [kg].
     """
 
-    mass: Number = number(units.MASS, above=0.0, at_most=1e9)
+    mass: Number = number(units.MASS, at_least=1e-9, at_most=1e9)
 
     def __check_init__(self):
         check_parameters(self)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from gearjax import units
 from gearjax.parameters import Named, check_parameters, number
-from gearjax.typing import Array, Float, Number
+from gearjax.typing import Array, Float, Number, Scalar
 
 
 class AbstractLoad(eqx.Module):
@@ -28,6 +28,10 @@ class AbstractLoad(eqx.Module):
         ``orders`` are the named frequencies of the system, per turn of the input.
         """
 
+    @abc.abstractmethod
+    def rate(self, input_speed: Scalar, orders: Mapping[str, float]) -> Scalar:
+        """Fastest angular frequency [rad/s]; 0 for none."""
+
 
 class ConstantLoad(AbstractLoad):
     """Constant torque."""
@@ -40,6 +44,9 @@ class ConstantLoad(AbstractLoad):
     ) -> Float[Array, "..."]:
         return jnp.ones_like(time)
 
+    def rate(self, input_speed: Scalar, orders: Mapping[str, float]) -> Scalar:
+        return jnp.zeros_like(input_speed)
+
 
 class SinusoidalLoad(AbstractLoad):
     """Alternating torque ``T sin(2 pi f t)`` (Wang et al. 2020, figs. 7, 11 and 12).
@@ -50,7 +57,7 @@ class SinusoidalLoad(AbstractLoad):
 
     kind: ClassVar[str] = "sinusoidal"
     alternates: ClassVar[bool] = True
-    frequency: Named | Number = number(units.FREQUENCY, above=0.0, at_most=1e9, words=True)
+    frequency: Named | Number = number(units.FREQUENCY, at_least=1e-9, at_most=1e9, words=True)
 
     def __check_init__(self):
         check_parameters(self)
@@ -61,6 +68,11 @@ class SinusoidalLoad(AbstractLoad):
         if isinstance(self.frequency, Named):
             return jnp.sin(2 * jnp.pi * orders[self.frequency.name] * turns)
         return jnp.sin(2 * jnp.pi * self.frequency * time)
+
+    def rate(self, input_speed: Scalar, orders: Mapping[str, float]) -> Scalar:
+        if isinstance(self.frequency, Named):
+            return orders[self.frequency.name] * input_speed
+        return 2 * jnp.pi * self.frequency
 
 
 LOADS: tuple[type[AbstractLoad], ...] = (ConstantLoad, SinusoidalLoad)

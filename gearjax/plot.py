@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gearjax.analysis import Motion, TransmissionError, order_spectrum
+from gearjax.checks import GearjaxError
 from gearjax.results import Case, required_run
 from gearjax.scene import Scene
 from gearjax.typing import ArrayLike
@@ -139,7 +140,11 @@ def mark_multiples(ax: Axes, base: float, name: str) -> None:
 
 
 def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
-    """Write the figures of a run as PNG."""
+    """Write the figures of a run as PNG.
+
+    Raises:
+        GearjaxError: a file cannot be written.
+    """
     figures = {
         "transmission_error.png": error_figure(scene, cases),
         "contact_forces.png": force_figure(scene, cases),
@@ -148,6 +153,9 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         if figure is not None:
-            figure.savefig(folder / name, dpi=130)
+            try:
+                figure.savefig(folder / name, dpi=130)
+            except OSError as fault:
+                raise GearjaxError(f"--out {folder / name}: cannot be written ({fault.strerror or fault})") from fault
             paths.append(folder / name)
     return paths

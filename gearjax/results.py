@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
-from gearjax.analysis.dynamics import LONGEST_STEP, natural_frequency
+from gearjax.analysis.dynamics import LONGEST_STEP, fastest_rate
 from gearjax.checks import GearjaxError, SceneError
 from gearjax.scene import Published, Run, Scene
 from gearjax.units import arcmin
@@ -84,16 +84,16 @@ def remarks(scene: Scene) -> list[str]:
 
 
 def suitable_step(scene: Scene, duration: float) -> FixedStep:
-    """Steps that resolve the highest natural frequency of the scene.
+    """Steps that resolve the fastest motion of the scene.
 
     Raises:
         SceneError: the record would need more than `MOST_STEPS` steps.
     """
-    step = min(4e-5, 0.4 * LONGEST_STEP / float(natural_frequency(scene)))
+    step = min(4e-5, 0.4 * LONGEST_STEP / float(fastest_rate(scene)))
     if duration / step > MOST_STEPS:
         raise SceneError(
-            f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow the highest "
-            f"natural frequency, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
+            f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow its "
+            f"fastest motion, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
         )
     return FixedStep(step)
 
@@ -105,6 +105,8 @@ def run_cases(scene: Scene) -> Iterator[Case]:
         SceneError: no run section, or an analysis that cannot be done.
     """
     run = required_run(scene)
+    if "dynamic" in run.analyses:
+        suitable_step(scene, run.duration)  # refuses before anything is computed
     ts = jnp.linspace(0.0, run.duration, run.samples)
     theta = scene.system.input_speed * ts
     for analysis in run.analyses:
@@ -139,6 +141,8 @@ def torque_history(scene: Scene, ts, torque: float):
 
 def _case(run: Run, analysis: str, torque: float, result: TransmissionError | Backlash | Motion) -> Case:
     metrics = {name: float(getattr(result, name)) for name in METRICS}
+    if not np.isfinite(list(metrics.values())).all():
+        raise SceneError(f"{analysis} at {torque:g} N*m: the result is not finite, a value of the scene is too extreme")
     window = run.duration - (run.settle if analysis == "dynamic" else 0.0)
     published = [
         entry
@@ -165,7 +169,7 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> xr.Dataset:
     }
     variables = {}
     for case in cases:
-        name = case.analysis if case.analysis in ("no_load", "backlash") else f"{case.analysis}_{case.torque:g}_Nm"
+        name = case.analysis if case.analysis in ("no_load", "backlash") else f"{case.analysis}_{case.torque:.12g}_Nm"
         name = name.replace("-", "minus_").replace("+", "")
         attributes = {"units": "rad", "long_name": f"{case.title}", "window_s": case.window, "torque_Nm": case.torque}
         attributes |= {f"{metric}_rad": value for metric, value in case.metrics.items()}
@@ -207,7 +211,7 @@ def stored_config(path: Path) -> str:
     try:
         with xr.open_dataset(path, engine="scipy") as stored:
             return str(stored.attrs["config"])
-    except (OSError, KeyError, ValueError, TypeError) as fault:
+    except Exception as fault:  # a damaged file breaks its reader in many ways
         raise GearjaxError(f"{path}: not a results file of gearjax") from fault
 
 

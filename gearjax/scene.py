@@ -101,6 +101,11 @@ class Scene(eqx.Module):
         if isinstance(frequency, Named) and frequency.name not in self.system.orders:
             raise ParameterError("load.frequency", frequency.name, nearest(frequency.name, self.system.orders))
 
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Precision that its numbers are given in."""
+        return jnp.result_type(self.system.input_speed)
+
     def physics(self, *slots: str) -> "Scene":
         """What the program of an analysis depends on, and nothing else.
 

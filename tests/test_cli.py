@@ -120,7 +120,8 @@ def test_config_mistakes_exit_with_two(capsys, fast):
     fast.write_text(FAST.replace('duration = "0.2 s"', 'duration = "1e9 s"'), encoding="utf-8")
     code, _, err = command(capsys, "run", fast, "--json")
     assert code == 2
-    assert "run.duration = 1e+09 s needs" in err.splitlines()[-1]
+    assert "run.duration = 1e+09 s needs" in err
+    assert err.count("\n") == 2, "refused before anything is computed"
     fast.write_text(FAST[: FAST.index("[run]")], encoding="utf-8")
     code, _, err = command(capsys, "run", fast)
     assert code == 2
@@ -129,9 +130,27 @@ def test_config_mistakes_exit_with_two(capsys, fast):
 
 def test_an_output_folder_that_cannot_be_written(capsys, tmp_path, fast):
     (tmp_path / "file").write_text("in the way")
-    code, _, err = command(capsys, "run", fast, "--out", tmp_path / "file")
-    assert code == 2
-    assert "--out" in err.splitlines()[-1]
+    (tmp_path / "blocked" / "transmission_error.png").mkdir(parents=True)
+    for folder in ("file", "blocked"):
+        code, _, err = command(capsys, "run", fast, "--out", tmp_path / folder)
+        assert code == 2
+        assert err.splitlines()[-1].startswith("gearjax: error: --out")
+
+
+def test_a_damaged_results_file(capsys, tmp_path):
+    for size in (0, 3, 50):
+        (tmp_path / "cut.nc").write_bytes(b"CDF\x02"[:size] + b"x" * max(0, size - 4))
+        code, out, err = command(capsys, "run", tmp_path / "cut.nc")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "not a results file" in err
+
+
+def test_torques_that_print_alike_keep_their_curves(capsys, tmp_path, fast):
+    alike = FAST.replace('"30 N*m", "100 N*m", "300 N*m"', '"100000.1 N*m", "100000.2 N*m"')
+    fast.write_text(alike.replace(', "dynamic"]', "]"), encoding="utf-8")
+    assert command(capsys, "run", fast, "--out", tmp_path / "x")[0] == 0
+    with xr.open_dataset(tmp_path / "x" / "results.nc", engine="scipy") as stored:
+        assert {"static_100000.1_Nm", "static_100000.2_Nm"} <= set(stored)
 
 
 def test_version_and_help(capsys):

@@ -11,6 +11,7 @@ import pytest
 import gearjax as gj
 from gearjax.analysis.dynamics import natural_frequency
 from gearjax.reproduce import two_kv
+from gearjax.results import suitable_step
 from gearjax.units import arcmin
 
 RADIUS = float(two_kv.scene().system.radius)
@@ -158,6 +159,38 @@ def test_settle_is_left_out(scene):
     assert float(rough.peak_to_peak) > 1.3 * float(settled.peak_to_peak)
 
 
+def test_settle_may_leave_a_single_sample(scene):
+    ts = jnp.linspace(0.0, 0.1, 11)
+    motion = gj.simulate(scene, ts, 100.0, settle=0.095)
+    assert float(motion.amplitude) == pytest.approx(abs(float(motion.te[-1])), rel=1e-12)
+    assert float(motion.peak_to_peak) == 0.0
+    assert float(motion.mean) == pytest.approx(float(motion.te[-1]), rel=1e-12)
+
+
+def test_fast_harmonics_and_strong_damping_need_short_steps(scene):
+    ts = jnp.linspace(0.0, 0.02, 21)
+    fast = dataclasses.replace(
+        scene, compliance=gj.HarmonicStiffness(STIFFNESS, [0.1] + [0.0] * 302 + [0.5], [0.0] * 304)
+    )
+    damped = dataclasses.replace(scene, damping=gj.DampingRatio(20.0))
+    alternating = dataclasses.replace(scene, load=gj.SinusoidalLoad(1e5))
+    for changed in (fast, damped, alternating):
+        with pytest.raises(gj.SceneError, match=r"too long for the fastest motion.*FixedStep"):
+            gj.simulate(changed, ts, 100.0)
+        step = suitable_step(changed, 0.02)
+        found = gj.simulate(changed, ts, 100.0, stepper=step)
+        finer = gj.simulate(changed, ts, 100.0, stepper=gj.FixedStep(step.step / 4))
+        assert float(abs(found.te - finer.te).max()) / arcmin < 5e-3
+
+
+def test_long_intervals_between_samples_are_cut(scene):
+    """A thousand steps between two samples: the same motion as with samples in between."""
+    few = gj.simulate(scene, jnp.linspace(0.0, 0.08, 3), 100.0, stepper=gj.FixedStep(per_sample=1024))
+    many = gj.simulate(scene, jnp.linspace(0.0, 0.08, 9), 100.0, stepper=gj.FixedStep(per_sample=256))
+    np.testing.assert_allclose(few.te, many.te[::4], rtol=1e-12)
+    assert float(few.peak_to_peak) == pytest.approx(float(many.peak_to_peak), rel=1e-12)
+
+
 def test_extremes_between_samples(scene):
     """Samples 1 ms apart miss the vibration at 1.5 kHz; the metrics do not."""
     coarse = gj.simulate(scene, jnp.linspace(0.0, 0.1, 11), 300.0, start="zero", stepper=gj.FixedStep(5e-6))
@@ -221,7 +254,7 @@ def test_refusals(scene):
         gj.simulate(scene, ts[:1], 30.0)
     with pytest.raises(gj.SceneError, match="settle = 5 s"):
         gj.simulate(scene, ts, 30.0, settle=5.0)
-    with pytest.raises(gj.SceneError, match=r"too long for the highest natural frequency: it must be at most"):
+    with pytest.raises(gj.SceneError, match=r"too long for the fastest motion .*: it must be at most"):
         gj.simulate(scene, ts, 30.0, stepper=gj.FixedStep(1e-3))
     with pytest.raises(gj.SceneError, match="step = -1 s"):
         gj.FixedStep(-1.0)

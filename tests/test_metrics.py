@@ -80,6 +80,50 @@ def test_metrics_are_those_of_the_record(scene, theta):
     assert float(play.range) == float(play.peak_to_peak)
 
 
+def test_extremes_of_random_assemblies(scene, rng):
+    """Many peaks of nearly the same height: the highest is found, not the one with the loosest bound."""
+    span = float(scene.system.cycle / scene.system.input_speed)
+    spacings = {2e-4: 0.0, 0.005: 1e-4, 0.01: 2e-4, 0.02: 2e-3}  # and what may be lost [arcmin]
+    angles = [scene.system.input_speed * jnp.linspace(0.0, span, round(span / h) + 1) for h in spacings]
+    for _ in range(20):
+        errors = {
+            key: gj.Eccentricity(error.body, rng.uniform(0, 20e-6), rng.uniform(-np.pi, np.pi))
+            for key, error in scene.errors.items()
+        }
+        found = [gj.transmission_error(dataclasses.replace(scene, errors=errors), theta) for theta in angles]
+        for te, lost in zip(found, spacings.values(), strict=True):
+            assert abs(float(te.peak_to_peak - found[0].peak_to_peak)) / arcmin <= lost
+            assert abs(float(te.amplitude - found[0].amplitude)) / arcmin <= lost
+
+
+def test_constant_records_have_gradients(scene):
+    """Perfect bodies: every deviation is zero, and so is its slope."""
+    perfect = dataclasses.replace(scene, errors={})
+    theta = jnp.linspace(0.0, 10.0, 11)
+
+    def deviations(stiffness):
+        changed = dataclasses.replace(perfect, compliance=gj.HarmonicStiffness(stiffness, [], []))
+        static = gj.transmission_error(changed, theta, 50.0).std
+        return static + gj.backlash(changed, theta).std + gj.simulate(changed, 1e-3 * theta, 0.0).std
+
+    assert float(deviations(jnp.asarray(9e7))) == pytest.approx(0.0, abs=1e-18)
+    assert float(jax.grad(deviations)(jnp.asarray(9e7))) == pytest.approx(0.0, abs=1e-20)
+    assert float(jax.jacfwd(deviations)(jnp.asarray(9e7))) == pytest.approx(0.0, abs=1e-20)
+
+
+def test_angles_must_increase(scene, theta):
+    with pytest.raises(gj.SceneError, match="theta must increase"):
+        gj.transmission_error(scene, theta[::-1])
+    with pytest.raises(gj.SceneError, match="theta must increase"):
+        gj.backlash(scene, jnp.zeros(3))
+
+
+def test_the_line_at_half_the_sampling_rate():
+    alternating = (-1.0) ** np.arange(64)
+    spectrum = gj.order_spectrum(alternating, 2 * np.pi * np.arange(64) / 64, window="none")
+    assert float(spectrum.amplitude[-1]) == pytest.approx(1.0)
+
+
 def test_load_sharing_factor():
     forces = jnp.array([[100.0, 0.0, 0.0, 0.0], [50.0, 50.0, 0.0, 0.0], [0.0, 0.0, 30.0, 10.0], [0.0, 0.0, 0.0, 0.0]])
     np.testing.assert_allclose(load_sharing_factor(forces, 2), [2.0, 1.0, 1.5, np.nan])

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from gearjax.analysis.metrics import load_sharing_factor
+from gearjax.analysis.metrics import load_sharing_factor, root
 from gearjax.analysis.quasi_static import rest
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, Stepper, highest_between
 from gearjax.checks import SceneError, is_concrete
@@ -22,10 +22,11 @@ from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 LENGTH_SCALE = 1e-5  # m on the line of action
-LONGEST_STEP = 1.0  # rad of the highest natural frequency; Runge-Kutta is stable to 2.8
+LONGEST_STEP = 1.0  # rad of the fastest motion; Runge-Kutta is stable to 2.8
+MOST_ROWS = 256  # steps whose excitation is tabulated at once
 FAULTS = {
     1: "the solution is not finite",
-    2: "the step is too long for the highest natural frequency",
+    2: "the step is too long for the fastest motion (natural frequency, damping, stiffness harmonics, load)",
     3: "the adaptive solver did not finish",
     4: "there is no equilibrium to start from",
 }
@@ -62,11 +63,13 @@ class Motion(eqx.Module):
 
     @property
     def _maximum(self) -> Float[Array, "..."]:
-        return _pick(self.highest, jnp.argmax(jnp.where(self._after, self.highest, -jnp.inf), axis=-1))
+        values = jnp.where(self._after, self.highest, self.te)
+        return _pick(values, jnp.argmax(jnp.where(self.settled, values, -jnp.inf), axis=-1))
 
     @property
     def _minimum(self) -> Float[Array, "..."]:
-        return _pick(self.lowest, jnp.argmin(jnp.where(self._after, self.lowest, jnp.inf), axis=-1))
+        values = jnp.where(self._after, self.lowest, self.te)
+        return _pick(values, jnp.argmin(jnp.where(self.settled, values, jnp.inf), axis=-1))
 
     @property
     def _after(self) -> Array:
@@ -92,7 +95,7 @@ class Motion(eqx.Module):
     @property
     def std(self) -> Float[Array, "..."]:
         """Standard deviation of the samples after settling [rad]."""
-        return jnp.sqrt(_mean((self.te - self.mean[..., None]) ** 2, self.settled))
+        return root(_mean((self.te - self.mean[..., None]) ** 2, self.settled))
 
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
@@ -125,7 +128,8 @@ def simulate(
         scene: the scene, with compliance, load and inertia.
         ts: sample times, increasing, shape (n,) [s].
         torque: size of the load torque [N m]; positive loads the driving flanks.
-        start: ``"equilibrium"``, moving with the static equilibrium, or ``"zero"``, at rest at the ideal position.
+        start: ``"equilibrium"``, moving as the gaps move it, or ``"zero"``, at rest at the ideal position. The
+            smooth static form of a smooth law is within its width of the rest position of its forces, not on it.
         settle: time after the first sample that metrics leave out [s].
         stepper: `FixedStep` or `AdaptiveStep`.
 
@@ -145,8 +149,7 @@ def simulate(
     require(scene, "dynamic", "compliance", "load", "inertia")
     if start not in ("equilibrium", "zero"):
         raise SceneError(f'start = "{start}": valid: equilibrium, zero')
-    if not (isinstance(ts, jax.Array) and jnp.issubdtype(ts.dtype, jnp.floating)):
-        ts = jnp.asarray(ts, dtype=float)
+    ts = jnp.asarray(ts, dtype=scene.dtype)
     if ts.ndim != 1 or ts.shape[0] < 2:
         raise SceneError(f"ts has shape {ts.shape}: give at least two sample times")
     if is_concrete(ts) and not bool((np.diff(np.asarray(ts)) > 0).all()):
@@ -172,10 +175,32 @@ def natural_frequency(scene: Scene) -> Scalar:
     return jnp.sqrt(stiffness / scene.inertia.moment(lever))
 
 
+def fastest_rate(scene: Scene) -> Scalar:
+    """Fastest rate of a scene, which a step has to resolve [rad/s].
+
+    The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of the
+    stiffness and the load.
+    """
+    assert scene.inertia is not None
+    assert scene.compliance is not None
+    assert scene.load is not None
+    system, pairs = scene.system, scene_pairs(scene)
+    orders = system.orders
+    rates = [
+        natural_frequency(scene),
+        scene.compliance.harmonics * orders["mesh"] * system.input_speed,
+        scene.load.rate(system.input_speed, orders),
+    ]
+    if scene.damping is not None:
+        mass = scene.inertia.mass
+        rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), mass).sum() / mass)
+    return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+
 def _advice(scene: Scene, fault: int) -> str:
     if fault != 2:
         return ""
-    longest = LONGEST_STEP / float(natural_frequency(scene))
+    longest = LONGEST_STEP / float(fastest_rate(scene))
     return f": it must be at most {longest:.3g} s, give stepper=FixedStep(step={0.25 * longest:.2g})"
 
 
@@ -203,10 +228,6 @@ class _Equation(eqx.Module):
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
         return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
-
-    def rest(self, time: Scalar) -> Scalar:
-        """Static equilibrium at a time [rad], with the stiffness and the torque of that time."""
-        return rest(self._contacts(time), self.scene, self.load(time)).position
 
     def _contacts(self, time: Scalar) -> ContactSet:
         return self.scene.contacts(self.scene.system.input_speed * time, "varying")
@@ -259,7 +280,15 @@ class _Equation(eqx.Module):
         """Scaled position and velocity to start from."""
         if start == "zero":
             return jnp.zeros((2,), time.dtype)
-        position, velocity = jax.jvp(self.rest, (time,), (jnp.ones_like(time),))
+        stiffness, load = self._contacts(time).stiffness, self.load(time)
+
+        def follow(time: Scalar) -> Scalar:
+            """Static equilibrium as the gaps move, under the stiffness and the torque of the start."""
+            now = self._contacts(time)
+            held = ContactSet(now.jacobian, now.gap, stiffness, now.pairs)
+            return rest(held, self.scene, load).position
+
+        position, velocity = jax.jvp(follow, (time,), (jnp.ones_like(time),))
         return jnp.stack([position, velocity / self.frequency]) / self.scale
 
 
@@ -280,7 +309,9 @@ def _simulate(
     if isinstance(stepper, AdaptiveStep):
         states, highest, lowest, failed = _adaptive(equation, ts, state, stepper)
     else:
-        states, highest, lowest, failed = _fixed(equation, ts, state, stepper, steps)
+        states, highest, lowest = _fixed(equation, ts, state, stepper, steps)
+        too_long = (ts[1:] - ts[:-1]).max() / steps * fastest_rate(scene) > LONGEST_STEP
+        failed = jnp.where(too_long, 2, 0)
     fault = jnp.where(fault > 0, fault, failed)
     fault = jnp.where((fault == 0) & ~jnp.isfinite(states).all(), 1, fault)
     te = states[:, 0] * equation.scale
@@ -292,7 +323,7 @@ def _simulate(
 
 
 def _fixed(equation: _Equation, ts: Array, state: Array, stepper: FixedStep, steps: int):
-    """Even steps: a scan over the sample intervals, and over the steps of each.
+    """Even steps: a scan over the sample intervals, cut into parts of `MOST_ROWS` steps, and over the steps of each.
 
     What drives the motion is tabulated for all ends and middles of the steps of an interval at once (vectorised,
     and out of the sequential loop); within a step it is interpolated, exactly so at the nodes of Runge-Kutta.
@@ -306,6 +337,8 @@ def _fixed(equation: _Equation, ts: Array, state: Array, stepper: FixedStep, ste
         return span * equation.rate(unpack(_within(rows, time)), state)
 
     terms = diffrax.ODETerm(field)
+    parts = -(-steps // MOST_ROWS)
+    steps = -(-steps // parts)
 
     def interval(carry, times):
         origin, length = times
@@ -331,15 +364,15 @@ def _fixed(equation: _Equation, ts: Array, state: Array, stepper: FixedStep, ste
         return (state, memory), (state, highest, lowest)
 
     memory = stepper.solver.init(terms, 0.0, 1.0, state, (jnp.stack([now, now, now]), jnp.ones_like(ts[0])))
-    intervals = (ts[:-1], ts[1:] - ts[:-1])
+    lengths = (ts[1:] - ts[:-1]) / parts
+    origins = ts[:-1, None] + lengths[:, None] * jnp.arange(parts).astype(ts.dtype)[None, :]
+    intervals = (origins.ravel(), jnp.repeat(lengths, parts))
     _, (states, highest, lowest) = jax.lax.scan(interval, (state, memory), intervals)
     first = state[:1]
-    too_long = (intervals[1].max() * equation.frequency / steps) > LONGEST_STEP
     return (
-        jnp.concatenate([state[None, :], states]),
-        jnp.concatenate([first, highest]),
-        jnp.concatenate([first, lowest]),
-        jnp.where(too_long, 2, 0),
+        jnp.concatenate([state[None, :], states[parts - 1 :: parts]]),
+        jnp.concatenate([first, highest.reshape(-1, parts).max(axis=1)]),
+        jnp.concatenate([first, lowest.reshape(-1, parts).min(axis=1)]),
     )
 
 

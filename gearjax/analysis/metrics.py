@@ -2,9 +2,9 @@
 
 A transmission error is the largest of several smooth curves: its lowest points are kinks, where the contacting
 pair changes, and a sampled record misses them by slope times spacing (0.0022 arcmin at 1 ms for Wang et al. 2020).
-`extremes` finds them: tangents at the samples bound the extreme of each interval, the interval with the best bound
-is bisected on the slope, and the value is taken between the two tangents at the turning point. What is left is
-second order in the spacing and only matters where an interval hides two turning points.
+`extremes` finds them: tangents at the samples bound the extreme of each interval, the intervals with the best bounds
+are bisected on the slope, and the value is taken between the two tangents at the turning point. What is left matters
+where an interval hides two turning points, or where more than `MOST_INTERVALS` intervals bound higher than the best.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.typing import Array, Bool, Float, Scalar
+from gearjax.typing import Array, Bool, Float, Int, Scalar
+
+MOST_INTERVALS = 16
 
 
 class Extremes(eqx.Module):
@@ -51,9 +53,9 @@ def extremes(
     slopes, frozen_values = jax.vmap(slope_and_value)(theta)
     signs = jnp.array([1.0, -1.0], values.dtype)  # the highest value, and the highest of the negative
 
-    def turning_point(sign: Scalar) -> tuple[Float[Array, "2"], Float[Array, "2"], Bool[Array, ""]]:
-        """Both sides of the best turning point, the weights of the curve there, and whether there is one."""
-        ends = _bracket(theta, sign * frozen_values, sign * slopes)
+    def turning_point(sign: Scalar, interval: Int[Array, ""]) -> tuple[Float[Array, "2"], Float[Array, "2"], Scalar]:
+        """Both sides of the turning point of an interval, the weights of the curve there, and its value."""
+        ends = jnp.stack([theta[interval], theta[interval + 1]])
 
         def halve(_, ends):
             middle = ends.mean()
@@ -61,12 +63,22 @@ def extremes(
             return jnp.where(rising, jnp.stack([middle, ends[1]]), jnp.stack([ends[0], middle]))
 
         ends = jax.lax.fori_loop(0, 30 if theta.dtype == jnp.float64 else 9, halve, ends)
-        rise, fall = sign * jax.vmap(slope_and_value)(ends)[0] * jnp.array([1.0, -1.0], theta.dtype)
+        slope, value = jax.vmap(slope_and_value)(ends)
+        rise, fall = sign * slope[0], -sign * slope[1]
         turning = (rise > 0) & (fall > 0)
         share = jnp.where(turning, fall / jnp.where(turning, rise + fall, 1.0), 0.5)
-        return ends, jnp.stack([share, 1.0 - share]), turning
+        weights = jnp.stack([share, 1.0 - share])
+        return ends, weights, jnp.where(turning, sign * (weights * value).sum(), -jnp.inf)
 
-    ends, weights, turning = jax.lax.stop_gradient(jax.vmap(turning_point)(signs))
+    def best_turning_point(sign: Scalar) -> tuple[Float[Array, "2"], Float[Array, "2"], Bool[Array, ""]]:
+        """The highest turning point of the intervals whose tangents meet highest, and whether there is one."""
+        bounds = _bounds(theta, sign * frozen_values, sign * slopes)
+        intervals = jax.lax.top_k(bounds, min(MOST_INTERVALS, bounds.shape[0]))[1]
+        ends, weights, heights = jax.vmap(turning_point, in_axes=(None, 0))(sign, intervals)
+        best = jnp.argmax(heights)
+        return ends[best], weights[best], heights[best] > -jnp.inf
+
+    ends, weights, turning = jax.lax.stop_gradient(jax.vmap(best_turning_point)(signs))
     refined = (weights * jax.vmap(jax.vmap(lambda angle: curve(physics, angle)))(ends)).sum(axis=1)
     at_sample = jnp.stack([jnp.argmax(values), jnp.argmin(values)])
     sampled = values[at_sample]
@@ -76,15 +88,26 @@ def extremes(
     return Extremes(found[0], found[1], where[0], where[1])
 
 
-def _bracket(theta: Float[Array, " n"], values: Float[Array, " n"], slopes: Float[Array, " n"]) -> Float[Array, "2"]:
-    """The interval whose tangents meet highest, among those that rise at the left and fall at the right."""
+def _bounds(theta: Float[Array, " n"], values: Float[Array, " n"], slopes: Float[Array, " n"]) -> Float[Array, " m"]:
+    """Where the tangents at both ends of each interval meet; minus infinity without a turning point between."""
     step = theta[1:] - theta[:-1]
     rise, fall = slopes[:-1], -slopes[1:]
     turning = (rise > 0) & (fall > 0)
     total = jnp.where(turning, rise + fall, 1.0)
     meet = (fall * values[:-1] + rise * values[1:] + rise * fall * step) / total
-    interval = jnp.argmax(jnp.where(turning, meet, -jnp.inf))
-    return jnp.stack([theta[interval], theta[interval + 1]])
+    return jnp.where(turning, meet, -jnp.inf)
+
+
+def root(square: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Square root whose derivative at zero is zero: the deviation of a constant record."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def deviation(record: Float[Array, "... n"]) -> Float[Array, "..."]:
+    """Standard deviation of each record."""
+    centred = record - record.mean(axis=-1, keepdims=True)
+    return root((centred * centred).mean(axis=-1))
 
 
 def load_sharing_factor(forces: Float[Array, "... n contact"], pairs: int) -> Float[Array, "... n"]:

@@ -3,8 +3,9 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from gearjax.analysis.metrics import Extremes, extremes, load_sharing_factor
+from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor
 from gearjax.checks import SceneError, is_concrete
 from gearjax.contact import ContactSet, Equilibrium, equilibrium, first_contact
 from gearjax.scene import Scene, require
@@ -50,7 +51,7 @@ class TransmissionError(eqx.Module):
     @property
     def std(self) -> Float[Array, "..."]:
         """Standard deviation of the samples [rad]."""
-        return self.te.std(axis=-1)
+        return deviation(self.te)
 
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
@@ -100,7 +101,7 @@ class Backlash(eqx.Module):
     @property
     def std(self) -> Float[Array, "..."]:
         """Standard deviation of the samples [rad]."""
-        return self.backlash.std(axis=-1)
+        return deviation(self.backlash)
 
 
 def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None) -> TransmissionError:
@@ -128,7 +129,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         >>> round(float(te.peak_to_peak / gj.units.arcmin), 3)
         2.246
     """
-    theta = _angles(theta)
+    theta = _angles(scene, theta)
     if torque is None:
         return _transmission_error(scene.physics(), theta, None)
     require(scene, "static", "compliance")
@@ -160,14 +161,15 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
         True
     """
     require(scene, "backlash", "backlash")
-    return _backlash(scene.physics("backlash"), _angles(theta))
+    return _backlash(scene.physics("backlash"), _angles(scene, theta))
 
 
-def _angles(theta: ArrayLike) -> Float[Array, " n"]:
-    if not (isinstance(theta, jax.Array) and jnp.issubdtype(theta.dtype, jnp.floating)):
-        theta = jnp.asarray(theta, dtype=float)
+def _angles(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
+    theta = jnp.asarray(theta, dtype=scene.dtype)
     if theta.ndim != 1 or theta.shape[0] == 0:
         raise SceneError(f"theta has shape {theta.shape}: give input angles of shape (n,)")
+    if is_concrete(theta) and not bool((np.diff(np.asarray(theta)) > 0).all()):
+        raise SceneError("theta must increase")
     return theta
 
 

@@ -74,7 +74,7 @@ class FixedStep(eqx.Module):
 
 
 class AdaptiveStep(eqx.Module):
-    """Steps of adaptive length, for single scenes.
+    """Steps of adaptive length, for single scenes. Extremes of the motion are then those of its samples.
 
     Args:
         rtol, atol: tolerances of the scaled variables (position in 10 um, velocity in 10 um per natural period / 2 pi).

@@ -65,6 +65,8 @@ def order_spectrum(
         weights = 0.5 * (1 - jnp.cos(2 * jnp.pi * jnp.arange(size, dtype=values.dtype) / size))
     centred = values - (weights * values).sum() / weights.sum()
     amplitude = 2 * jnp.abs(jnp.fft.rfft(weights * centred)) / weights.sum()
+    if size % 2 == 0:
+        amplitude = amplitude.at[-1].divide(2.0)  # the line at half the sampling rate stands for itself alone
     spacing = (theta[-1] - theta[0]) / (size - 1)
     order = jnp.arange(amplitude.shape[0], dtype=values.dtype) * (jnp.asarray(turn, values.dtype) / (size * spacing))
     return Spectrum(order, amplitude)

@@ -20,6 +20,11 @@ class AbstractCompliance(eqx.Module):
     def stiffness(self, mesh_angle: Float[Array, " pair"]) -> Float[Array, " pair"]:
         """Stiffness of each pair at its mesh phase [rad], shape (pair,) [N/m]."""
 
+    @property
+    @abc.abstractmethod
+    def harmonics(self) -> int:
+        """Highest harmonic of the mesh frequency."""
+
     @abc.abstractmethod
     def peak_stiffness(self) -> Scalar:
         """A bound from above on the stiffness of a pair [N/m]."""

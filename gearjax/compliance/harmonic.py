@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete
@@ -24,7 +25,7 @@ class HarmonicStiffness(AbstractCompliance):
     """
 
     kind: ClassVar[str] = "harmonic_stiffness"
-    mean: Number = number(units.STIFFNESS, above=0.0, at_most=1e15)
+    mean: Number = number(units.STIFFNESS, at_least=1e-3, at_most=1e15)
     relative_amplitudes: Number = series(units.RATIO, at_least=-10.0, at_most=10.0)
     phases: Number = series(units.ANGLE, at_least=-1e6, at_most=1e6)
 
@@ -36,17 +37,21 @@ class HarmonicStiffness(AbstractCompliance):
                 f"{self.phases.size} phase(s)",
                 f"needs one per relative amplitude, {self.relative_amplitudes.size}",
             )
-        if is_concrete((self.relative_amplitudes, self.phases)) and float(self._lowest()) <= 0:
+        if is_concrete((self.relative_amplitudes, self.phases)) and self._lowest() <= 0:
             raise ParameterError(
                 "relative_amplitudes",
                 f"{[float(a) for a in self.relative_amplitudes.ravel()]}",
-                f"the stiffness becomes negative (lowest {float(self._lowest()):.3g} of the mean): must stay positive",
+                f"the stiffness becomes negative (lowest {self._lowest():.3g} of the mean): must stay positive",
             )
 
-    def _lowest(self) -> Scalar:
-        """Lowest stiffness over the mean, sampled over one mesh period."""
-        psi = jnp.linspace(0.0, 2 * jnp.pi, 721, dtype=self.phases.dtype)
-        return self._shape(psi).min()
+    def _lowest(self) -> float:
+        """Lowest stiffness over the mean: 64 samples per period of the highest harmonic, by FFT."""
+        amplitudes = np.asarray(self.relative_amplitudes, float).ravel()
+        size = 64 * (amplitudes.size + 1)
+        lines = np.zeros(size // 2 + 1, complex)
+        lines[0] = size
+        lines[1 : amplitudes.size + 1] = 0.5 * size * amplitudes * np.exp(1j * np.asarray(self.phases, float).ravel())
+        return float(np.fft.irfft(lines, size).min())
 
     def _shape(self, psi: Float[Array, " n"]) -> Float[Array, " n"]:
         harmonic = jnp.arange(1, self.phases.size + 1, dtype=self.phases.dtype)
@@ -60,6 +65,10 @@ class HarmonicStiffness(AbstractCompliance):
         if self.phases.size == 0:
             return self.mean_stiffness(mesh_angle.shape[0])
         return self.mean * self._shape(mesh_angle)
+
+    @property
+    def harmonics(self) -> int:
+        return self.phases.size
 
     def peak_stiffness(self) -> Scalar:
         return self.mean * (1.0 + jnp.abs(self.relative_amplitudes).sum())

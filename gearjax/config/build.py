@@ -1,17 +1,18 @@
 """From the tables of a configuration to a scene. What may stand in a table is read from the declared fields."""
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from gearjax import units
-from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax.checks import MISSING, GearjaxError, ParameterError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import COMPLIANCES
 from gearjax.config.quantities import read_plain, read_quantity
-from gearjax.config.run import read_run
+from gearjax.config.run import read_published, read_run
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import ERRORS
 from gearjax.inertia import DampingRatio, EquivalentMass
@@ -22,6 +23,7 @@ from gearjax.systems import SYSTEMS
 
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
+_DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
 _CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
 _SECTIONS = (
     "system",
@@ -64,6 +66,8 @@ def read_file(path: str | Path) -> str:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():
+            raise GearjaxError(f"{path}: cannot be read (not a file)")
         size = path.stat().st_size
         if size > _LARGEST_FILE:
             raise GearjaxError(f"{path}: {size} bytes, more than a configuration can have ({_LARGEST_FILE})")
@@ -89,6 +93,9 @@ def read_tables(text: str) -> dict[str, Any]:
     Raises:
         GearjaxError: it is not TOML.
     """
+    for number, line in enumerate(text.splitlines(), start=1):
+        if len(_DOTTED.findall(line)) > 50:  # the reader's time grows with the square of a key's parts
+            raise GearjaxError(f"not a TOML configuration: line {number} has a key of too many parts")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as fault:
@@ -104,7 +111,7 @@ def build(tables: dict[str, Any]) -> Scene:
     """
     for key in tables:
         if key not in _SECTIONS:
-            raise ParameterError(key, _kind_of(tables[key]), f"unknown section; {nearest(key, _SECTIONS)}")
+            raise ParameterError(key, tables[key], f"unknown section; {nearest(key, _SECTIONS)}")
         if not isinstance(tables[key], dict) and key != "published":
             raise ParameterError(key, tables[key], f"must be a section: [{key}]")
     if "system" not in tables:
@@ -125,18 +132,15 @@ def build(tables: dict[str, Any]) -> Scene:
     if "reference" in tables:
         parts["reference"] = _reference(tables["reference"])
     scene = Scene(system, errors, **parts)
+    published = read_published(tables.get("published", []))
     if "run" not in tables:
         return scene
-    return dataclasses.replace(scene, run=read_run(tables["run"], tables.get("published", []), scene))
-
-
-def _kind_of(value: Any) -> str:
-    return "(a section)" if isinstance(value, dict) else str(value)
+    return dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
 
 
 def _reference(table: dict[str, Any]) -> ZeroAtStart | None:
     known_keys("reference", table, ("zero",))
-    zero = table.get("zero")
+    zero = table.get("zero", MISSING)
     if zero not in ("start", "absolute"):
         raise ParameterError("reference.zero", zero, 'must be "start" or "absolute"')
     return ZeroAtStart() if zero == "start" else None
@@ -146,10 +150,10 @@ def _one_of(path: str, table: dict[str, Any], kinds: Iterable[Any]) -> Any:
     """The part whose ``kind`` a table names."""
     by_name = {part.kind: part for part in kinds}
     if "kind" not in table:
-        raise ParameterError(f"{path}.kind", "(missing)", nearest("", by_name))
+        raise ParameterError(f"{path}.kind", MISSING, nearest("", by_name))
     kind = table["kind"]
     if not isinstance(kind, str) or kind not in by_name:
-        raise ParameterError(f"{path}.kind", kind, f"unknown kind; {nearest(str(kind), by_name)}")
+        raise ParameterError(f"{path}.kind", kind, f"unknown kind; {nearest(kind, by_name)}")
     return _part(path, {key: value for key, value in table.items() if key != "kind"}, by_name[kind], kind)
 
 
@@ -163,7 +167,7 @@ def _part(path: str, table: dict[str, Any], part: Any, kind: str = "") -> Any:
         if name in table:
             values[name] = _value(f"{path}.{name}", table[name], parameter)
         elif name not in optional:
-            raise ParameterError(f"{path}.{name}", "(missing)", f"must be given{_example(parameter)}")
+            raise ParameterError(f"{path}.{name}", MISSING, f"must be given{_example(parameter)}")
     try:
         return part(**values)
     except ParameterError as fault:
@@ -179,7 +183,7 @@ def known_keys(path: str, table: dict[str, Any], keys: Iterable[str], of: str = 
     """
     for key in table:
         if key not in keys:
-            raise ParameterError(f"{path}.{key}"[:100], table[key], f"unknown key{of}; {nearest(key, keys)}")
+            raise ParameterError(f"{path}.{key}", table[key], f"unknown key{of}; {nearest(key, keys)}")
 
 
 def _example(parameter: Parameter) -> str:

@@ -14,7 +14,7 @@ from gearjax.units import ANGLE, Dimension
 _LONGEST = 64
 _NUMBER = r"[+-]?(?:\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})(?:[eE][+-]?\d{1,3})?"
 _FACTOR = r"[A-Za-zµμΩ°%]{1,20}(?:(?:\*\*|\^)-?[1-4])?"
-_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*({_FACTOR}(?:\s*[*/·]\s*{_FACTOR}|\s+{_FACTOR}){{0,4}})?\s*")
+_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*({_FACTOR}(?:\s*[*/·]\s*{_FACTOR}|\s+{_FACTOR}){{0,4}})?\s*", re.ASCII)
 
 
 @functools.cache

@@ -3,7 +3,7 @@
 from typing import Any
 
 from gearjax import units
-from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.checks import MISSING, ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_quantity
 from gearjax.scene import Published, Run, Scene, require
 
@@ -20,7 +20,7 @@ METRICS = ("peak_to_peak", "amplitude", "mean", "std")
 _KEYS = ("duration", "samples", "start", "settle", "analyses", "torques")
 
 
-def read_run(table: dict[str, Any], published: Any, scene: Scene) -> Run:
+def read_run(table: dict[str, Any], published: tuple[Published, ...], scene: Scene) -> Run:
     """The run section, checked against what the scene lists, and the published values.
 
     Raises:
@@ -29,25 +29,25 @@ def read_run(table: dict[str, Any], published: Any, scene: Scene) -> Run:
     """
     for key in table:
         if key not in _KEYS:
-            raise ParameterError(f"run.{key}"[:100], table[key], f"unknown key; {nearest(key, _KEYS)}")
+            raise ParameterError(f"run.{key}", table[key], f"unknown key; {nearest(key, _KEYS)}")
     for key in ("duration", "samples", "analyses"):
         if key not in table:
-            raise ParameterError(f"run.{key}", "(missing)", "must be given")
+            raise ParameterError(f"run.{key}", MISSING, "must be given")
     analyses = _words(table["analyses"])
     duration = read_quantity("run.duration", table["duration"], units.TIME)
-    if duration <= 0:
-        raise ParameterError("run.duration", table["duration"], "must be above 0 s")
+    if not 1e-9 <= duration <= 1e9:
+        raise ParameterError("run.duration", table["duration"], "must be at least 1e-9 s and at most 1e9 s")
     samples = table["samples"]
     if isinstance(samples, bool) or not isinstance(samples, int) or not 2 <= samples <= MOST_SAMPLES:
         raise ParameterError("run.samples", samples, f"must be a whole number from 2 to {MOST_SAMPLES}")
     start = table.get("start", "equilibrium")
     if start not in STARTS:
-        raise ParameterError("run.start", start, nearest(str(start), STARTS))
+        raise ParameterError("run.start", start, nearest(start, STARTS))
     settle = read_quantity("run.settle", table.get("settle", "0 s"), units.TIME)
     if not 0 <= settle < duration:
         raise ParameterError("run.settle", table.get("settle"), "must be at least 0 s and below run.duration")
     torques = _torques(table, analyses, scene)
-    return Run(duration, samples, analyses, torques, start, settle, _published(published))
+    return Run(duration, samples, analyses, torques, start, settle, published)
 
 
 def _words(analyses: Any) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def _words(analyses: Any) -> tuple[str, ...]:
         raise ParameterError("run.analyses", analyses, f"must be a list of: {', '.join(ANALYSES)}")
     for analysis in analyses:
         if analysis not in ANALYSES:
-            raise ParameterError("run.analyses", analysis, f"unknown analysis; {nearest(str(analysis), ANALYSES)}")
+            raise ParameterError("run.analyses", analysis, f"unknown analysis; {nearest(analysis, ANALYSES)}")
     return tuple(dict.fromkeys(analyses))
 
 
@@ -69,6 +69,9 @@ def _torques(table: dict[str, Any], analyses: tuple[str, ...], scene: Scene) -> 
     if not isinstance(given, list) or len(given) > 1000:
         raise ParameterError("run.torques", given, 'must be a list such as ["30 N*m"]')
     torques = tuple(read_quantity(f"run.torques[{i}]", value, units.TORQUE) for i, value in enumerate(given))
+    for index, torque in enumerate(torques):
+        if abs(torque) > 1e12:
+            raise ParameterError(f"run.torques[{index}]", given[index], "must be at most 1e12 N*m")
     loaded = [analysis for analysis in analyses if analysis in ("static", "dynamic")]
     if loaded and not torques:
         raise ParameterError("run.torques", given, f'"{loaded[0]}" needs a list such as ["30 N*m"]')
@@ -80,7 +83,7 @@ def _torques(table: dict[str, Any], analyses: tuple[str, ...], scene: Scene) -> 
     return torques
 
 
-def _published(entries: Any) -> tuple[Published, ...]:
+def read_published(entries: Any) -> tuple[Published, ...]:
     """Values to show next to the computed ones, from the ``[[published]]`` sections."""
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ParameterError("published", entries, "must be a list of sections: [[published]]")
@@ -90,7 +93,7 @@ def _published(entries: Any) -> tuple[Published, ...]:
         keys = ("analysis", "torque", "note", *METRICS)
         for key in entry:
             if key not in keys:
-                raise ParameterError(f"{path}.{key}"[:100], entry[key], f"unknown key; {nearest(key, keys)}")
+                raise ParameterError(f"{path}.{key}", entry[key], f"unknown key; {nearest(key, keys)}")
         if entry.get("analysis") not in ANALYSES:
             raise ParameterError(f"{path}.analysis", entry.get("analysis"), f"must be one of {', '.join(ANALYSES)}")
         torque = read_quantity(f"{path}.torque", entry.get("torque", "0 N*m"), units.TORQUE)

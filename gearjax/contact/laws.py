@@ -66,7 +66,7 @@ class SoftplusContact(AbstractContact):
     """
 
     kind: ClassVar[str] = "softplus"
-    width: Number = length(above=0.0, at_most=1.0)
+    width: Number = length(at_least=1e-15, at_most=1.0)
 
     def __check_init__(self):
         check_parameters(self)
@@ -98,7 +98,7 @@ class QuadraticContact(AbstractContact):
     """
 
     kind: ClassVar[str] = "quadratic"
-    width: Number = length(above=0.0, at_most=1.0)
+    width: Number = length(at_least=1e-15, at_most=1.0)
 
     def __check_init__(self):
         check_parameters(self)

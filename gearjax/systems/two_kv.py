@@ -45,11 +45,11 @@ class TwoKV(AbstractSystem):
     first_stage_planet_teeth: int = count()
     planet_teeth: int = count(at_least=2)
     ring_teeth: int = count(at_least=3)
-    module: Number = length(above=0.0, at_most=1.0)
+    module: Number = length(at_least=1e-6, at_most=1.0)
     cutting_pressure_angle: Number = angle(above=0.0, below=math.pi / 4)
     working_pressure_angle: Number = angle(above=0.0, below=math.pi / 2)
-    input_speed: Number = number(units.ANGULAR_SPEED, above=0.0, at_most=1e6)
-    te_radius: Named | Number = length(above=0.0, at_most=100.0, names=("planet", "ring"))
+    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6)
+    te_radius: Named | Number = length(at_least=1e-6, at_most=100.0, names=("planet", "ring"))
     planets: int = count(default=2, at_most=5)
 
     def __check_init__(self):
