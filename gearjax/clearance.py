@@ -3,7 +3,7 @@
 import equinox as eqx
 
 from gearjax.parameters import check_parameters, length
-from gearjax.typing import Number
+from gearjax.typing import Array, Float, Number
 
 
 class InitialBacklash(eqx.Module):
@@ -25,3 +25,14 @@ class InitialBacklash(eqx.Module):
 class ZeroAtStart(eqx.Module):
     """Errors count from their values at input angle zero, as if every pair just touched there
     (the t0 terms of Wang et al. 2020, eqs. 1-4)."""
+
+
+class Anchor(eqx.Module):
+    """`ZeroAtStart` with the values at the start worked out, so that they are computed once.
+
+    Args:
+        drive, back: gaps that the errors make at input angle zero, shape (contact,) [m].
+    """
+
+    drive: Float[Array, " contact"]
+    back: Float[Array, " contact"] | None

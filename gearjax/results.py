@@ -121,8 +121,8 @@ def run_cases(scene: Scene) -> Iterator[Case]:
 def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts) -> Case:
     if analysis == "static":
         theta = scene.system.input_speed * ts
-        history = torque_history(scene, ts, torque)
-        result = transmission_error(scene, theta, history)
+        alternates = scene.load is not None and scene.load.alternates
+        result = transmission_error(scene, theta, torque_history(scene, ts, torque) if alternates else torque)
         if bool((result.result != 0).any()):
             raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
         return _case(run, analysis, torque, result)

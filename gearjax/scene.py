@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.checks import ParameterError, SceneError, nearest
-from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractCompliance
 from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact
 from gearjax.contact.frame import join
@@ -84,7 +84,7 @@ class Scene(eqx.Module):
 
     system: AbstractSystem
     errors: Mapping[str, AbstractError] = eqx.field(default_factory=dict)
-    reference: ZeroAtStart | None = None
+    reference: ZeroAtStart | Anchor | None = None
     backlash: InitialBacklash | None = None
     compliance: AbstractCompliance | None = None
     load: AbstractLoad | None = None
@@ -115,6 +115,14 @@ class Scene(eqx.Module):
         unused = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
         return jax.tree.map(strong, dataclasses.replace(self, **unused))
 
+    def anchored(self) -> "Scene":
+        """The same scene with the values of its errors at the start worked out."""
+        if not self.errors or not isinstance(self.reference, ZeroAtStart):
+            return self
+        start = jnp.zeros_like(self.system.input_speed)
+        back = None if self.backlash is None else self._errors(start, Flank.BACK)
+        return dataclasses.replace(self, reference=Anchor(self._errors(start, Flank.DRIVE), back))
+
     def contacts(self, theta: Scalar, stiffness: Stiffness = "rigid") -> ContactSet:
         """Candidate contacts at an input angle [rad], errors, reference and backlash included.
 
@@ -141,7 +149,11 @@ class Scene(eqx.Module):
         if not self.errors:
             return frame
         gap = frame.gap + self._errors(theta, flank)
-        if self.reference is not None:
+        if isinstance(self.reference, Anchor):
+            start = self.reference.drive if flank is Flank.DRIVE else self.reference.back
+            assert start is not None  # back flanks come with a backlash, and so does their start
+            gap = gap - start
+        elif self.reference is not None:
             gap = gap - self._errors(jnp.zeros_like(theta), flank)
         return ContactFrame(frame.jacobian, gap)
 

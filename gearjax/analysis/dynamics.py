@@ -301,6 +301,7 @@ def scene_pairs(scene: Scene) -> int:
 def _simulate(
     scene: Scene, ts: Array, torque: Array, settle: Array, start: str, stepper: Stepper, steps: int
 ) -> Motion:
+    scene = scene.anchored()
     lever = jnp.mean(jnp.abs(scene.contacts(ts[0]).lever))
     equation = _Equation(scene, torque, natural_frequency(scene), LENGTH_SCALE / lever)
     state = equation.initial(ts[0], start)

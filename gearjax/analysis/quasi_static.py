@@ -140,7 +140,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         raise SceneError(
             f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
         )
-    return _transmission_error(scene.physics("backlash", "compliance"), theta, jnp.broadcast_to(torque, theta.shape))
+    return _transmission_error(scene.physics("backlash", "compliance"), theta, torque)
 
 
 def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
@@ -180,6 +180,7 @@ def rest(contacts: ContactSet, scene: Scene, torque: Scalar) -> Equilibrium:
 
 @eqx.filter_jit
 def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> TransmissionError:
+    scene = scene.anchored()
     pairs = jax.eval_shape(scene.contacts, theta[0]).pairs
     if torque is None:
 
@@ -190,17 +191,25 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
         result = jnp.zeros(theta.shape, int)
         return TransmissionError(theta, te, None, result, extremes(no_load, scene, theta, te), pairs)
 
+    def at(angle: Scalar, torque: Array) -> Scalar:
+        """Torque at an angle, between its samples too."""
+        return torque if torque.ndim == 0 else jnp.interp(angle, theta, torque)
+
     def static(physics: tuple[Scene, Array], angle: Scalar) -> Scalar:
         scene, torque = physics
-        return rest(scene.contacts(angle, "mean"), scene, jnp.interp(angle, theta, torque)).position
+        return rest(scene.contacts(angle, "mean"), scene, at(angle, torque)).position
 
-    rests = jax.vmap(lambda angle, size: rest(scene.contacts(angle, "mean"), scene, size))(theta, torque)
+    axis = 0 if torque.ndim else None
+    each = jax.vmap(lambda angle, size: rest(scene.contacts(angle, "mean"), scene, size), in_axes=(0, axis))
+    rests = each(theta, torque)
     found = extremes(static, (scene, torque), theta, rests.position)
     return TransmissionError(theta, rests.position, rests.forces, rests.result, found, pairs)
 
 
 @eqx.filter_jit
 def _backlash(scene: Scene, theta: Array) -> Backlash:
+    scene = scene.anchored()
+
     def edges(scene: Scene, angle: Scalar) -> tuple[Scalar, Scalar]:
         lower, upper = first_contact(scene.contacts(angle), scene.contact)
         assert upper is not None  # the caller requires a backlash
