@@ -18,6 +18,7 @@ from gearjax.errors import Eccentricity
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import ConstantLoad, SinusoidalLoad
 from gearjax.scene import Run, Scene
+from gearjax.studies import GridSearch, Objective, grid_search
 from gearjax.systems import TwoKV
 
 __version__ = "0.1.0"
@@ -30,9 +31,11 @@ __all__ = [
     "EquivalentMass",
     "FixedStep",
     "GearjaxError",
+    "GridSearch",
     "HardContact",
     "HarmonicStiffness",
     "InitialBacklash",
+    "Objective",
     "ParameterError",
     "QuadraticContact",
     "Run",
@@ -43,6 +46,7 @@ __all__ = [
     "TwoKV",
     "ZeroAtStart",
     "backlash",
+    "grid_search",
     "load",
     "loads",
     "order_spectrum",

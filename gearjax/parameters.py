@@ -6,6 +6,7 @@ tooth numbers and names are static.
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import equinox as eqx
@@ -26,6 +27,7 @@ class Parameter:
         kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"`` or ``"name"``.
         above, at_least, below, at_most: bounds, in SI.
         names: words that may stand in place of a number, or the words that a name may be.
+        periodic: whether it is an angle whose full turns mean nothing.
         words: whether any word may stand in place of a number; the scene knows which ones mean something.
     """
 
@@ -37,6 +39,14 @@ class Parameter:
     at_most: float | None = None
     names: tuple[str, ...] = ()
     words: bool = False
+    periodic: bool = False
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Lowest and highest value, infinite without a bound."""
+        low = [bound for bound in (self.above, self.at_least) if bound is not None]
+        high = [bound for bound in (self.below, self.at_most) if bound is not None]
+        return max(low, default=-math.inf), min(high, default=math.inf)
 
     def allowed(self) -> str:
         """The bounds in words."""

@@ -1,0 +1,151 @@
+"""Grid searches: the structured one against every combination, and the paper's own grid."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.studies import separable
+from gearjax.studies.select import numbers, pick
+from gearjax.units import arcmin, deg, um
+
+PHASES = [f"errors.{body}.phase" for body in ("planet_1", "planet_2", "revolution", "output_wheel")]
+
+
+def window(scene, duration, spacing=1e-3):
+    return scene.system.input_speed * jnp.linspace(0.0, duration, round(duration / spacing) + 1)
+
+
+def three_planets(scene):
+    errors = {**scene.errors, "planet_3": gj.Eccentricity("planet_3", 15 * um, 0.5)}
+    return dataclasses.replace(scene, system=dataclasses.replace(scene.system, planets=3), errors=errors)
+
+
+@pytest.mark.parametrize(("metric", "planets"), [("peak_to_peak", 2), ("amplitude", 3)])
+def test_the_structured_search_is_the_brute_force_one(scene, metric, planets):
+    """Small grids, the same combinations judged one by one."""
+    chosen = scene if planets == 2 else three_planets(scene)
+    paths = PHASES if planets == 2 else [*PHASES[:2], "errors.planet_3.phase", "errors.output_wheel.phase"]
+    theta = window(scene, 3.0, 0.03)
+    quick = gj.grid_search(f"no_load_{metric}", chosen, where=paths, step=60 * deg, theta=theta)
+    slow = gj.grid_search(
+        lambda s: getattr(gj.transmission_error(s, theta), metric), chosen, where=paths, step=60 * deg, theta=theta
+    )
+    assert quick.combinations == slow.combinations == slow.evaluated == 6**4
+    assert quick.evaluated < slow.evaluated
+    np.testing.assert_allclose(quick.objectives, slow.objectives, rtol=1e-12)
+    assert quick.objective == quick.objectives[0] == quick.objectives.min()
+
+
+def test_every_combination_is_covered(scene):
+    """Lowest and highest of each combination, in the order of the walk, against single evaluations."""
+    theta = window(scene, 2.0, 0.01)
+    free = pick(scene, PHASES)
+    levels = tuple(np.arange(n) * 0.7 - 1.0 for n in (3, 4, 2, 3))
+    tables = separable.tables(scene, free, levels, theta)
+    plan = separable.plan(tables)
+    assert plan.outer == (2, 3)
+    assert plan.inner == ((0,), (1,))
+    grid = separable.lay_out(tables, plan, np.arange(theta.size))
+    low, high = np.asarray(separable.lowest(grid)), np.asarray(separable.highest(grid))
+    assert low.shape == high.shape == (6, 3, 4)
+    for outer, (g, o) in enumerate(np.ndindex(2, 3)):
+        for a, b in np.ndindex(3, 4):
+            values = jnp.array([levels[0][a], levels[1][b], levels[2][g], levels[3][o]])
+            te = np.asarray(gj.transmission_error(free.set(scene, values), theta).te)
+            assert low[outer, a, b] == pytest.approx(te.min(), abs=1e-15)
+            assert high[outer, a, b] == pytest.approx(te.max(), abs=1e-15)
+
+
+def test_other_leaves_and_functions(scene):
+    """Amplitude budgets are not periodic; any function of a scene may be searched."""
+    theta = window(scene, 3.0, 0.01)
+    path = "errors.planet_2.amplitude"
+    found = gj.grid_search(
+        "static_peak_to_peak", scene, where=path, step=5 * um, bounds={path: (0.0, 20 * um)}, theta=theta, torque=100.0
+    )
+    levels = np.arange(5) * 5e-6
+    values = [
+        float(gj.transmission_error(pick(scene, path).set(scene, jnp.array([v])), theta, 100.0).peak_to_peak)
+        for v in levels
+    ]
+    assert found.combinations == 5
+    assert found.best[0] == levels[int(np.argmin(values))]
+    assert found.objective == pytest.approx(min(values), rel=1e-12)
+    quick = gj.grid_search(
+        "no_load_amplitude",
+        scene,
+        where=[path, PHASES[0]],
+        step={path: 5 * um, PHASES[0]: 30 * deg},
+        bounds={path: (0.0, 20 * um)},
+        theta=theta,
+    )
+    assert quick.combinations == 5 * 12
+
+
+def test_paths(scene):
+    assert set(PHASES) < set(numbers(scene))
+    free = pick(scene, PHASES[0])
+    assert free.periods == (2 * np.pi,)
+    assert float(free.get(scene)[0]) == pytest.approx(np.pi / 2)
+    assert pick(scene, "system.module").periods == (None,)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"where": "errors.planet_1.phas"}, 'did you mean "errors.planet_1.phase"?'),
+        ({"where": "errors.planet_9.phase"}, "no number of this scene"),
+        ({"where": [PHASES[0], PHASES[0]]}, "is listed twice"),
+        ({"step": 0.0}, "must be a number above 0"),
+        ({"step": 0.7}, "must divide the period"),
+        (
+            {"where": "backlash.initial", "step": 1e-4, "bounds": {"backlash.initial": (0.0, 1e-3)}},
+            "does not depend on it",
+        ),
+        ({"where": "compliance.mean", "step": 1e6, "bounds": {"compliance.mean": (8e7, 9e7)}}, "does not depend on it"),
+        ({"where": "compliance.mean", "step": 1e-3}, "levels, more than 1e+08"),
+        ({"step": 0.1 * deg}, "combinations, more than 1e+08"),
+        ({"where": "errors.planet_1.amplitude", "bounds": {"errors.planet_1.amplitude": (1.0, 0.0)}}, "lowest first"),
+        ({"loss": "no_load_amplitud"}, 'did you mean "no_load_amplitude"?'),
+        ({"loss": "static_std"}, "needs a torque"),
+    ],
+)
+def test_mistakes(scene, keywords, words):
+    asked = {"loss": "no_load_amplitude", "where": PHASES, "step": 60 * deg, **keywords}
+    with pytest.raises(gj.ParameterError) as caught:
+        gj.grid_search(asked.pop("loss"), scene, theta=window(scene, 1.0, 0.01), **asked)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_zero_amplitudes_depend_on_no_phase(scene):
+    errors = {**scene.errors, "planet_1": gj.Eccentricity("planet_1", 0.0, 0.0)}
+    with pytest.raises(gj.ParameterError, match=r"errors.planet_1.phase.*does not depend"):
+        gj.grid_search(
+            "no_load_amplitude",
+            dataclasses.replace(scene, errors=errors),
+            where=PHASES,
+            step=60 * deg,
+            theta=window(scene, 1.0, 0.01),
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("duration", "objective", "phases"), [(15.8, 0.633498, (-70, 120, 110, 40)), (3.0, 0.286055, (-120, 80, 10, 160))]
+)
+def test_the_grid_of_the_paper(scene, duration, objective, phases):
+    """All 36^4 combinations: the paper's optimum is the exact one over 15.8 s, another one over 3 s."""
+    words = []
+    found = gj.grid_search(
+        "no_load_amplitude", scene, where=PHASES, step=10 * deg, theta=window(scene, duration), progress=words.append
+    )
+    assert found.combinations == 1_679_616
+    assert found.objective / arcmin == pytest.approx(objective, abs=2e-6)
+    np.testing.assert_allclose(found.best / deg, phases, atol=1e-9)
+    assert words[0].startswith("grid of 1679616 combinations")
+    if duration == 15.8:
+        np.testing.assert_allclose(found.objectives[1:3] / arcmin, 0.633540, atol=2e-6)
