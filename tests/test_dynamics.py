@@ -64,6 +64,30 @@ def test_linear_oscillator(oscillator, ratio):
     np.testing.assert_allclose(motion.te, exact(np.asarray(ts), ratio), rtol=0, atol=2e-12)
 
 
+def test_a_jammed_pair_has_two_springs_and_one_damper(oscillator):
+    """Both flanks closed: ``m x'' + c x' + 2 k x = k (e + u) + c e' - T / r``, u the edge of the back flank."""
+    jammed = dataclasses.replace(
+        oscillator,
+        errors={"planet_1": gj.Eccentricity("planet_1", SIZE, np.pi)},
+        backlash=gj.InitialBacklash(0.0),
+        damping=gj.DampingRatio(0.2),
+    )
+    ts = jnp.linspace(0.0, 0.02, 201)
+    motion = gj.simulate(jammed, ts, 50.0, start="zero", stepper=gj.FixedStep(1e-6))
+    assert float(motion.forces.min()) > 100.0, "both flanks stay closed"
+    damping, time = 0.2 * np.sqrt(2 * STIFFNESS * MASS), np.asarray(ts)
+    rise, edge = (SIZE * np.exp(1j * (np.pi + sign * ALPHA)) for sign in (-1, 1))
+    forced = (STIFFNESS * (rise + edge) + 1j * damping * SLOW * rise) / (
+        2 * STIFFNESS - MASS * SLOW**2 + 1j * damping * SLOW
+    )
+    still, decay = -50.0 / RADIUS / (2 * STIFFNESS), damping / (2 * MASS)
+    swing = np.sqrt(2 * STIFFNESS / MASS - decay**2)
+    start, speed = forced.imag + still, (1j * SLOW * forced).imag
+    own = -start * np.cos(swing * time) - (speed + decay * start) / swing * np.sin(swing * time)
+    expected = ((forced * np.exp(1j * SLOW * time)).imag + still + np.exp(-decay * time) * own) / RADIUS
+    np.testing.assert_allclose(motion.te, expected, rtol=0, atol=2e-12)
+
+
 def test_gradients_of_the_linear_oscillator(oscillator):
     """d x / d T and d x / d k at a time, against the exact solution."""
     ts = jnp.linspace(0.0, 0.002, 21)
