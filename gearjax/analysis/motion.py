@@ -1,0 +1,88 @@
+"""The result of a simulation, and its metrics."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from gearjax.analysis.metrics import load_sharing_factor, root
+from gearjax.typing import Array, Float, Int, Scalar
+
+
+class Motion(eqx.Module):
+    """Dynamic transmission error over time.
+
+    Args:
+        ts: sample times, shape (n,) [s].
+        te: transmission error, positive when the output leads, shape (n,) [rad].
+        velocity: its rate, shape (n,) [rad/s].
+        forces: elastic force of each contact, driving flanks first, shape (n, contact) [N].
+        highest, lowest: extremes of te over the steps up to each sample from the one before, shape (n,) [rad].
+        settle: time that the metrics leave out [s].
+        result: 0 good, else a key of `gearjax.analysis.dynamics.FAULTS`.
+        pairs: number of driving contacts.
+    """
+
+    ts: Float[Array, " n"]
+    te: Float[Array, " n"]
+    velocity: Float[Array, " n"]
+    forces: Float[Array, "n contact"]
+    highest: Float[Array, " n"]
+    lowest: Float[Array, " n"]
+    settle: Scalar
+    result: Int[Array, ""]
+    pairs: int = eqx.field(static=True)
+
+    @property
+    def settled(self) -> Array:
+        """Which samples the metrics count, shape (n,)."""
+        return self.ts >= self.ts[..., :1] + self.settle[..., None]
+
+    @property
+    def _maximum(self) -> Float[Array, "..."]:
+        values = jnp.where(self._after, self.highest, self.te)
+        return _pick(values, jnp.argmax(jnp.where(self.settled, values, -jnp.inf), axis=-1))
+
+    @property
+    def _minimum(self) -> Float[Array, "..."]:
+        values = jnp.where(self._after, self.lowest, self.te)
+        return _pick(values, jnp.argmin(jnp.where(self.settled, values, jnp.inf), axis=-1))
+
+    @property
+    def _after(self) -> Array:
+        """Intervals that lie wholly after the settling time; the first entry is the first sample itself."""
+        settled = self.settled
+        return jnp.concatenate([settled[..., :1], settled[..., :-1]], axis=-1)
+
+    @property
+    def peak_to_peak(self) -> Float[Array, "..."]:
+        """Highest minus lowest over all steps after settling [rad]."""
+        return self._maximum - self._minimum
+
+    @property
+    def amplitude(self) -> Float[Array, "..."]:
+        """Largest absolute value over all steps after settling [rad]."""
+        return jnp.maximum(self._maximum, -self._minimum)
+
+    @property
+    def mean(self) -> Float[Array, "..."]:
+        """Mean of the samples after settling [rad]."""
+        return _mean(self.te, self.settled)
+
+    @property
+    def std(self) -> Float[Array, "..."]:
+        """Standard deviation of the samples after settling [rad]."""
+        return root(_mean((self.te - self.mean[..., None]) ** 2, self.settled))
+
+    @property
+    def load_sharing(self) -> Float[Array, "... n"]:
+        """Load of the most loaded pair over the mean load, shape (n,) [-]."""
+        return load_sharing_factor(self.forces, self.pairs)
+
+
+def _pick(values: Float[Array, "... n"], index: Int[Array, "..."]) -> Float[Array, "..."]:
+    """One sample of each record."""
+    return jnp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
+
+
+def _mean(values: Float[Array, "... n"], counted: Array) -> Float[Array, "..."]:
+    """Mean of the counted samples."""
+    return jnp.where(counted, values, 0.0).sum(axis=-1) / counted.sum(axis=-1).astype(values.dtype)
