@@ -121,8 +121,7 @@ def run_cases(scene: Scene) -> Iterator[Case]:
 def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts) -> Case:
     if analysis == "static":
         theta = scene.system.input_speed * ts
-        alternates = scene.load is not None and scene.load.alternates
-        result = transmission_error(scene, theta, torque_history(scene, ts, torque) if alternates else torque)
+        result = transmission_error(scene, theta, torque_history(scene, ts, torque))
         if bool((result.result != 0).any()):
             raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
         return _case(run, analysis, torque, result)
@@ -132,9 +131,9 @@ def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts) -> Case:
 
 
 def torque_history(scene: Scene, ts, torque: float):
-    """Load torque of a scene over time, shape (n,) [N m]; constant without a load."""
-    if scene.load is None:
-        return jnp.full_like(ts, torque)
+    """Load torque of a scene over time [N m]: shape (n,) where it alternates, else one number."""
+    if scene.load is None or not scene.load.alternates:
+        return torque
     turns = scene.system.input_speed * ts / (2 * jnp.pi)
     return torque * scene.load.shape(turns, ts, scene.system.orders)
 

@@ -77,10 +77,6 @@ class ContactSet(eqx.Module):
         """Whether back flanks are modelled."""
         return self.gap.shape[0] > self.pairs
 
-    def overlap(self, position: Float[Array, ""]) -> Float[Array, " contact"]:
-        """Overlap of each contact at an output position [rad], shape (contact,) [m]."""
-        return self.lever * position - self.gap
-
 
 def join(drive: ContactFrame, back: ContactFrame | None, stiffness: Float[Array, " pair"] | None) -> ContactSet:
     """Contacts of both flanks as one set; the two flanks of a pair are equally stiff."""
