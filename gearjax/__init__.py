@@ -18,7 +18,16 @@ from gearjax.errors import Eccentricity
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import ConstantLoad, SinusoidalLoad
 from gearjax.scene import Run, Scene
-from gearjax.studies import GridSearch, Objective, grid_search
+from gearjax.studies import (
+    GridSearch,
+    LocalSensitivity,
+    Minimisation,
+    Objective,
+    Term,
+    grid_search,
+    local_sensitivity,
+    minimise,
+)
 from gearjax.systems import TwoKV
 
 __version__ = "0.1.0"
@@ -35,6 +44,8 @@ __all__ = [
     "HardContact",
     "HarmonicStiffness",
     "InitialBacklash",
+    "LocalSensitivity",
+    "Minimisation",
     "Objective",
     "ParameterError",
     "QuadraticContact",
@@ -43,12 +54,15 @@ __all__ = [
     "SceneError",
     "SinusoidalLoad",
     "SoftplusContact",
+    "Term",
     "TwoKV",
     "ZeroAtStart",
     "backlash",
     "grid_search",
     "load",
     "loads",
+    "local_sensitivity",
+    "minimise",
     "order_spectrum",
     "simulate",
     "transmission_error",

@@ -13,12 +13,15 @@ from rich.markup import escape
 from rich.table import Table
 
 from gearjax.checks import GearjaxError, ParameterError, nearest
-from gearjax.config import loads, read_file
-from gearjax.plot import save_figures
+from gearjax.config import loads, loads_optimise, read_file, with_numbers
+from gearjax.plot import save_figures, save_optimisation_figures
 from gearjax.reproduce import PAPERS, Row
-from gearjax.results import METRICS, Case, highest_load_sharing, remarks, run_cases, save, stored_config
+from gearjax.results import METRICS, Case, Optimisation, highest_load_sharing, remarks, run_cases, save, stored_config
+from gearjax.results import optimise as run_optimise
+from gearjax.results.optimisation import save_optimisation
 from gearjax.scene import Scene
-from gearjax.units import arcmin
+from gearjax.studies.select import pick
+from gearjax.units import arcmin, deg
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _progress = Console(stderr=True)
@@ -91,9 +94,100 @@ def reproduce(
         _print_rows(paper, rows)
 
 
+@app.command()
+def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False) -> None:
+    """Assembly phases, or any other numbers: grid search and gradients side by side, before and after.
+
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
+    """
+    text = _read_text(config)
+    scene, section = loads_optimise(text)
+
+    def progress(words: str) -> None:
+        _progress.print(words, style="dim", soft_wrap=True)
+
+    found = run_optimise(section, scene, progress)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    if folder is not None:
+        written = save_optimisation(found, folder) + save_optimisation_figures(found, folder)
+        numbers = dict(zip(found.gradient.paths, found.best.tolist(), strict=True))
+        best = folder / "optimised.toml"
+        _write(best, with_numbers(text, numbers, found.parameters))
+        _progress.print(
+            f"written to {folder}: {', '.join(path.name for path in [*written, best])}", style="dim", soft_wrap=True
+        )
+    if json_:
+        print(json.dumps(found.as_json(), allow_nan=False))
+    else:
+        _print_optimisation(found)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as fault:
+        raise GearjaxError(f"--out {path}: cannot be written ({fault.strerror or fault})") from fault
+
+
+def _print_optimisation(found: Optimisation) -> None:
+    console = _output()
+    table = Table(title=f"{found.section.objective.name}, {found.section.window:g} s")
+    parameters = found.parameters
+    units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
+    columns = ["", "arcmin", *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
+    for column in (*columns, "evaluations", "run [s]", "compile [s]"):
+        table.add_column(escape(column), justify="right" if column else "left", overflow="fold")
+
+    def row(title: str, objective: float, point, *rest: str) -> None:
+        shown = [f"{found.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
+        table.add_row(title, f"{objective / arcmin:.5f}", *shown, *rest)
+
+    row("before", found.before, pick(found.scene, found.section.where).get(found.scene), "", "", "")
+    grid, search = found.grid, found.gradient
+    if grid is not None:
+        count = f"{grid.combinations} ({grid.evaluated} on all times)"
+        row("grid", grid.objective, grid.best, count, f"{grid.seconds:.2f}", f"{grid.compile_seconds:.1f}")
+    count = f"{search.evaluations}, {len(search.starts)} starts"
+    row("gradients", search.objective, search.best, count, f"{search.seconds:.2f}", f"{search.compile_seconds:.1f}")
+    console.print(table)
+    console.print(
+        f"{search.within(0.01)} of {len(search.starts)} starts within 1 % of the best, in "
+        f"{int(search.valley.max()) + 1} valleys; {search.failed} dropped because they were not finite",
+        soft_wrap=True,
+    )
+    around = found.sensitivity
+    for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
+        if flat:
+            words = ", ".join(f"{path} {share:+.2f}" for path, share in zip(around.paths, direction, strict=True))
+            console.print(f"flat: 10 deg along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
+    for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
+        console.print(
+            f"assembled with errors of up to {deviation / deg:g} deg: {mean / arcmin:.4f} arcmin on average, "
+            f"{worst / arcmin:.4f} at worst",
+            soft_wrap=True,
+        )
+    _print_stages(console, found)
+
+
+def _print_stages(console: Console, found: Optimisation) -> None:
+    table = Table(title="Transmission error in arcmin, before and after")
+    for column in ("case", "window [s]", "stage", *(name.replace("_", "-") for name in METRICS)):
+        table.add_column(escape(column), justify="left" if column in ("case", "stage") else "right")
+    for row, case in enumerate(found.cases["before"]):
+        for stage, cases in found.cases.items():
+            title = (case.title, f"{case.window:g}") if stage == "before" else ("", "")
+            table.add_row(*title, stage, *(f"{cases[row].metrics[name] / arcmin:.4f}" for name in METRICS))
+    console.print(table)
+
+
+def _read_text(config: Path) -> str:
+    """Text of a configuration, or of the one inside a results file."""
+    return stored_config(config) if config.suffix == ".nc" else read_file(config)
+
+
 def _read(config: Path) -> tuple[str, Scene]:
     """Text and scene of a configuration, or of a results file's own configuration."""
-    text = stored_config(config) if config.suffix == ".nc" else read_file(config)
+    text = _read_text(config)
     return text, loads(text)
 
 

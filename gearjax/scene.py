@@ -12,7 +12,7 @@ from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractCompliance
 from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact
-from gearjax.contact.frame import join
+from gearjax.contact.frame import Pose, Side, join
 from gearjax.errors import AbstractError
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import AbstractLoad
@@ -119,22 +119,28 @@ class Scene(eqx.Module):
         """The same scene with the values of its errors at the start worked out."""
         if not self.errors or not isinstance(self.reference, ZeroAtStart):
             return self
-        start = jnp.zeros_like(self.system.input_speed)
-        back = None if self.backlash is None else self._errors(start, Flank.BACK)
-        return dataclasses.replace(self, reference=Anchor(self._errors(start, Flank.DRIVE), back))
+        start = self.pose(jnp.zeros_like(self.system.input_speed))
+        back = None if start.back is None else self._errors(start.back)
+        return dataclasses.replace(self, reference=Anchor(self._errors(start.drive), back))
 
-    def contacts(self, theta: Scalar, stiffness: Stiffness = "rigid") -> ContactSet:
+    def pose(self, theta: Scalar) -> Pose:
+        """What the system shows at an input angle [rad]: all that does not depend on the errors' own numbers."""
+        back = None if self.backlash is None else self._side(theta, Flank.BACK)
+        return Pose(theta, self._side(theta, Flank.DRIVE), back)
+
+    def contacts(self, theta: Scalar | Pose, stiffness: Stiffness = "rigid") -> ContactSet:
         """Candidate contacts at an input angle [rad], errors, reference and backlash included.
 
         Args:
-            theta: input angle [rad].
+            theta: input angle [rad], or the pose there.
             stiffness: ``"rigid"`` for none, ``"mean"``, or ``"varying"`` with the mesh phase.
         """
-        drive = self._flank(theta, Flank.DRIVE)
-        back = None if self.backlash is None else self._flank(theta, Flank.BACK)
+        pose = theta if isinstance(theta, Pose) else self.pose(theta)
+        drive = self._flank(pose.drive, Flank.DRIVE)
+        back = None if pose.back is None else self._flank(pose.back, Flank.BACK)
         if back is not None and self.backlash is not None:
             back = ContactFrame(back.jacobian, back.gap + self.backlash.initial)
-        springs = None if stiffness == "rigid" else self._stiffness(theta, drive.gap.shape[0], stiffness)
+        springs = None if stiffness == "rigid" else self._stiffness(pose.theta, drive.gap.shape[0], stiffness)
         return join(drive, back, springs)
 
     def _stiffness(self, theta: Scalar, pairs: int, stiffness: Stiffness) -> Float[Array, " pair"]:
@@ -144,21 +150,24 @@ class Scene(eqx.Module):
             return self.compliance.mean_stiffness(pairs)
         return self.compliance.stiffness(self.system.mesh_angle(theta))
 
-    def _flank(self, theta: Scalar, flank: Flank) -> ContactFrame:
-        frame = self.system.frame(theta, flank)
+    def _side(self, theta: Scalar, flank: Flank) -> Side:
+        bodies = dict.fromkeys(error.body for error in self.errors.values())
+        return Side(self.system.frame(theta, flank), {body: self.system.view(body, theta, flank) for body in bodies})
+
+    def _flank(self, side: Side, flank: Flank) -> ContactFrame:
         if not self.errors:
-            return frame
-        gap = frame.gap + self._errors(theta, flank)
+            return side.frame
+        gap = side.frame.gap + self._errors(side)
         if isinstance(self.reference, Anchor):
             start = self.reference.drive if flank is Flank.DRIVE else self.reference.back
             assert start is not None  # back flanks come with a backlash, and so does their start
             gap = gap - start
         elif self.reference is not None:
-            gap = gap - self._errors(jnp.zeros_like(theta), flank)
-        return ContactFrame(frame.jacobian, gap)
+            gap = gap - self._errors(self._side(jnp.zeros_like(self.system.input_speed), flank))
+        return ContactFrame(side.frame.jacobian, gap)
 
-    def _errors(self, theta: Scalar, flank: Flank) -> Float[Array, " contact"]:
-        gaps = [error.gap(self.system.view(error.body, theta, flank)) for error in self.errors.values()]
+    def _errors(self, side: Side) -> Float[Array, " contact"]:
+        gaps = [error.gap(side.views[error.body]) for error in self.errors.values()]
         return jax.tree.reduce(jnp.add, gaps)
 
 

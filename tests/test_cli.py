@@ -183,7 +183,8 @@ def test_alternating_loads_run(capsys, fast):
 
 
 def test_smooth_contacts_run(capsys, fast):
-    fast.write_text(FAST.replace('kind = "hard"', 'kind = "quadratic"\nwidth = "0.5 um"'), encoding="utf-8")
+    text = FAST.replace('kind = "hard"', 'kind = "quadratic"\nwidth = "0.5 um"')
+    fast.write_text(text.replace(', "static", "dynamic"]', ', "static"]'), encoding="utf-8")
     code, out, _ = command(capsys, "run", fast, "--json")
     assert code == 0
     assert json.loads(out)["cases"][0]["metrics"]["mean_arcmin"] < 0

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis.dynamics import natural_frequency
+from gearjax.analysis.dynamics import natural_frequency, suitable_step
 from gearjax.reproduce import two_kv
-from gearjax.results import suitable_step
 from gearjax.units import arcmin
 
 RADIUS = float(two_kv.scene().system.radius)

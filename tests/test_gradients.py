@@ -12,6 +12,8 @@ import pytest
 import gearjax as gj
 
 METRICS = ("peak_to_peak", "amplitude", "mean", "std")
+# the smooth laws take long to compile
+HARD_FIRST = ["hard", *(pytest.param(law, marks=pytest.mark.slow) for law in ("softplus", "quadratic"))]
 LAWS = {"hard": gj.HardContact(), "softplus": gj.SoftplusContact(3e-7), "quadratic": gj.QuadraticContact(3e-7)}
 # what a parameter is: where it stands, and a step for central differences
 PARAMETERS: dict[str, tuple[Callable, float]] = {
@@ -74,13 +76,15 @@ def angles(scene):
     return scene.system.input_speed * jnp.linspace(0.0, 3.0, 401)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["hard", pytest.param("softplus", marks=pytest.mark.slow), "quadratic"])
 def test_no_load(scene, angles, with_contact, law):
     parameters = ["amplitude", "phase", "module"]
     check(lambda s, _: stacked(gj.transmission_error(s, angles)), with_contact(scene, LAWS[law]), parameters)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "law", ["hard", *(pytest.param(law, marks=pytest.mark.slow) for law in ("softplus", "quadratic"))]
+)
 def test_static(scene, angles, with_contact, law):
     parameters = ["amplitude", "phase", "mean stiffness", "torque"]
     check(lambda s, t: stacked(gj.transmission_error(s, angles, t)), with_contact(scene, LAWS[law]), parameters)
@@ -90,7 +94,9 @@ def test_backlash(scene, angles):
     check(lambda s, _: stacked(gj.backlash(s, angles)), scene, ["amplitude", "phase", "backlash"])
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "law", ["hard", *(pytest.param(law, marks=pytest.mark.slow) for law in ("softplus", "quadratic"))]
+)
 def test_dynamic_mean_and_std(scene, with_contact, law):
     """The hard law under a torque that keeps both pairs closed, smooth laws where pairs open and close."""
     ts = jnp.linspace(0.0, 0.25, 126)

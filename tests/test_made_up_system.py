@@ -51,7 +51,7 @@ class SpurPair(AbstractSystem):
     def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
         order = 1.0 if body == "pinion" else -self.pinion_teeth / self.wheel_teeth
         influence = jnp.full((1,), -float(flank) * (1.0 if body == "pinion" else -1.0))
-        return BodyView(jnp.reshape(order * theta + float(flank) * self.pressure_angle, (1,)), influence)
+        return BodyView(order * theta, jnp.reshape(float(flank) * self.pressure_angle, (1,)), influence)
 
     def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
         return jnp.reshape(self.pinion_teeth * theta, (1,))

@@ -28,7 +28,7 @@ def test_a_kink_between_samples_is_found():
     for size in (20, 57, 400):
         theta = jnp.linspace(0.0, 2 * jnp.pi, size)
         values = jax.vmap(kinked, in_axes=(None, 0))(0.3, theta)
-        found = extremes(kinked, jnp.asarray(0.3), theta, values)
+        found = jax.jit(lambda theta, values: extremes(kinked, jnp.asarray(0.3), theta, values))(theta, values)
         lost = float(values.min()) - exact_minimum(0.3)
         assert lost > 1e-4, "the samples alone miss it"
         assert float(found.minimum) == pytest.approx(exact_minimum(0.3), abs=1e-6)

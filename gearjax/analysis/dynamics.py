@@ -23,6 +23,7 @@ from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 LENGTH_SCALE = 1e-5  # m on the line of action
 LONGEST_STEP = 1.0  # rad of the fastest motion; Runge-Kutta is stable to 2.8
+MOST_STEPS = 1_000_000_000
 MOST_ROWS = 256  # steps whose excitation is tabulated at once
 FAULTS = {
     1: "the solution is not finite",
@@ -114,6 +115,21 @@ def fastest_rate(scene: Scene) -> Scalar:
         mass = scene.inertia.mass
         rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), mass).sum() / mass)
     return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+
+def suitable_step(scene: Scene, duration: float) -> FixedStep:
+    """Steps that resolve the fastest motion of the scene.
+
+    Raises:
+        SceneError: the record would need more than `MOST_STEPS` steps.
+    """
+    step = min(4e-5, 0.4 * LONGEST_STEP / float(fastest_rate(scene)))
+    if duration / step > MOST_STEPS:
+        raise SceneError(
+            f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow its "
+            f"fastest motion, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
+        )
+    return FixedStep(step)
 
 
 def _advice(scene: Scene, fault: int) -> str:

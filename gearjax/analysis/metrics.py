@@ -3,12 +3,12 @@
 A transmission error is the largest of several smooth curves: its lowest points are kinks, where the contacting
 pair changes, and a sampled record misses them by slope times spacing (0.0022 arcmin at 1 ms for Wang et al. 2020).
 `extremes` finds them: tangents at the samples bound the extreme of each interval, the intervals with the best bounds
-are bisected on the slope, and the value is taken between the two tangents at the turning point. What is left matters
+are bisected on the slope, and the value is taken where the tangents at the turning point meet. What is left matters
 where an interval hides two turning points, or where more than `MOST_INTERVALS` intervals bound higher than the best.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,8 @@ import jax.numpy as jnp
 
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
-MOST_INTERVALS = 16
+MOST_INTERVALS = 32
+HALVINGS = 30  # of an interval
 
 
 class Extremes(eqx.Module):
@@ -28,13 +29,124 @@ class Extremes(eqx.Module):
     theta_minimum: Scalar
 
 
+class TurningPoints(NamedTuple):
+    """Local highest points of a curve between its samples.
+
+    The value at such a point is where the tangents on its two sides meet: exact at a kink, and above a smooth top by
+    the square of the angle between the sides. With the place held fixed it is a convex combination of the curve on
+    both sides, whose weights cancel the slope, and a constant: differentiable in the curve's parameters.
+
+    Args:
+        ends: angles on both sides, shape (m, 2) [rad].
+        weights: weights of the curve there, adding to 1, or -1 for lowest points, shape (m, 2).
+        lift: the constant, shape (m,).
+        heights: the values, minus infinity where there is no turning point, shape (m,).
+    """
+
+    ends: Float[Array, "m 2"]
+    weights: Float[Array, "m 2"]
+    lift: Float[Array, " m"]
+    heights: Float[Array, " m"]
+
+    def values(self, curve: Callable[[Scalar], Scalar]) -> Float[Array, " m"]:
+        """The values as a function of what the curve depends on, shape (m,)."""
+        places = jax.lax.stop_gradient(self)
+        sides = jax.vmap(jax.vmap(curve))(places.ends)
+        return (places.weights * sides).sum(axis=1) + places.lift
+
+
+SlopeAndValue = Callable[[Scalar], tuple[Scalar, Scalar]]
+
+
+def slope_and_value(curve: Callable[[Any, Scalar], Scalar], physics: Any) -> SlopeAndValue:
+    """Slope and value of ``curve(physics, theta)`` at one angle."""
+
+    def at(angle: Scalar) -> tuple[Scalar, Scalar]:
+        value, slope = jax.jvp(lambda a: curve(physics, a), (angle,), (jnp.ones_like(angle),))
+        return slope, value
+
+    return at
+
+
+def turning_points(
+    at: SlopeAndValue,
+    sign: float | Scalar,
+    samples: tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]],
+    intervals: Int[Array, " m"],
+    *,
+    splits: int = 0,
+    halvings: int = 0,
+) -> TurningPoints:
+    """The turning points of some intervals between samples; of ``sign`` times the curve.
+
+    An interval is first split where the tangents at its ends meet, which is at once the kink of two straight curves and
+    the middle of a parabola, then halved, where differences of values would be too small; the side that turns is kept.
+
+    Args:
+        at: slope and value of the curve.
+        sign: 1 for the highest points, -1 for the lowest.
+        samples: angles, slopes and values of the curve, shape (n,) each, at least two.
+        intervals: numbers of the intervals, shape (m,).
+        splits: how often an interval is split by tangents, quick and rough.
+        halvings: how often it is then halved; in float32 at most 9 times.
+    """
+
+    def signed(angle: Scalar) -> tuple[Scalar, Scalar]:
+        slope, value = at(angle)
+        return sign * slope, sign * value
+
+    def halve(_, state):
+        return cut(state, state[0].mean())
+
+    def split(_, state):
+        ends, slopes, values = state
+        rise, fall, span = slopes[0], -slopes[1], ends[1] - ends[0]
+        turning = _turning(rise, fall)
+        place = (values[1] - values[0] + fall * span) / jnp.where(turning, rise + fall, 1.0)
+        # within the middle 90 %: what is left shrinks even where a curve is bent on one side and straight on the other
+        place = jnp.where(turning, jnp.clip(place, 0.05 * span, 0.95 * span), 0.5 * span)
+        return cut(state, ends[0] + place)
+
+    def cut(state, middle):
+        slope, value = signed(middle)
+
+        def keep(pair, new):
+            return jnp.where(slope > 0, jnp.stack([new, pair[1]]), jnp.stack([pair[0], new]))
+
+        return tuple(keep(pair, new) for pair, new in zip(state, (middle, slope, value), strict=True))
+
+    def locate(interval: Int[Array, ""]):
+        ends, slopes, values = (jnp.stack([part[interval], part[interval + 1]]) for part in samples)
+        state = ends, sign * slopes, sign * values
+        if splits:
+            state = jax.lax.fori_loop(0, splits, split, state)
+        if halvings:
+            state = jax.lax.fori_loop(
+                0, halvings if samples[0].dtype == jnp.float64 else min(halvings, 9), halve, state
+            )
+        ends, slopes, values = state
+        rise, fall = slopes[0], -slopes[1]
+        turning = _turning(rise, fall)
+        total = jnp.where(turning, rise + fall, 1.0)
+        share = jnp.where(turning, fall / total, 0.5)
+        weights = jnp.stack([share, 1.0 - share])
+        lift = jnp.where(turning, rise * fall * (ends[1] - ends[0]) / total, 0.0)
+        return ends, sign * weights, lift, jnp.where(turning, (weights * values).sum() + lift, -jnp.inf)
+
+    return TurningPoints(*jax.vmap(locate)(intervals))
+
+
+def _turning(rise: Scalar, fall: Scalar) -> Bool[Array, ""]:
+    """Whether a curve that rises at one end of an interval and falls at the other turns within it."""
+    return (rise >= 0) & (fall >= 0) & (rise + fall > 0)
+
+
 def extremes(
     curve: Callable[[Any, Scalar], Scalar], physics: Any, theta: Float[Array, " n"], values: Float[Array, " n"]
 ) -> Extremes:
     """Extremes of ``curve(physics, theta)`` over the span of ``theta``, kinks between samples included.
 
-    Differentiable in ``physics``, at kinks too: the value is a fixed convex combination of the curve on both sides of
-    the turning point, whose weights cancel the slope.
+    Differentiable in ``physics``.
 
     Args:
         curve: the curve.
@@ -45,57 +157,58 @@ def extremes(
     if theta.shape[0] < 2:
         return Extremes(values[0], values[0], theta[0], theta[0])
     frozen, theta = jax.lax.stop_gradient((physics, theta))
+    at = slope_and_value(curve, frozen)
+    slopes, frozen_values = jax.vmap(at)(theta)
 
-    def slope_and_value(angle: Scalar) -> tuple[Scalar, Scalar]:
-        value, slope = jax.jvp(lambda a: curve(frozen, a), (angle,), (jnp.ones_like(angle),))
-        return slope, value
+    def best_turning_point(sign: Scalar, bounds: Float[Array, " interval"]) -> TurningPoints:
+        """The highest turning point, of the intervals whose tangents meet highest."""
+        intervals = highest_intervals(bounds, MOST_INTERVALS)
+        points = turning_points(at, sign, (theta, slopes, frozen_values), intervals, halvings=HALVINGS)
+        return jax.tree.map(lambda part: part[jnp.argmax(points.heights)], points)
 
-    slopes, frozen_values = jax.vmap(slope_and_value)(theta)
     signs = jnp.array([1.0, -1.0], values.dtype)  # the highest value, and the highest of the negative
-
-    def turning_point(sign: Scalar, interval: Int[Array, ""]) -> tuple[Float[Array, "2"], Float[Array, "2"], Scalar]:
-        """Both sides of the turning point of an interval, the weights of the curve there, and its value."""
-        ends = jnp.stack([theta[interval], theta[interval + 1]])
-
-        def halve(_, ends):
-            middle = ends.mean()
-            rising = sign * slope_and_value(middle)[0] > 0
-            return jnp.where(rising, jnp.stack([middle, ends[1]]), jnp.stack([ends[0], middle]))
-
-        ends = jax.lax.fori_loop(0, 30 if theta.dtype == jnp.float64 else 9, halve, ends)
-        slope, value = jax.vmap(slope_and_value)(ends)
-        rise, fall = sign * slope[0], -sign * slope[1]
-        turning = (rise > 0) & (fall > 0)
-        share = jnp.where(turning, fall / jnp.where(turning, rise + fall, 1.0), 0.5)
-        weights = jnp.stack([share, 1.0 - share])
-        return ends, weights, jnp.where(turning, sign * (weights * value).sum(), -jnp.inf)
-
-    def best_turning_point(sign: Scalar) -> tuple[Float[Array, "2"], Float[Array, "2"], Bool[Array, ""]]:
-        """The highest turning point of the intervals whose tangents meet highest, and whether there is one."""
-        bounds = _bounds(theta, sign * frozen_values, sign * slopes)
-        intervals = jax.lax.top_k(bounds, min(MOST_INTERVALS, bounds.shape[0]))[1]
-        ends, weights, heights = jax.vmap(turning_point, in_axes=(None, 0))(sign, intervals)
-        best = jnp.argmax(heights)
-        return ends[best], weights[best], heights[best] > -jnp.inf
-
-    ends, weights, turning = jax.lax.stop_gradient(jax.vmap(best_turning_point)(signs))
-    refined = (weights * jax.vmap(jax.vmap(lambda angle: curve(physics, angle)))(ends)).sum(axis=1)
+    bounds = jnp.stack(tangent_bounds(theta, frozen_values, slopes))
+    points = jax.lax.stop_gradient(jax.vmap(best_turning_point)(signs, bounds))
+    refined = signs * points.values(lambda angle: curve(physics, angle))
     at_sample = jnp.stack([jnp.argmax(values), jnp.argmin(values)])
     sampled = values[at_sample]
-    better = turning & (signs * refined > signs * sampled)
+    better = (points.heights > -jnp.inf) & (signs * refined > signs * sampled)
     found = jnp.where(better, refined, sampled)
-    where = jnp.where(better, ends.mean(axis=1), theta[at_sample])
+    where = jnp.where(better, points.ends.mean(axis=1), theta[at_sample])
     return Extremes(found[0], found[1], where[0], where[1])
 
 
-def _bounds(theta: Float[Array, " n"], values: Float[Array, " n"], slopes: Float[Array, " n"]) -> Float[Array, " m"]:
-    """Where the tangents at both ends of each interval meet; minus infinity without a turning point between."""
+def tangent_bounds(
+    theta: Float[Array, " n"], values: Float[Array, " n"], slopes: Float[Array, " n"]
+) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    """Where the tangents at both ends of each interval meet, of the curve and of its negative; minus infinity without
+    a turning point between."""
     step = theta[1:] - theta[:-1]
     rise, fall = slopes[:-1], -slopes[1:]
-    turning = (rise > 0) & (fall > 0)
-    total = jnp.where(turning, rise + fall, 1.0)
-    meet = (fall * values[:-1] + rise * values[1:] + rise * fall * step) / total
-    return jnp.where(turning, meet, -jnp.inf)
+    turning = rise * fall > 0
+    meet = (fall * values[:-1] + rise * values[1:] + rise * fall * step) / jnp.where(turning, rise + fall, 1.0)
+    top = turning & (rise > 0)
+    return jnp.where(top, meet, -jnp.inf), jnp.where(turning & ~top, -meet, -jnp.inf)
+
+
+def highest_intervals(bounds: Float[Array, " m"], number: int) -> Int[Array, " k"]:
+    """Numbers of the intervals with the highest bounds, at most one of each of four times ``number`` equal groups.
+
+    Faster than sorting them all, and neighbours do not crowd out other tops.
+    """
+    count = bounds.shape[0]
+    groups = min(count, 4 * number)
+    size = 1 << max(0, -(-count // groups) - 1).bit_length()
+    groups = -(-count // size)
+    filled = jnp.concatenate([bounds, jnp.full((groups * size - count,), -jnp.inf, bounds.dtype)])
+    tops, places = filled.reshape(groups, size), jnp.arange(groups * size, dtype=jnp.int32).reshape(groups, size)
+    while size > 1:  # the better half of each group
+        size //= 2
+        better = tops[:, :size] >= tops[:, size:]
+        tops = jnp.where(better, tops[:, :size], tops[:, size:])
+        places = jnp.where(better, places[:, :size], places[:, size:])
+    chosen = jax.lax.top_k(tops[:, 0], min(number, groups))[1]
+    return jnp.minimum(places[chosen, 0], count - 1)
 
 
 def root(square: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -53,6 +53,15 @@ class Motion(eqx.Module):
         return jnp.concatenate([settled[..., :1], settled[..., :-1]], axis=-1)
 
     @property
+    def bands(self) -> tuple[Float[Array, "... n"], Float[Array, "... n"]]:
+        """Highest and lowest value up to each sample, shape (n,) each [rad]; the last sample stands for what the
+        metrics leave out."""
+        settled, last = self.settled, self.te[..., -1:]
+        high = jnp.where(self._after, self.highest, self.te)
+        low = jnp.where(self._after, self.lowest, self.te)
+        return jnp.where(settled, high, last), jnp.where(settled, low, last)
+
+    @property
     def peak_to_peak(self) -> Float[Array, "..."]:
         """Highest minus lowest over all steps after settling [rad]."""
         return self._maximum - self._minimum

@@ -8,6 +8,7 @@ import numpy as np
 from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor
 from gearjax.checks import SceneError, is_concrete
 from gearjax.contact import ContactSet, Equilibrium, equilibrium, first_contact
+from gearjax.contact.frame import Pose
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
@@ -178,15 +179,34 @@ def rest(contacts: ContactSet, scene: Scene, torque: Scalar) -> Equilibrium:
     return equilibrium(contacts, -torque, scene.contact)
 
 
+def no_load(scene: Scene, angle: Scalar | Pose) -> Scalar:
+    """No-load TE at one input angle or pose [rad]: the lower edge of the play."""
+    return first_contact(scene.contacts(angle), scene.contact)[0]
+
+
+def static(physics: tuple[Scene, Scalar], angle: Scalar | Pose) -> Scalar:
+    """Static TE of a scene under a torque [N m] at one angle [rad]."""
+    scene, torque = physics
+    return rest(scene.contacts(angle, "mean"), scene, torque).position
+
+
+def play(scene: Scene, angle: Scalar | Pose) -> Scalar:
+    """Backlash at one angle [rad]."""
+    lower, upper = _edges(scene, angle)
+    return upper - lower
+
+
+def _edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:
+    lower, upper = first_contact(scene.contacts(angle), scene.contact)
+    assert upper is not None  # the caller requires a backlash
+    return lower, upper
+
+
 @eqx.filter_jit
 def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> TransmissionError:
     scene = scene.anchored()
     pairs = jax.eval_shape(scene.contacts, theta[0]).pairs
     if torque is None:
-
-        def no_load(scene: Scene, angle: Scalar) -> Scalar:
-            return first_contact(scene.contacts(angle), scene.contact)[0]
-
         te = jax.vmap(no_load, in_axes=(None, 0))(scene, theta)
         result = jnp.zeros(theta.shape, int)
         return TransmissionError(theta, te, None, result, extremes(no_load, scene, theta, te), pairs)
@@ -195,14 +215,14 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
         """Torque at an angle, between its samples too."""
         return torque if torque.ndim == 0 else jnp.interp(angle, theta, torque)
 
-    def static(physics: tuple[Scene, Array], angle: Scalar) -> Scalar:
+    def under(physics: tuple[Scene, Array], angle: Scalar) -> Scalar:
         scene, torque = physics
-        return rest(scene.contacts(angle, "mean"), scene, at(angle, torque)).position
+        return static((scene, at(angle, torque)), angle)
 
     axis = 0 if torque.ndim else None
     each = jax.vmap(lambda angle, size: rest(scene.contacts(angle, "mean"), scene, size), in_axes=(0, axis))
     rests = each(theta, torque)
-    found = extremes(static, (scene, torque), theta, rests.position)
+    found = extremes(under, (scene, torque), theta, rests.position)
     return TransmissionError(theta, rests.position, rests.forces, rests.result, found, pairs)
 
 
@@ -210,14 +230,5 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
 def _backlash(scene: Scene, theta: Array) -> Backlash:
     scene = scene.anchored()
 
-    def edges(scene: Scene, angle: Scalar) -> tuple[Scalar, Scalar]:
-        lower, upper = first_contact(scene.contacts(angle), scene.contact)
-        assert upper is not None  # the caller requires a backlash
-        return lower, upper
-
-    def play(scene: Scene, angle: Scalar) -> Scalar:
-        lower, upper = edges(scene, angle)
-        return upper - lower
-
-    lower, upper = jax.vmap(edges, in_axes=(None, 0))(scene, theta)
+    lower, upper = jax.vmap(_edges, in_axes=(None, 0))(scene, theta)
     return Backlash(theta, lower, upper, extremes(play, scene, theta, upper - lower))

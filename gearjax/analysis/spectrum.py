@@ -6,8 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.analysis.metrics import root
 from gearjax.checks import SceneError, is_concrete
-from gearjax.typing import Array, ArrayLike, Float
+from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 
 class Spectrum(eqx.Module):
@@ -70,3 +71,42 @@ def order_spectrum(
     spacing = (theta[-1] - theta[0]) / (size - 1)
     order = jnp.arange(amplitude.shape[0], dtype=values.dtype) * (jnp.asarray(turn, values.dtype) / (size * spacing))
     return Spectrum(order, amplitude)
+
+
+def order_amplitude(
+    values: Float[Array, " n"], theta: Float[Array, " n"], order: float, *, first: ArrayLike | None = None
+) -> Scalar:
+    """Amplitude of one order, which need not lie on a line of the spectrum; differentiable, with gradient 0 at 0.
+
+    Arguments as for `order_phasor`.
+    """
+    cosine, sine = order_phasor(values, theta, order, first=first)
+    return root(cosine**2 + sine**2)
+
+
+def order_phasor(
+    values: Float[Array, " n"], theta: Float[Array, " n"], order: float, *, first: ArrayLike | None = None
+) -> tuple[Scalar, Scalar]:
+    """Amplitudes of the cosine and of the sine of one order.
+
+    Whole turns of the order count evenly, so that other whole orders leave nothing; any other span is weighted by a
+    Hann window.
+
+    Args:
+        values: record, shape (n,).
+        theta: input angles, increasing, both ends of the span included, shape (n,) [rad].
+        order: cycles per turn of the input.
+        first: input angle at which the span begins, without it the first [rad].
+    """
+    first = theta[0] if first is None else jnp.asarray(first, theta.dtype)
+    span = theta[-1] - first
+    turns = order * span / (2 * math.pi)
+    whole = (jnp.abs(turns - jnp.round(turns)) < 1e-6 * jnp.maximum(turns, 1.0)) & (turns > 0.5)
+    hann = jnp.sin(math.pi * (theta - first) / span) ** 2
+    width = jnp.asarray(jnp.gradient(theta))
+    width = width.at[jnp.array([0, -1])].multiply(0.5)  # half a spacing at both ends: the trapezoidal rule
+    weights = width * jnp.where(whole, 1.0, hann) * jnp.where(theta >= first, 1.0, 0.0)
+    weights = weights / weights.sum()
+    centred = values - (weights * values).sum()
+    cosine, sine = ((2 * weights * centred * wave(order * theta)).sum() for wave in (jnp.cos, jnp.sin))
+    return cosine, sine

@@ -1,5 +1,7 @@
 """Configurations: TOML files that list what a scene models and what to compute."""
 
-from gearjax.config.build import load, loads, read_file
+from gearjax.config.build import load, loads, loads_optimise, read_file
+from gearjax.config.optimise import OptimiseSection
+from gearjax.config.write import with_numbers
 
-__all__ = ["load", "loads", "read_file"]
+__all__ = ["OptimiseSection", "load", "loads", "loads_optimise", "read_file", "with_numbers"]

@@ -11,6 +11,7 @@ from gearjax import units
 from gearjax.checks import MISSING, GearjaxError, ParameterError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import COMPLIANCES
+from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.quantities import read_plain, read_quantity
 from gearjax.config.run import read_published, read_run
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
@@ -37,6 +38,7 @@ _SECTIONS = (
     "contact",
     "run",
     "published",
+    "optimise",
 )
 
 
@@ -133,9 +135,27 @@ def build(tables: dict[str, Any]) -> Scene:
         parts["reference"] = _reference(tables["reference"])
     scene = Scene(system, errors, **parts)
     published = read_published(tables.get("published", []))
-    if "run" not in tables:
-        return scene
-    return dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
+    if "run" in tables:
+        scene = dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
+    if "optimise" in tables:
+        read_optimise(tables["optimise"], scene)
+    return scene
+
+
+def loads_optimise(text: str) -> tuple[Scene, OptimiseSection]:
+    """A scene and its optimise section from TOML text.
+
+    Raises:
+        GearjaxError: something in it is wrong, or there is no such section; one line that says where.
+    """
+    tables = read_tables(text)
+    scene = build(tables)
+    if "optimise" not in tables:
+        raise GearjaxError(
+            "the configuration has no [optimise]: list objective and where, such as "
+            'objective = "no_load_amplitude", where = ["errors.planet_1.phase"]'
+        )
+    return scene, read_optimise(tables["optimise"], scene)
 
 
 def _reference(table: dict[str, Any]) -> ZeroAtStart | None:

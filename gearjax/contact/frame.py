@@ -14,7 +14,7 @@ import enum
 import equinox as eqx
 import jax.numpy as jnp
 
-from gearjax.typing import Array, Float
+from gearjax.typing import Array, Float, Scalar
 
 
 class Flank(enum.IntEnum):
@@ -42,12 +42,45 @@ class BodyView(eqx.Module):
     A displacement of size ``e`` at the phase ``p`` changes the gaps by ``influence * e * sin(angle + p)``.
 
     Args:
-        angle: angle of the body's reference direction from each line of action, shape (contact,) [rad].
+        turn: angle that the body has turned by, seen from the lines of action [rad].
+        place: angle of its reference direction from each line of action before, shape (contact,) [rad].
         influence: change of gap per displacement along the line, shape (contact,) [-].
+
+    Attributes:
+        angle: of the reference direction from each line of action, shape (contact,) [rad].
+        sine, cosine: of that angle, shape (contact,); the sines of ``turn`` are worked out once for all contacts.
     """
 
     angle: Float[Array, " contact"]
     influence: Float[Array, " contact"]
+    sine: Float[Array, " contact"]
+    cosine: Float[Array, " contact"]
+
+    def __init__(self, turn: Scalar, place: Float[Array, " contact"], influence: Float[Array, " contact"]):
+        sine, cosine = jnp.sin(turn), jnp.cos(turn)
+        self.angle, self.influence = turn + place, influence
+        self.sine = sine * jnp.cos(place) + cosine * jnp.sin(place)
+        self.cosine = cosine * jnp.cos(place) - sine * jnp.sin(place)
+
+
+class Side(eqx.Module):
+    """What a system shows of one flank: contacts of ideal bodies, and the views of the bodies that carry errors."""
+
+    frame: ContactFrame
+    views: dict[str, BodyView]
+
+
+class Pose(eqx.Module):
+    """What a system shows at one input angle. It does not depend on the errors: many assemblies share it.
+
+    Args:
+        theta: input angle [rad].
+        drive, back: both flanks; ``back`` is ``None`` where no back flanks are modelled.
+    """
+
+    theta: Scalar
+    drive: Side
+    back: Side | None
 
 
 class ContactSet(eqx.Module):

@@ -29,4 +29,7 @@ class Eccentricity(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        return view.influence * self.amplitude * jnp.sin(view.angle + self.phase)
+        # by components: a batch of amplitudes and phases shares the sines of the view
+        sine = self.amplitude * jnp.cos(self.phase)
+        cosine = self.amplitude * jnp.sin(self.phase)
+        return view.influence * (sine * view.sine + cosine * view.cosine)

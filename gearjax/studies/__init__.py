@@ -1,6 +1,17 @@
 """Studies of a scene: searches over its numbers."""
 
 from gearjax.studies.grid import GridSearch, grid_search
-from gearjax.studies.objective import Objective
+from gearjax.studies.minimise import Minimisation, minimise
+from gearjax.studies.objective import Objective, Term
+from gearjax.studies.sensitivity import LocalSensitivity, local_sensitivity
 
-__all__ = ["GridSearch", "Objective", "grid_search"]
+__all__ = [
+    "GridSearch",
+    "LocalSensitivity",
+    "Minimisation",
+    "Objective",
+    "Term",
+    "grid_search",
+    "local_sensitivity",
+    "minimise",
+]

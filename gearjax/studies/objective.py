@@ -1,52 +1,166 @@
-"""Objectives of a study: one number of a scene."""
+"""Objectives of a study: metrics of analyses as one number of a scene, hard to judge by and smooth to descend.
 
-from collections.abc import Callable
+A largest value over time becomes ``T log(sum(exp(values / T)))``: above the largest sample by at most ``T log(n)``,
+with the temperature T in radians of transmission error; the contacts become `QuadraticContact` of the width
+``T r / 1.5``. For the exact optimum, which lies on kinks, an objective also offers its `pieces`: the local extremes
+whose largest ones make it up.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
-from gearjax.analysis import backlash, transmission_error
-from gearjax.analysis.quasi_static import Backlash, TransmissionError
-from gearjax.checks import ParameterError, nearest
-from gearjax.scene import Scene
+from gearjax.analysis import FixedStep, Motion, backlash, simulate, transmission_error
+from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.metrics import highest_intervals, slope_and_value, tangent_bounds, turning_points
+from gearjax.analysis.quasi_static import Backlash, TransmissionError, no_load, play, static
+from gearjax.analysis.spectrum import order_amplitude, order_phasor
+from gearjax.checks import ParameterError, is_concrete, nearest
+from gearjax.contact import QuadraticContact
+from gearjax.contact.frame import Pose
+from gearjax.parameters import as_leaf
+from gearjax.scene import Scene, require
+from gearjax.studies.select import Free
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-METRICS = ("amplitude", "peak_to_peak", "std")
+ANALYSES = ("no_load", "static", "backlash", "dynamic")
+METRICS = ("amplitude", "peak_to_peak", "std", "order")
+NAMES = tuple(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS)
+SLOTS = {
+    "no_load": (),
+    "static": ("backlash", "compliance"),
+    "backlash": ("backlash",),
+    "dynamic": ("backlash", "compliance", "load", "inertia", "damping"),
+}
+NEEDS = {
+    "no_load": (),
+    "static": ("compliance",),
+    "backlash": ("backlash",),
+    "dynamic": ("compliance", "load", "inertia"),
+}
 SAMPLES = 8001  # of one cycle, where nothing else is said
-ANALYSES = ("no_load", "static", "backlash")
+EXTREMES = 32  # highest and as many lowest points that `pieces` looks at; a polished curve has many equal ones
+SPLITS = 5  # of the intervals they lie in
+DIRECTIONS = 16  # of the phasor of an order
+WIDTH = 1 / 1.5  # smoothing of the contacts per smoothing over time
+
+
+class Term(eqx.Module):
+    """One metric of one analysis.
+
+    Args:
+        name: analysis and metric: ``no_load``, ``static``, ``backlash`` or ``dynamic``, then ``_amplitude`` (largest
+            absolute value; Wang et al. 2020, eq. 21), ``_peak_to_peak``, ``_std`` or ``_order`` (amplitude of one
+            order).
+        torque: load torque of a static or dynamic term [N m].
+        weight: its weight in a sum.
+        order: for ``_order``: a name of ``system.orders`` such as ``"crank"``, or cycles per turn of the output.
+
+    Raises:
+        ParameterError: an unknown name, or a torque or an order is missing.
+    """
+
+    name: str = eqx.field(static=True)
+    torque: Float[Array, ""] | None = eqx.field(default=None, converter=lambda x: None if x is None else as_leaf(x))
+    weight: Float[Array, ""] = eqx.field(default=1.0, converter=as_leaf)
+    order: str | float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        if self.name not in NAMES:
+            raise ParameterError("objective", self.name, nearest(self.name, NAMES))
+        if self.analysis in ("static", "dynamic") and self.torque is None:
+            raise ParameterError("objective", self.name, "needs a torque")
+        if self.analysis in ("no_load", "backlash") and self.torque is not None:
+            raise ParameterError("objective", self.name, "takes no torque")
+        if is_concrete(self.weight) and not (self.weight.ndim or float(self.weight) > 0):
+            raise ParameterError("weight", float(self.weight), "must be above 0")
+        if self.metric == "order" and self.order is None:
+            raise ParameterError("objective", self.name, 'needs an order, such as order = "crank"')
+
+    @property
+    def analysis(self) -> str:
+        """Its analysis."""
+        return next(analysis for analysis in ANALYSES if self.name.startswith(analysis))
+
+    @property
+    def metric(self) -> str:
+        """Its metric."""
+        return self.name.removeprefix(f"{self.analysis}_")
+
+    def per_turn(self, scene: Scene) -> float:
+        """Its order in cycles per turn of the input."""
+        orders = scene.system.orders
+        if isinstance(self.order, str) and self.order not in orders:
+            raise ParameterError("order", self.order, nearest(self.order, orders))
+        assert self.order is not None
+        return orders[self.order] if isinstance(self.order, str) else self.order * orders["output"]
+
+    def curve(self, scene: Scene) -> tuple[Callable[[Any, Any], Scalar], Any]:
+        """Its curve over the input angle or the pose, and what the curve depends on; not for the dynamic TE."""
+        if self.analysis == "no_load":
+            return no_load, scene
+        return (play, scene) if self.analysis == "backlash" else (static, (scene, self.torque))
+
+
+class Pieces(NamedTuple):
+    """Values whose largest, times a weight, is a part of an objective; a smooth part has one value."""
+
+    values: Float[Array, " m"]
+    weight: Scalar
+
+
+class Table(eqx.Module):
+    """Poses of the samples and how they change with the input angle, shared by all assemblies."""
+
+    pose: Pose
+    rate: Pose
+
+
+@eqx.filter_jit
+def _tabulate(physics: Scene, theta: Float[Array, " n"]) -> Table:
+    return Table(*jax.vmap(lambda angle: jax.jvp(physics.pose, (angle,), (jnp.ones_like(angle),)))(theta))
 
 
 class Objective(eqx.Module):
-    """A metric of one analysis over a window of input angles, or a function of the scene.
+    """A weighted sum of metrics over a window of input angles, or a function of the scene.
 
     Args:
-        name: ``no_load_amplitude``, ``static_peak_to_peak``, ``backlash_std`` and so on, or that of the function.
+        name: of its one term, of the function, or ``weighted_sum``.
         theta: input angles, shape (n,) [rad].
-        torque: load torque of a static objective [N m].
-        function: in place of the named metric, ``function(scene) -> number``.
+        terms: its terms; none with a function.
+        function: ``function(scene) -> number``.
+        stepper, start, settle: of dynamic terms.
+        table: of the samples, where they have been worked out before.
     """
 
     name: str = eqx.field(static=True)
     theta: Float[Array, " n"]
-    torque: float | None = eqx.field(static=True, default=None)
+    terms: tuple[Term, ...] = ()
     function: Callable[[Scene], Scalar] | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        names = [f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS]
-        if self.function is None and self.name not in names:
-            raise ParameterError("objective", self.name, nearest(self.name, names))
-        if self.function is None and self.name.startswith("static") and self.torque is None:
-            raise ParameterError("objective", self.name, "needs a torque")
+    stepper: FixedStep | None = None
+    start: str = eqx.field(static=True, default="equilibrium")
+    settle: float = eqx.field(static=True, default=0.0)
+    table: Table | None = None
 
     @classmethod
     def of(
         cls,
-        loss: "str | Callable[[Scene], Scalar] | Objective",
+        loss: "str | Callable[[Scene], Scalar] | Term | Sequence[Term] | Objective",
         scene: Scene,
-        theta: ArrayLike | None,
-        torque: float | None,
+        theta: ArrayLike | None = None,
+        torque: float | None = None,
     ) -> "Objective":
-        """An objective from its name or from a function, over the given angles, the scene's run, or one cycle."""
+        """An objective from a name, terms, or a function, over the given angles, the scene's run, or one cycle.
+
+        Raises:
+            ParameterError: an unknown name, or something that the name needs is missing.
+            SceneError: the scene lacks what the objective needs.
+        """
         if isinstance(loss, Objective):
             return loss
         if theta is None and scene.run is not None:
@@ -55,20 +169,212 @@ class Objective(eqx.Module):
             theta = jnp.linspace(0.0, scene.system.cycle, SAMPLES)
         angles = jnp.asarray(theta, scene.dtype)
         if isinstance(loss, str):
-            return cls(loss, angles, torque)
-        return cls(getattr(loss, "__name__", "function"), angles, torque, loss)
+            loss = Term(loss, torque)
+        if isinstance(loss, Term):
+            loss = (loss,)
+        if callable(loss):
+            return cls(getattr(loss, "__name__", "function"), angles, function=loss)
+        terms = jax.tree.map(lambda leaf: leaf.astype(scene.dtype), tuple(loss))
+        if not terms:
+            raise ParameterError("objective", (), "needs at least one term")
+        for term in terms:
+            require(scene, term.name, *NEEDS[term.analysis])
+            if term.metric == "order":
+                term.per_turn(scene)
+        found = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms)
+        if any(term.analysis == "dynamic" for term in terms):
+            ts = np.asarray(angles) / float(scene.system.input_speed)
+            steps = suitable_step(scene, float(ts[-1] - ts[0])).steps(jnp.asarray(ts))
+            run = scene.run
+            words = {} if run is None else {"start": run.start, "settle": run.settle}
+            found = dataclasses.replace(found, stepper=FixedStep(per_sample=steps), **words)
+        return found
 
-    @property
-    def metric(self) -> str:
-        """Its metric."""
-        return self.name.removeprefix("no_load_").removeprefix("static_").removeprefix("backlash_")
+    def physics(self, scene: Scene, free: Free) -> Scene:
+        """What the objective depends on, and the parts that hold free numbers."""
+        slots = {slot for term in self.terms for slot in SLOTS[term.analysis]}
+        if self.function is not None:
+            slots = set(SLOTS["dynamic"])
+        return scene.physics(*slots, *(path.split(".")[0] for path in free.paths))
 
-    def result(self, scene: Scene) -> TransmissionError | Backlash:
-        """The analysis that it measures."""
-        if self.name.startswith("backlash"):
+    def at(self, theta: Float[Array, " n"]) -> "Objective":
+        """The same over other angles; the dynamic TE keeps its own."""
+        dynamic = any(term.analysis == "dynamic" for term in self.terms)
+        return self if dynamic else dataclasses.replace(self, theta=theta, table=None)
+
+    def tabulated(self, scene: Scene, free: Free) -> "Objective":
+        """The same with a table of its samples, where no number of the system is free."""
+        if self.function is not None or any(path.startswith("system.") for path in free.paths):
+            return self
+        return dataclasses.replace(self, table=_tabulate(self.physics(scene, free), self.theta))
+
+    def coarse(self, scene: Scene, per_turn: int) -> "Objective":
+        """The same over a part of its angles: so many per turn of the fastest error."""
+        if self.function is not None or self.theta.shape[0] < 2:
+            return self
+        orders = [order for name, order in scene.system.orders.items() if name != "mesh"]
+        theta = np.asarray(self.theta)
+        turns = max(orders, default=1.0) * (theta[-1] - theta[0]) / (2 * np.pi)
+        number = min(theta.size, max(4 * per_turn, round(turns * per_turn)))
+        chosen = np.unique(np.linspace(0, theta.size - 1, number).round().astype(int))
+        return self.at(self.theta[chosen])
+
+    def result(self, scene: Scene, term: Term) -> TransmissionError | Backlash | Motion:
+        """The analysis that a term measures."""
+        if term.analysis == "backlash":
             return backlash(scene, self.theta)
-        return transmission_error(scene, self.theta, self.torque if self.name.startswith("static") else None)
+        if term.analysis != "dynamic":
+            return transmission_error(scene, self.theta, term.torque)
+        assert self.stepper is not None
+        assert term.torque is not None
+        ts = self.theta / jax.lax.stop_gradient(scene.system.input_speed)
+        return simulate(scene, ts, term.torque, start=self.start, settle=self.settle, stepper=self.stepper)
 
     def hard(self, scene: Scene) -> Scalar:
-        """The objective, extremes between samples included, by the scene's own contact law."""
-        return self.function(scene) if self.function is not None else getattr(self.result(scene), self.metric)
+        """The objective by the scene's own contact law, extremes between samples included."""
+        if self.function is not None:
+            return self.function(scene)
+        return self._sum(lambda term: self._metric(scene, term))
+
+    def _sum(self, metric: Callable[[Term], Scalar]) -> Scalar:
+        """The weighted sum of a metric of all terms."""
+        return jnp.concatenate([term.weight * found for term, found in self._each(metric)]).sum()
+
+    def _each(self, measure: Callable[[Term], Any]) -> list[tuple[Term, Any]]:
+        """Terms that differ in their torques alone as one batch, with their measures: they compile once."""
+        batches: dict[tuple, list[Term]] = {}
+        for term in self.terms:
+            batches.setdefault((term.name, term.order), []).append(term)
+        found = []
+        for terms in batches.values():
+            batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *terms)
+            if len(terms) == 1:
+                found.append((batch, jax.tree.map(lambda part: part[None], measure(terms[0]))))
+                continue
+            found.append((batch, jax.vmap(measure)(batch)))
+        return found
+
+    def _metric(self, scene: Scene, term: Term) -> Scalar:
+        """A metric by the contact law of the scene, without its weight."""
+        found = self.result(scene, term)
+        if term.metric != "order":
+            return getattr(found, term.metric)
+        record = found.backlash if isinstance(found, Backlash) else found.te
+        settled = self.settle if term.analysis == "dynamic" else 0.0
+        first = self.theta[0] + settled * jax.lax.stop_gradient(scene.system.input_speed)
+        return order_amplitude(record, self.theta, term.per_turn(scene), first=first)
+
+    def smooth(self, scene: Scene, temperature: float | Scalar) -> Scalar:
+        """The objective with smooth contacts, and smooth largest values over the samples.
+
+        Args:
+            scene: the scene.
+            temperature: smoothing of the largest values [rad].
+        """
+        lever = jnp.abs(scene.contacts(self.theta[0]).lever).mean()
+        width = jnp.maximum(WIDTH * temperature * jax.lax.stop_gradient(lever), 1e-15)
+        soft = dataclasses.replace(scene, contact=QuadraticContact(width))
+        return self._of_samples(soft, lambda values: temperature * jax.nn.logsumexp(values / temperature))
+
+    def sampled(self, scene: Scene) -> Scalar:
+        """The objective of the samples alone: without the extremes between them, which takes less time."""
+        return self._of_samples(scene, jnp.max)  # never differentiated
+
+    def _of_samples(self, scene: Scene, largest: Callable[[Float[Array, " n"]], Scalar]) -> Scalar:
+        if self.function is not None:
+            return self.function(scene)
+        anchored = scene.anchored()
+
+        def metric(term: Term) -> Scalar:
+            if term.metric not in ("amplitude", "peak_to_peak"):
+                return self._metric(scene, term)
+            if term.analysis == "dynamic":
+                motion = self.result(scene, term)
+                assert isinstance(motion, Motion)
+                high, low = motion.bands
+            else:
+                curve, physics = term.curve(anchored)
+                points = self.theta if self.table is None else self.table.pose
+                high = low = jax.vmap(curve, in_axes=(None, 0))(physics, points)
+            if term.metric == "amplitude":
+                return largest(jnp.concatenate([high, -low]))
+            return largest(high) + largest(-low)
+
+        return self._sum(metric)
+
+    def refined(self, scene: Scene) -> Scalar:
+        """The objective from its `pieces`: close to the hard one, and faster where the samples have a table."""
+        tops = [piece.weight * piece.values.max() for piece in self.pieces(scene)]  # never differentiated
+        return jnp.stack(tops).sum()
+
+    def pieces(self, scene: Scene) -> list[Pieces]:
+        """What the objective is made of, by the scene's own contact law: sums of largest values.
+
+        The curves have local extremes; where they are is held fixed, so that the derivative of each value is its own.
+        """
+        if self.function is not None:
+            return [Pieces(jnp.atleast_1d(self.function(scene)), jnp.ones((), self.theta.dtype))]
+        anchored = scene.anchored()
+
+        def measure(term: Term) -> tuple[Float[Array, " m"], ...]:
+            if term.metric == "order" and term.analysis != "dynamic":
+                return (self._directions(term, anchored),)
+            if term.analysis == "dynamic" or term.metric not in ("amplitude", "peak_to_peak"):
+                return (jnp.atleast_1d(self._metric(scene, term)),)
+            high, low = self._extremes(term, anchored)
+            return (jnp.concatenate([high, low]),) if term.metric == "amplitude" else (high, low)
+
+        return [
+            Pieces(values[index], batch.weight[index])
+            for batch, sides in self._each(measure)
+            for index in range(batch.weight.shape[0])
+            for values in sides
+        ]
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether a part of it is smooth, so that its curvature counts where its pieces are straight."""
+        return any(term.metric == "std" and term.analysis != "dynamic" for term in self.terms)
+
+    def smooth_part(self, scene: Scene) -> Scalar:
+        """The weighted sum of its smooth terms."""
+        smooth = tuple(term for term in self.terms if term.metric == "std" and term.analysis != "dynamic")
+        return dataclasses.replace(self, terms=smooth)._sum(lambda term: self._metric(scene, term))
+
+    def _directions(self, term: Term, scene: Scene) -> Float[Array, " m"]:
+        """Projections of the phasor of an order on directions, its own first: the largest one is its amplitude."""
+        curve, physics = term.curve(scene)
+        points = self.theta if self.table is None else self.table.pose
+        record = jax.vmap(curve, in_axes=(None, 0))(physics, points)
+        parts = order_phasor(record, self.theta, term.per_turn(scene))
+        own = jax.lax.stop_gradient(jnp.arctan2(parts[1], parts[0]))
+        angles = own + jnp.arange(DIRECTIONS).astype(own.dtype) * (2 * np.pi / DIRECTIONS)
+        return jnp.cos(angles) * parts[0] + jnp.sin(angles) * parts[1]
+
+    def _extremes(self, term: Term, scene: Scene) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        """The highest points of a curve and of its negative: turning points, and the ends of the window."""
+        curve, physics = term.curve(scene)
+        frozen, theta = jax.lax.stop_gradient((physics, self.theta))
+        at = slope_and_value(curve, frozen)
+        if self.table is None:
+            slopes, samples = jax.vmap(at)(theta)
+        else:
+            table = jax.lax.stop_gradient(self.table)
+            along = jax.vmap(lambda pose, rate: jax.jvp(lambda pose: curve(frozen, pose), (pose,), (rate,)))
+            samples, slopes = along(table.pose, table.rate)
+        each = jax.vmap(curve, in_axes=(None, 0))
+        edges = each(physics, theta[jnp.array([0, -1])])
+        if theta.shape[0] < 3:
+            return edges, -edges
+
+        def side(sign: Scalar, bounds: Float[Array, " interval"]) -> Float[Array, " m"]:
+            intervals = highest_intervals(bounds, EXTREMES)
+            points = turning_points(at, sign, (theta, slopes, samples), intervals, splits=SPLITS)
+            values = points.values(lambda angle: curve(physics, angle))
+            # a place without turning point repeats an end of the window
+            values = jnp.where(points.heights > -jnp.inf, values, sign * edges[:1])
+            return jnp.concatenate([values, sign * edges])
+
+        signs = jnp.array([1.0, -1.0], theta.dtype)
+        high, low = jax.vmap(side)(signs, jnp.stack(tangent_bounds(theta, samples, slopes)))
+        return high, low

@@ -1,26 +1,31 @@
-"""Free leaves of a scene: picked by path or by function, with their levels, periods and bounds."""
+"""Free numbers of a scene: picked by path or by function, with their periods, bounds and transforms."""
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.checks import ParameterError, nearest
 from gearjax.parameters import Parameter, declared
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float
 
-Where = str | Sequence[str]
+Where = str | Sequence[str] | Callable[[Scene], Any]
+Bounds = Mapping[str, tuple[float, float]]
+PARTS = ("system", "errors", "backlash", "compliance", "inertia", "damping", "load", "contact")
+_PROBE = 1e-6  # stands for a zero beside a free number when its influence is tried [SI]
 
 
 class Free(eqx.Module):
     """Numbers of a scene that a study may change.
 
     Args:
-        paths: dotted paths such as ``errors.planet_1.phase``; each leads to one number.
+        paths: dotted paths such as ``errors.planet_1.phase``, or ``compliance.phases[0]`` in a series.
         periods: period of each, ``2 pi`` for angles, else ``None``.
         bounds: lowest and highest value of each in SI; infinite where the declaration sets none.
     """
@@ -31,26 +36,84 @@ class Free(eqx.Module):
 
     def get(self, scene: Scene) -> Float[Array, " free"]:
         """Values in a scene, shape (free,), SI."""
-        return jnp.stack([_leaf(scene, path) for path in self.paths])
+        return jnp.stack([_number(scene, path) for path in self.paths])
 
     def set(self, scene: Scene, values: Float[Array, " free"]) -> Scene:
         """The scene with other values."""
-        return eqx.tree_at(lambda s: [_leaf(s, path) for path in self.paths], scene, list(values))
+        leaves: dict[str, Any] = {}
+        for path, value in zip(self.paths, values, strict=True):
+            leaf, index = _split(path)
+            known = leaves.get(leaf, _leaf(scene, leaf))
+            leaves[leaf] = value if index is None else known.at[index].set(value)
+        return eqx.tree_at(lambda s: [_leaf(s, path) for path in leaves], scene, list(leaves.values()))
+
+    @property
+    def scales(self) -> np.ndarray:
+        """What counts as one unit of each: a radian, or the span between the bounds, shape (free,)."""
+        spans = [1.0 if period else high - low for period, (low, high) in zip(self.periods, self.bounds, strict=True)]
+        return np.array(spans)
+
+    @property
+    def origins(self) -> np.ndarray:
+        """Zero for angles, else the lowest value, shape (free,)."""
+        return np.array([0.0 if p else low for p, (low, _) in zip(self.periods, self.bounds, strict=True)])
+
+    @property
+    def periodic(self) -> np.ndarray:
+        """Which are angles, shape (free,)."""
+        return np.array([period is not None for period in self.periods])
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest values to draw from, shape (free,) each."""
+        low, high = np.array(self.bounds).T
+        return np.where(self.periodic, -np.pi, low), np.where(self.periodic, np.pi, high)
+
+    def wrapped(self, values: np.ndarray) -> np.ndarray:
+        """Angles within half a turn of zero, other numbers within their bounds; shape (..., free)."""
+        low, high = np.array(self.bounds).T
+        with np.errstate(invalid="ignore"):  # a start may be infinite
+            turned = values - 2 * np.pi * np.round(values / (2 * np.pi))
+        return np.where(self.periodic, turned, np.clip(values, low, high))
+
+    def unconstrained(self, values: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Angles as they are, bounded numbers by the logit of their place between the bounds."""
+        origins, scales = (jnp.asarray(part, values.dtype) for part in (self.origins, self.scales))
+        place = jnp.clip((values - origins) / scales, 1e-3, 1 - 1e-3)
+        return jnp.where(self.periodic, values, jnp.log(place / (1 - place)))
+
+    def constrained(self, numbers: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Back from `unconstrained`."""
+        origins, scales = (jnp.asarray(part, numbers.dtype) for part in (self.origins, self.scales))
+        return jnp.where(self.periodic, numbers, origins + scales * jax.nn.sigmoid(numbers))
+
+    def require_bounds(self) -> None:
+        """Refuse numbers that are neither angles nor bounded.
+
+        Raises:
+            ParameterError: naming the number.
+        """
+        for path, period, (low, high) in zip(self.paths, self.periods, self.bounds, strict=True):
+            if period is None and not (math.isfinite(low) and math.isfinite(high) and high > low):
+                raise ParameterError(f"bounds of {path}", (low, high), "must be finite, lowest first")
 
 
-def pick(scene: Scene, where: Where, bounds: Mapping[str, tuple[float, float]] | None = None) -> Free:
-    """Free leaves by their paths.
+def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
+    """Free numbers by their paths, or by a function of the scene that returns its leaves.
 
     Args:
         scene: the scene.
-        where: one path or several.
+        where: one path, several, or ``lambda scene: scene.errors["planet_1"].phase`` (or a list of such leaves).
         bounds: narrower bounds than the declared ones, by path, in SI.
 
     Raises:
         ParameterError: a path leads nowhere, or not to one number; the nearest path is named.
     """
-    paths = (where,) if isinstance(where, str) else tuple(where)
     known = numbers(scene)
+    paths = _paths(scene, where, known)
+    for path in bounds or {}:
+        if path not in paths:
+            raise ParameterError(f"bounds of {path}", (bounds or {})[path], f"is not free; {nearest(path, paths)}")
     periods, limits = [], []
     for path in paths:
         if path not in known:
@@ -60,7 +123,21 @@ def pick(scene: Scene, where: Where, bounds: Mapping[str, tuple[float, float]] |
         parameter = known[path]
         periods.append(2 * math.pi if parameter.periodic else None)
         limits.append((bounds or {}).get(path, parameter.range))
+    if not paths:
+        raise ParameterError("where", (), f"names no number; valid: {', '.join(known)}")
     return Free(paths, tuple(periods), tuple(limits))
+
+
+def _paths(scene: Scene, where: Where, known: Mapping[str, Parameter]) -> tuple[str, ...]:
+    if isinstance(where, str):
+        return (where,)
+    if not callable(where):
+        return tuple(where)
+    leaves = jax.tree.leaves(where(scene))
+    found = [path for leaf in leaves for path in known if _leaf(scene, _split(path)[0]) is leaf]
+    if len({_split(path)[0] for path in found}) < len(leaves):
+        raise ParameterError("where", where, "must return numbers of the scene that is passed to it")
+    return tuple(found)
 
 
 def numbers(scene: Scene) -> dict[str, Parameter]:
@@ -76,15 +153,46 @@ def numbers(scene: Scene) -> dict[str, Parameter]:
                 value = getattr(part, name)
                 if isinstance(value, jax.Array) and value.ndim == 0:
                     found[f"{path}.{name}"] = parameter
+                elif isinstance(value, jax.Array) and value.ndim == 1:
+                    found.update({f"{path}.{name}[{index}]": parameter for index in range(value.shape[0])})
 
-    for slot in ("system", "errors", "backlash", "compliance", "inertia", "damping", "load", "contact"):
+    for slot in PARTS:
         visit(slot, getattr(scene, slot))
     return found
 
 
+def probed(scene: Scene, free: Free) -> Scene:
+    """The scene with small numbers in place of zeros beside the free ones, such as the amplitude of a free phase.
+
+    A number whose neighbour is zero has no influence now, but it is modelled.
+    """
+    owners = {path.rpartition(".")[0] for path in free.paths}
+    zeros = [
+        path
+        for path in numbers(scene)
+        if path.rpartition(".")[0] in owners and path not in free.paths and float(_number(scene, path)) == 0.0
+    ]
+    if not zeros:
+        return scene
+    beside = pick(scene, zeros)
+    return beside.set(scene, jnp.full((len(zeros),), _PROBE, scene.dtype))
+
+
+def _split(path: str) -> tuple[str, int | None]:
+    """Path of a leaf, and the place in it."""
+    match = re.fullmatch(r"(.*)\[(\d+)\]", path)
+    return (match[1], int(match[2])) if match else (path, None)
+
+
 def _leaf(scene: Any, path: str) -> Any:
-    """The number that a path leads to."""
+    """The leaf that a path leads to."""
     part: Any = scene
     for step in path.split("."):
         part = part[step] if isinstance(part, Mapping) else getattr(part, step)
     return part
+
+
+def _number(scene: Any, path: str) -> Array:
+    leaf, index = _split(path)
+    found = _leaf(scene, leaf)
+    return found if index is None else found[index]

@@ -1,9 +1,10 @@
-"""Grid search of the no-load transmission error, by its structure.
+"""Grids of the no-load transmission error, by its structure.
 
 The gaps are sums of contributions of single errors, so a grid over numbers of errors needs sines once per axis, level
 and time: ``te_i(t) = base_i(t) + sum_axis table_axis[level, t, i]``. The highest value over time of the largest pair is
 the largest of the pairs' own highest values; only the lowest one, ``min_t max_i te_i``, needs every combination.
-Axes that several pairs feel are walked outside, axes that one pair feels form the inner outer product.
+Axes that several pairs feel are walked outside, axes that one pair feels form the inner outer product. The walk is
+spread over the local devices.
 
 Certified minimum: any subset of times bounds the amplitude from below, so combinations whose bound exceeds an amplitude
 already reached are out; the rest is evaluated on all times.
@@ -16,12 +17,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 
 from gearjax.scene import Scene
 from gearjax.studies.select import Free
 from gearjax.typing import Array, Float
 
 BLOCK = 32  # times written out in the inner loop
+COARSE, MEDIUM = 16, 256  # times of the bound of the lowest and of the highest value
+SURVIVORS = 512  # combinations evaluated at once
 
 
 class Tables(NamedTuple):
@@ -35,6 +39,11 @@ class Tables(NamedTuple):
     base: Float[Array, "time pair"]
     axes: tuple[Float[Array, "level time pair"], ...]
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Levels of each axis."""
+        return tuple(axis.shape[0] for axis in self.axes)
+
 
 def is_separable(free: Free) -> bool:
     """Whether every free number belongs to an error of its own."""
@@ -42,8 +51,9 @@ def is_separable(free: Free) -> bool:
     return all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
 
 
-def tables(scene: Scene, free: Free, levels: tuple[np.ndarray, ...], theta: Float[Array, " time"]) -> Tables:
-    """The tables of a scene; only its hard no-load TE is separable."""
+@eqx.filter_jit
+def tables(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Array, " time"]) -> Tables:
+    """The tables of a scene over the levels of its free numbers; only its hard no-load TE is separable."""
 
     def each(scene: Scene) -> Float[Array, "time pair"]:
         def at(angle):
@@ -52,20 +62,21 @@ def tables(scene: Scene, free: Free, levels: tuple[np.ndarray, ...], theta: Floa
 
         return jax.vmap(at)(theta)
 
+    scene = scene.physics()
     owners = [path.split(".")[1] for path in free.paths]
     ideal = eqx.tree_at(lambda s: s.errors, scene, {})
     rest = {key: error for key, error in scene.errors.items() if key not in owners}
     zero = each(ideal)
     base = each(eqx.tree_at(lambda s: s.errors, scene, rest)) if rest else zero
 
-    def alone(path: str, owner: str, levels: np.ndarray) -> Float[Array, "level time pair"]:
+    def alone(path: str, owner: str, levels: Array) -> Float[Array, "level time pair"]:
         name = path.split(".")[2]
 
         def one(level):
             error = eqx.tree_at(lambda e: getattr(e, name), scene.errors[owner], level)
             return each(eqx.tree_at(lambda s: s.errors, scene, {owner: error})) - zero
 
-        return jax.vmap(one)(jnp.asarray(levels, theta.dtype))
+        return jax.vmap(one)(levels)
 
     return Tables(base, tuple(alone(*item) for item in zip(free.paths, owners, levels, strict=True)))
 
@@ -76,10 +87,15 @@ class Plan(NamedTuple):
     outer: tuple[int, ...]
     inner: tuple[tuple[int, ...], ...]  # per pair
 
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """All axes in the order of the walk."""
+        return (*self.outer, *(axis for inner in self.inner for axis in inner))
+
 
 def plan(tables: Tables) -> Plan:
     """Axes that one pair feels are inner, axes that several feel are outer."""
-    felt = [np.asarray(jnp.abs(axis).max(axis=(0, 1)) > 0) for axis in tables.axes]
+    felt = [np.any(np.asarray(axis), axis=(0, 1)) for axis in tables.axes]
     inner = tuple(
         tuple(a for a, pairs in enumerate(felt) if pairs.sum() == 1 and pairs[i]) for i in range(tables.base.shape[1])
     )
@@ -99,8 +115,13 @@ class Grid(NamedTuple):
     outer: Float[Array, "outer time pair"]
 
 
-def lay_out(tables: Tables, plan: Plan, times: np.ndarray) -> Grid:
-    """The grid at some of the times."""
+@functools.partial(jax.jit, static_argnames=("plan", "number"))
+def lay_out(tables: Tables, plan: Plan, number: int) -> Grid:
+    """The grid at some of the times, evenly spread; the last one is repeated to fill up blocks."""
+    size = tables.base.shape[0]
+    times = np.linspace(0, size - 1, min(number, size)).round().astype(int)
+    block = min(BLOCK, len(times))
+    times = np.concatenate([times, np.repeat(times[-1:], -len(times) % block)])
     base = tables.base[times]
     axes = [axis[:, times] for axis in tables.axes]
 
@@ -114,35 +135,56 @@ def lay_out(tables: Tables, plan: Plan, times: np.ndarray) -> Grid:
     return Grid(own, combined(plan.outer))
 
 
-@jax.jit
-def lowest(grid: Grid) -> Float[Array, "outer ..."]:
-    """``min_t max_i te_i`` of every combination, shape (outer, inner of pair 1, inner of pair 2, ...)."""
-    missing = -grid.own[0].shape[0] % BLOCK
-    own = [jnp.concatenate([curve, jnp.repeat(curve[-1:], missing, axis=0)]) for curve in grid.own]
+def walk_lowest(own: tuple[Array, ...], shift: Float[Array, "time pair"]) -> Float[Array, "..."]:
+    """``min_t max_i te_i`` of one outer combination, shape (inner of pair 1, inner of pair 2, ...)."""
     sizes = tuple(curve.shape[1] for curve in own)
+    block = min(BLOCK, shift.shape[0])
+    rows = [(curve + shift[:, i, None]).reshape(-1, block, sizes[i]) for i, curve in enumerate(own)]
 
-    def walk(shift: Float[Array, "time pair"]) -> Float[Array, "..."]:
-        shift = jnp.concatenate([shift, jnp.repeat(shift[-1:], missing, axis=0)])
-        rows = [(curve + shift[:, i, None]).reshape(-1, BLOCK, sizes[i]) for i, curve in enumerate(own)]
+    def several(low, rows):
+        for time in range(block):
+            low = jnp.minimum(low, _largest([row[time] for row in rows]))
+        return low, None
 
-        def block(low, rows):
-            for time in range(BLOCK):
-                low = jnp.minimum(low, _largest([row[time] for row in rows]))
-            return low, None
-
-        return jax.lax.scan(block, jnp.full(sizes, jnp.inf, shift.dtype), rows)[0]
-
-    return jax.lax.map(walk, grid.outer)
+    return jax.lax.scan(several, jnp.full(sizes, jnp.inf, shift.dtype), rows)[0]
 
 
-@jax.jit
-def highest(grid: Grid) -> Float[Array, "outer ..."]:
-    """``max_t max_i te_i`` of every combination: the largest of the pairs' own, same shape as `lowest`."""
+def walk_highest(own: tuple[Array, ...], shift: Float[Array, "time pair"]) -> Float[Array, "..."]:
+    """``max_t max_i te_i`` of one outer combination: the largest of the pairs' own, same shape."""
+    return _largest([(curve + shift[:, i, None]).max(axis=0) for i, curve in enumerate(own)])
 
-    def walk(shift: Float[Array, "time pair"]) -> Float[Array, "..."]:
-        return _largest([(curve + shift[:, i, None]).max(axis=0) for i, curve in enumerate(grid.own)])
 
-    return jax.lax.map(walk, grid.outer)
+def score(low: Array, high: Array, spread: bool) -> Array:
+    """Peak-to-peak or amplitude from the lowest and the highest value."""
+    return high - low if spread else jnp.maximum(high, -low)
+
+
+@functools.partial(jax.jit, static_argnames="spread")
+def sweep(lowest: Grid, highest: Grid, spread: bool) -> tuple[Float[Array, "outer ..."], Float[Array, " outer"]]:
+    """Score of every combination at the times of two grids, and the least one of each outer combination.
+
+    Args:
+        lowest, highest: grids whose times the lowest and the highest values count.
+        spread: peak-to-peak instead of amplitude.
+    """
+    devices = jax.local_devices()
+    missing = -lowest.outer.shape[0] % len(devices)
+    shifts = tuple(jnp.concatenate([g.outer, g.outer[:missing]]) for g in (lowest, highest))
+
+    def part(shifts, curves):
+        def one(shift):
+            found = score(walk_lowest(curves[0], shift[0]), walk_highest(curves[1], shift[1]), spread)
+            return found, found.min()
+
+        return jax.lax.map(one, shifts)
+
+    along = PartitionSpec("outer")
+    spread_out = jax.shard_map(
+        part, mesh=Mesh(devices, ("outer",)), in_specs=(along, PartitionSpec()), out_specs=along, check_vma=False
+    )
+    scores, least = spread_out(shifts, (lowest.own, highest.own))
+    count = lowest.outer.shape[0]
+    return scores[:count], least[:count]
 
 
 def _largest(rows: list[Array]) -> Float[Array, "..."]:
@@ -153,15 +195,69 @@ def _largest(rows: list[Array]) -> Float[Array, "..."]:
     )
 
 
-@jax.jit
-def range_at(tables: Tables, levels: tuple[Array, ...]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Lowest and highest no-load TE over all times of single combinations, given the level of each axis, (n,) each."""
+def scores_at(tables: Tables, plan: Plan, flat: np.ndarray, spread: bool) -> np.ndarray:
+    """Scores over all times of single combinations, given by their number in the order of the walk, shape (n,)."""
+    blocks = -(-len(flat) // SURVIVORS)
+    padded = np.concatenate([flat, np.repeat(flat[-1:], blocks * SURVIVORS - len(flat))])
+    found = [
+        np.asarray(_scores_at(tables, levels_of(part, plan, tables.shape), spread)) for part in np.split(padded, blocks)
+    ]
+    return np.concatenate(found)[: len(flat)]
 
+
+@functools.partial(jax.jit, static_argnames="spread")
+def _scores_at(tables: Tables, levels: tuple[Array, ...], spread: bool) -> Float[Array, " n"]:
     def one(levels):
         curve = tables.base
         for axis, level in zip(tables.axes, levels, strict=True):
             curve = curve + axis[level]
         te = curve.max(axis=1)
-        return te.min(), te.max()
+        return score(te.min(), te.max(), spread)
 
-    return jax.lax.map(one, levels, batch_size=64)
+    return jax.lax.map(one, levels, batch_size=16)
+
+
+def levels_of(flat: np.ndarray, plan: Plan, shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    """Level of each axis from the number of a combination in the order of the walk."""
+    found = np.unravel_index(flat, tuple(shape[axis] for axis in plan.axes))
+    by_axis = dict(zip(plan.axes, found, strict=True))
+    return tuple(by_axis[axis] for axis in range(len(shape)))
+
+
+class Best(NamedTuple):
+    """Combinations that may be among the best, by their scores over all times, best first.
+
+    Args:
+        flat: their numbers in the order of the walk.
+        scores: their scores.
+        evaluated: how many combinations were evaluated on all times.
+    """
+
+    flat: np.ndarray
+    scores: np.ndarray
+    evaluated: int
+
+
+def certified(tables: Tables, plan: Plan, *, spread: bool, keep: int, reach=None) -> Best:
+    """All combinations whose score may be among the best: bound, prune, evaluate the survivors on all times.
+
+    Args:
+        tables, plan: the grid.
+        spread: peak-to-peak instead of amplitude.
+        keep: number of best combinations.
+        reach: from combinations to objectives that are at least their scores; the ``keep`` best ones by score are
+            asked, and whatever is bounded above the worst of their objectives is out. Without, the scores.
+    """
+    lower, least = (np.asarray(x) for x in sweep(*(lay_out(tables, plan, n) for n in (COARSE, MEDIUM)), spread))
+    inner = lower[0].size
+    outers = np.argsort(least, kind="stable")[: 8 * keep]
+    candidates = outers * inner + lower[outers].reshape(len(outers), -1).argmin(axis=1)
+    if len(candidates) < keep:
+        candidates = np.argsort(lower, axis=None, kind="stable")[: 8 * keep]
+    first = scores_at(tables, plan, candidates, spread)
+    chosen = np.argsort(first, kind="stable")[:keep]
+    reached = (first[chosen] if reach is None else reach(candidates[chosen])).max()
+    survivors = np.flatnonzero(lower <= reached * (1 + 1e-12))  # the walk rounds otherwise than the judge
+    values = scores_at(tables, plan, survivors, spread)
+    order = np.argsort(values, kind="stable")
+    return Best(survivors[order], values[order], int(survivors.size))

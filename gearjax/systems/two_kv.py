@@ -112,12 +112,14 @@ class TwoKV(AbstractSystem):
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
         order = self.orders["crank" if body == "output_wheel" else "planet"]
-        angle = order * theta - float(flank) * self.working_pressure_angle
+        line = -float(flank) * self.working_pressure_angle
         if body.startswith("planet_"):
             own = jnp.arange(self.planets) == int(body.removeprefix("planet_")) - 1
-            return BodyView(jnp.broadcast_to(angle, (self.planets,)), -float(flank) * own.astype(angle.dtype))
-        place = jnp.arange(self.planets, dtype=angle.dtype) * (2 * math.pi / self.planets)
-        return BodyView(angle - place, jnp.full((self.planets,), -float(flank), angle.dtype))
+            place, share = jnp.broadcast_to(line, (self.planets,)), own.astype(line.dtype)
+        else:
+            place = line - jnp.arange(self.planets, dtype=line.dtype) * (2 * math.pi / self.planets)
+            share = jnp.ones((self.planets,), line.dtype)
+        return BodyView(order * theta, place, -float(flank) * share)
 
     def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
         return jnp.broadcast_to(self.orders["mesh"] * theta, (self.planets,))

@@ -1,4 +1,4 @@
-"""Figures. Angles are drawn in arcmin, forces in N, times in seconds."""
+"""Figures of a run."""
 
 from pathlib import Path
 
@@ -7,44 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gearjax.analysis import Motion, TransmissionError, order_spectrum
-from gearjax.checks import GearjaxError
+from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.results import Case, required_run
 from gearjax.scene import Scene
-from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
-
-MOST_POINTS = 20_000  # drawn per curve
-
-
-def thin(*arrays: ArrayLike) -> tuple[np.ndarray, ...]:
-    """Every k-th sample, so that no curve has more than `MOST_POINTS`."""
-    drawn = [np.asarray(array) for array in arrays]
-    every = max(1, len(drawn[0]) // MOST_POINTS)
-    return tuple(array[::every] for array in drawn)
-
-
-def new_figure(
-    rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.2
-) -> tuple[Figure, list[Axes]]:
-    """A figure with a column of axes, apart from any interactive window."""
-    figure = Figure(figsize=(width, height * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
-    return figure, [ax for row in axes for ax in row]
-
-
-def draw_curve(ax: Axes, time: ArrayLike, angle: ArrayLike, label: str, **style) -> None:
-    """An angle [rad] over time [s], in arcmin."""
-    time, angle = thin(time, angle)
-    ax.plot(time, angle / arcmin, label=label, linewidth=style.pop("linewidth", 1.0), **style)
-
-
-def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission error [arcmin]") -> None:
-    """Title, labels, grid and legend."""
-    ax.set(title=title, xlabel=x, ylabel=y)
-    ax.grid(alpha=0.3)
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.005, 1.0), borderaxespad=0.0, frameon=False)
-    ax.margins(x=0.01)
 
 
 def error_figure(scene: Scene, cases: list[Case]) -> Figure:
@@ -150,12 +116,4 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "contact_forces.png": force_figure(scene, cases),
         "order_spectrum.png": spectrum_figure(scene, cases),
     }
-    paths = []
-    for name, figure in figures.items():
-        if figure is not None:
-            try:
-                figure.savefig(folder / name, dpi=130)
-            except OSError as fault:
-                raise GearjaxError(f"--out {folder / name}: cannot be written ({fault.strerror or fault})") from fault
-            paths.append(folder / name)
-    return paths
+    return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]

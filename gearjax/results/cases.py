@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
-from gearjax.analysis.dynamics import LONGEST_STEP, fastest_rate
+from gearjax.analysis import Backlash, Motion, TransmissionError, backlash, simulate, transmission_error
+from gearjax.analysis.dynamics import suitable_step
 from gearjax.checks import GearjaxError, SceneError
 from gearjax.scene import Published, Run, Scene
 from gearjax.units import arcmin
 
 METRICS = ("peak_to_peak", "amplitude", "mean", "std")
-MOST_STEPS = 1_000_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,21 +80,6 @@ def remarks(scene: Scene) -> list[str]:
             f"only {per_turn:.3g} samples per turn of the fastest error: extremes may be missed, raise run.samples"
         )
     return found
-
-
-def suitable_step(scene: Scene, duration: float) -> FixedStep:
-    """Steps that resolve the fastest motion of the scene.
-
-    Raises:
-        SceneError: the record would need more than `MOST_STEPS` steps.
-    """
-    step = min(4e-5, 0.4 * LONGEST_STEP / float(fastest_rate(scene)))
-    if duration / step > MOST_STEPS:
-        raise SceneError(
-            f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow its "
-            f"fastest motion, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
-        )
-    return FixedStep(step)
 
 
 def run_cases(scene: Scene) -> Iterator[Case]:

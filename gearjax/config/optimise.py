@@ -1,0 +1,167 @@
+"""The optimise section: which numbers are free, what is minimised, and how it is searched."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+
+from gearjax import units
+from gearjax.checks import MISSING, ParameterError, SceneError, nearest
+from gearjax.config.quantities import read_plain, read_quantity
+from gearjax.parameters import Parameter
+from gearjax.scene import Scene
+from gearjax.studies import Objective, Term
+from gearjax.studies.objective import NAMES
+from gearjax.studies.select import numbers, pick
+
+MOST_STARTS = 1_000_000
+_KEYS = ("objective", "torque", "order", "where", "grid_step", "bounds", "starts", "window", "seed")
+_TERM_KEYS = ("name", "torque", "weight", "order")
+
+
+@dataclasses.dataclass(frozen=True)
+class OptimiseSection:
+    """What ``gearjax optimise`` does.
+
+    Args:
+        objective: what is minimised, over its window.
+        window: length of the window [s].
+        where: paths of the free numbers.
+        grid_step: spacing of the grid by path, SI; empty for no grid.
+        bounds: by path, SI.
+        starts: number of starts of the gradient search.
+        seed: of the random starts.
+    """
+
+    objective: Objective
+    window: float
+    where: tuple[str, ...]
+    grid_step: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
+    starts: int
+    seed: int
+
+
+def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
+    """The optimise section of a configuration.
+
+    Raises:
+        ParameterError: a value is wrong.
+        SceneError: the scene has no run section to take the window from.
+    """
+    for key in table:
+        if key not in _KEYS:
+            raise ParameterError(f"optimise.{key}", table[key], f"unknown key; {nearest(key, _KEYS)}")
+    where = _where(table.get("where", MISSING), scene)
+    known = numbers(scene)
+    bounds = {path: _bounds(path, pair, known[path]) for path, pair in _by_path(table, "bounds", where, {}).items()}
+    steps = table.get("grid_step", {})
+    if not isinstance(steps, dict):
+        steps = dict.fromkeys(where, steps)
+    elif steps and set(steps) != set(where):
+        missing = next(iter(set(where) - set(steps)), next(iter(steps)))
+        raise ParameterError(f"optimise.grid_step.{missing}", steps.get(missing, MISSING), "give one step per number")
+    grid_step = {path: _number(f"optimise.grid_step.{path}", step, known[path]) for path, step in steps.items()}
+    for path, step in grid_step.items():
+        if step <= 0:
+            raise ParameterError(f"optimise.grid_step.{path}", steps[path], "must be above 0")
+    pick(scene, where, bounds).require_bounds()
+    objective, window = _objective(table, scene)
+    starts = _whole("starts", table.get("starts", 300), 1, MOST_STARTS)
+    seed = _whole("seed", table.get("seed", 0), 0, 2**31 - 1)
+    return OptimiseSection(objective, window, where, grid_step, bounds, starts, seed)
+
+
+def _where(given: Any, scene: Scene) -> tuple[str, ...]:
+    known = numbers(scene)
+    if not isinstance(given, list) or not given:
+        raise ParameterError("optimise.where", given, 'must be a list of paths such as "errors.planet_1.phase"')
+    for path in given:
+        if path not in known:
+            raise ParameterError("optimise.where", path, f"no number of this scene; {nearest(path, known)}")
+        if given.count(path) > 1:
+            raise ParameterError("optimise.where", path, "is listed twice")
+    return tuple(given)
+
+
+def _by_path(table: dict[str, Any], key: str, where: tuple[str, ...], default: Any) -> dict[str, Any]:
+    found = table.get(key, default)
+    if not isinstance(found, dict):
+        raise ParameterError(f"optimise.{key}", found, f"must be a section: [optimise.{key}]")
+    for path in found:
+        if path not in where:
+            raise ParameterError(f"optimise.{key}.{path}", found[path], f"is not free; {nearest(path, where)}")
+    return found
+
+
+def _bounds(path: str, pair: Any, parameter: Parameter) -> tuple[float, float]:
+    key = f"optimise.bounds.{path}"
+    if not isinstance(pair, list) or len(pair) != 2:
+        raise ParameterError(key, pair, "must be a pair: lowest, highest")
+    low, high = (_number(key, value, parameter) for value in pair)
+    if not low < high:
+        raise ParameterError(key, pair, "must have the lowest first")
+    for value, given in zip((low, high), pair, strict=True):
+        if not parameter.holds(value):
+            raise ParameterError(key, given, f"must be {parameter.allowed()}")
+    return low, high
+
+
+def _number(key: str, given: Any, parameter: Parameter) -> float:
+    assert parameter.dimension is not None
+    if parameter.dimension is units.RATIO:
+        return read_plain(key, given)
+    return read_quantity(key, given, parameter.dimension)
+
+
+def _whole(key: str, given: Any, low: int, high: int) -> int:
+    if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
+        raise ParameterError(f"optimise.{key}", given, f"must be a whole number from {low} to {high}")
+    return given
+
+
+def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
+    given = table.get("objective", MISSING)
+    if isinstance(given, list):
+        terms = tuple(_term(f"optimise.objective[{i}]", term) for i, term in enumerate(given))
+        if not terms or "torque" in table or "order" in table:
+            raise ParameterError("optimise.objective", given, "needs terms, each with its own torque and order")
+    else:
+        term = {"name": given} | {key: table[key] for key in ("torque", "order") if key in table}
+        terms = (_term("optimise.objective", term),)
+    run = scene.run
+    if run is None:
+        raise SceneError("optimise: the configuration has no [run]: list duration, samples and analyses")
+    window = run.duration
+    if "window" in table:
+        window = read_quantity("optimise.window", table["window"], units.TIME)
+        if not 0 < window <= 1e9:
+            raise ParameterError("optimise.window", table["window"], "must be above 0 s and at most 1e9 s")
+    samples = max(2, round((run.samples - 1) * window / run.duration) + 1)
+    if samples > 10_000_000:
+        raise ParameterError("optimise.window", table.get("window"), f"has {samples} samples, more than 1e7")
+    theta = scene.system.input_speed * jnp.linspace(0.0, window, samples)
+    try:
+        return Objective.of(terms, scene, theta), window
+    except ParameterError as fault:
+        raise ParameterError(f"optimise.{fault.key}", fault.given, fault.right) from fault
+
+
+def _term(path: str, given: Any) -> Term:
+    if not isinstance(given, dict):
+        raise ParameterError(path, given, 'must be a name, or tables such as { name = "no_load_std", weight = 2.0 }')
+    for key in given:
+        if key not in _TERM_KEYS:
+            raise ParameterError(f"{path}.{key}", given[key], f"unknown key; {nearest(key, _TERM_KEYS)}")
+    name = given.get("name", MISSING)
+    if name not in NAMES:
+        raise ParameterError(path, name, nearest(name, NAMES))
+    weight = read_plain(f"{path}.weight", given.get("weight", 1.0))
+    torque = read_quantity(f"{path}.torque", given["torque"], units.TORQUE) if "torque" in given else None
+    order = given.get("order")
+    if order is not None and not isinstance(order, str):
+        order = read_plain(f"{path}.order", order)
+    try:
+        return Term(name, torque, weight, order)
+    except ParameterError as fault:
+        raise ParameterError(path, fault.given, fault.right) from fault

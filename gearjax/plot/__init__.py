@@ -1,0 +1,19 @@
+"""Figures of a run and of an optimisation."""
+
+from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
+from gearjax.plot.optimisation import save_optimisation_figures
+from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
+
+__all__ = [
+    "draw_curve",
+    "error_figure",
+    "finish",
+    "force_figure",
+    "mark_multiples",
+    "new_figure",
+    "save_figure",
+    "save_figures",
+    "save_optimisation_figures",
+    "spectrum_figure",
+    "thin",
+]

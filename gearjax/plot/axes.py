@@ -1,0 +1,58 @@
+"""Axes that all figures share. Angles are drawn in arcmin, forces in N, times in seconds."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gearjax.checks import GearjaxError
+from gearjax.typing import ArrayLike
+from gearjax.units import arcmin
+
+MOST_POINTS = 20_000  # drawn per curve
+
+
+def thin(*arrays: ArrayLike) -> tuple[np.ndarray, ...]:
+    """Every k-th sample, so that no curve has more than `MOST_POINTS`."""
+    drawn = [np.asarray(array) for array in arrays]
+    every = max(1, len(drawn[0]) // MOST_POINTS)
+    return tuple(array[::every] for array in drawn)
+
+
+def new_figure(
+    rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.2
+) -> tuple[Figure, list[Axes]]:
+    """A figure with a column of axes, apart from any interactive window."""
+    figure = Figure(figsize=(width, height * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    return figure, [ax for row in axes for ax in row]
+
+
+def draw_curve(ax: Axes, time: ArrayLike, angle: ArrayLike, label: str, **style) -> None:
+    """An angle [rad] over time [s], in arcmin."""
+    time, angle = thin(time, angle)
+    ax.plot(time, angle / arcmin, label=label, linewidth=style.pop("linewidth", 1.0), **style)
+
+
+def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission error [arcmin]") -> None:
+    """Title, labels, grid and legend."""
+    ax.set(title=title, xlabel=x, ylabel=y)
+    ax.grid(alpha=0.3)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.005, 1.0), borderaxespad=0.0, frameon=False)
+    ax.margins(x=0.01)
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG.
+
+    Raises:
+        GearjaxError: the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=130)
+    except OSError as fault:
+        raise GearjaxError(f"--out {path}: cannot be written ({fault.strerror or fault})") from fault
+    return path

@@ -1,0 +1,160 @@
+"""Figures of an optimisation: the scene before and after, and the search itself."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gearjax.analysis import order_spectrum
+from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure
+from gearjax.results import Case, Optimisation, required_run
+from gearjax.units import arcmin
+
+COLOURS = {"before": "0.55", "grid": "tab:blue", "after": "tab:red"}
+
+
+def before_after_figure(found: Optimisation) -> Figure:
+    """Curve and order spectrum of every case, before and after (figs. 14-16 of Wang et al. 2020)."""
+    count = len(found.cases["before"])
+    figure, axes = new_figure(count, 2, width=13.0, height=2.5)
+    for row in range(count):
+        cases = {stage: found.cases[stage][row] for stage in ("before", "after")}
+        _curves(axes[2 * row], found, cases)
+        _spectra(axes[2 * row + 1], found, cases)
+    return figure
+
+
+def _curves(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
+    run = required_run(found.scene)
+    time = np.linspace(0.0, run.duration, run.samples)
+    for stage, case in cases.items():
+        spread = case.metrics["peak_to_peak"] / arcmin
+        draw_curve(ax, time, case.record, f"{stage}: p-p {spread:.3f}", linewidth=0.8, color=COLOURS[stage])
+    case = cases["before"]
+    dynamic = case.analysis == "dynamic"
+    if dynamic and run.settle:
+        settled = np.concatenate([c.record[time >= run.settle] for c in cases.values()]) / arcmin
+        room = 0.08 * np.ptp(settled)
+        ax.set_ylim(settled.min() - room, settled.max() + room)
+    finish(ax, case.title, y="backlash [arcmin]" if case.analysis == "backlash" else "TE [arcmin]")
+    ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
+
+
+def _spectra(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
+    scene = found.scene
+    run, orders = required_run(scene), scene.system.orders
+    theta = np.linspace(0.0, run.duration, run.samples) * float(scene.system.input_speed)
+    turn = 2 * np.pi / orders["output"]
+    dynamic = cases["before"].analysis == "dynamic"
+    start = int(np.searchsorted(theta, run.settle * float(scene.system.input_speed))) if dynamic else 0
+    fastest = max(order for name, order in orders.items() if name != "mesh")
+    for stage, case in cases.items():
+        spectrum = order_spectrum(case.record[start:], theta[start:], turn=turn, window="hann")
+        ax.semilogy(
+            spectrum.order, np.asarray(spectrum.amplitude) / arcmin, label=stage, linewidth=0.9, color=COLOURS[stage]
+        )
+    highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)
+    ax.set_xlim(0, min(6 * fastest / orders["output"], highest))
+    top = ax.get_ylim()[1]
+    ax.set_ylim(1e-5 * top, 2 * top)
+    finish(ax, f"{cases['before'].title}: spectrum", x="order [cycles per turn of the output]", y="amplitude [arcmin]")
+    ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
+
+
+def search_figure(found: Optimisation) -> Figure:
+    """Where the starts ended, how they came there, and what assembly errors cost."""
+    figure, axes = new_figure(2, 2, width=12.0, height=3.6)
+    _ends(axes[0], found)
+    _history(axes[1], found)
+    _directions(axes[2], found)
+    _deviations(axes[3], found)
+    return figure
+
+
+def _reference_lines(ax: Axes, found: Optimisation) -> None:
+    ax.axhline(found.before / arcmin, label="before", linestyle="--", linewidth=0.9, color=COLOURS["before"])
+    if found.grid is not None:
+        ax.axhline(found.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
+
+
+def _ends(ax: Axes, found: Optimisation) -> None:
+    search = found.gradient
+    good = np.isfinite(search.objectives)
+    order = np.argsort(search.objectives[good])
+    heights, valleys = search.objectives[good][order] / arcmin, search.valley[good][order]
+    place = np.arange(1, heights.size + 1)
+    for valley in list(dict.fromkeys(valleys.tolist()))[:5]:
+        mine = valleys == valley
+        label = f"valley {valley + 1}: {mine.sum()} starts"
+        ax.plot(place[mine], heights[mine], ".", markersize=5, label=label)
+    _reference_lines(ax, found)
+    objective = found.section.objective.name.replace("_", " ")
+    finish(ax, f"End points of {len(search.starts)} starts, best first", x="start [-]", y=f"{objective} [arcmin]")
+    ax.legend(fontsize="small", loc="best", framealpha=0.8)
+
+
+def _history(ax: Axes, found: Optimisation) -> None:
+    history = found.gradient.history[np.isfinite(found.gradient.objectives)] / arcmin
+    steps = np.arange(history.shape[1])
+    low, middle, high = np.quantile(history, [0.1, 0.5, 0.9], axis=0)
+    ax.fill_between(steps, low, high, alpha=0.25, color="tab:red", label="10 to 90 % of the starts")
+    ax.plot(steps, middle, color="tab:red", linewidth=1.2, label="median")
+    ax.plot(steps, np.fmin.reduce(history, axis=0), color="black", linewidth=0.9, label="best")
+    _reference_lines(ax, found)
+    finish(
+        ax,
+        "Objective on the way: smoothed, then polished",
+        x="evaluations of objective and gradient per start [-]",
+        y="objective [arcmin]",
+    )
+    ax.legend(fontsize="small", loc="best", framealpha=0.8)
+
+
+def _directions(ax: Axes, found: Optimisation) -> None:
+    around = found.sensitivity
+    names = [_short(path) for path in around.paths]
+    width = 0.8 / len(names)
+    place = np.arange(len(around.rises))
+    for index, name in enumerate(names):
+        ax.bar(place + (index + 0.5) * width - 0.4, around.directions[:, index], width, label=name)
+    costs = [
+        f"{100 * rise:+.1f} %" + ("\nflat" if flat else "")
+        for rise, flat in zip(around.rises, around.flat, strict=True)
+    ]
+    ax.set_xticks(place, costs)
+    finish(ax, "Directions of curvature", x="cost of 10 deg along the direction", y="share of each number [-]")
+    ax.legend(fontsize="small", loc="best", framealpha=0.8)
+
+
+def _deviations(ax: Axes, found: Optimisation) -> None:
+    around = found.sensitivity
+    names = [_short(path) for path in around.paths]
+    place = np.arange(len(names) + 2)
+    width = 0.8 / len(around.deviations)
+    for index, deviation in enumerate(np.rad2deg(around.deviations)):
+        single = around.single[index].max(axis=1)
+        heights = np.array([*single, around.mean[index], around.worst[index]]) / arcmin
+        ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"off by {deviation:g} deg")
+    ax.axhline(around.objective / arcmin, color="black", linewidth=0.9, label="as optimised")
+    if found.grid is not None:
+        ax.axhline(found.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
+    ax.set_xticks(place, [*names, "all: mean", "all: worst"], rotation=20, ha="right", fontsize="small")
+    finish(ax, "What assembly errors cost", x="which number is off", y="objective [arcmin]")
+    ax.legend(fontsize="small", loc="best", framealpha=0.8)
+
+
+def _short(path: str) -> str:
+    """``planet_1`` for the phase of planet_1, the path without its section else."""
+    parts = path.split(".")[1:]
+    return parts[0] if parts[-1] == "phase" else ".".join(parts)
+
+
+def save_optimisation_figures(found: Optimisation, folder: Path) -> list[Path]:
+    """Write ``before_after.png`` and ``search.png``.
+
+    Raises:
+        GearjaxError: a file cannot be written.
+    """
+    figures = {"before_after.png": before_after_figure(found), "search.png": search_figure(found)}
+    return [save_figure(figure, folder / name) for name, figure in figures.items()]

@@ -1,0 +1,197 @@
+"""What ``gearjax optimise`` finds: grid and gradients side by side, and the scene before and after."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import GearjaxError
+from gearjax.config.optimise import OptimiseSection
+from gearjax.parameters import Parameter
+from gearjax.results.cases import METRICS, Case, run_cases
+from gearjax.scene import Scene
+from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
+from gearjax.studies.select import numbers, pick
+from gearjax.studies.values import values
+from gearjax.units import arcmin
+
+Progress = Callable[[str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Optimisation:
+    """Both searches and what they are worth.
+
+    Args:
+        section: what was asked for.
+        scene: the scene before.
+        before: the objective of the scene as it was [rad].
+        grid: the grid search, ``None`` where no step was given.
+        gradient: the search by gradients.
+        sensitivity: around the best point.
+        cases: analyses of the run section by stage: ``before``, ``grid`` and ``after`` (the best of both searches).
+    """
+
+    section: OptimiseSection
+    scene: Scene
+    before: float
+    grid: GridSearch | None
+    gradient: Minimisation
+    sensitivity: LocalSensitivity
+    cases: dict[str, list[Case]]
+
+    @property
+    def best(self) -> np.ndarray:
+        """The better point of both searches, shape (free,), SI."""
+        if self.grid is not None and self.grid.objective < self.gradient.objective:
+            return self.grid.best
+        return self.gradient.best
+
+    @property
+    def objective(self) -> float:
+        """The objective there [rad]."""
+        return min(self.gradient.objective, np.inf if self.grid is None else self.grid.objective)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Declarations of the free numbers."""
+        known = numbers(self.scene)
+        return {path: known[path] for path in self.gradient.paths}
+
+    def shown(self, path: str, value: float) -> float:
+        """A free number in the unit that it is shown in."""
+        dimension = self.parameters[path].dimension
+        return value / dimension.per_shown if dimension else value
+
+    def as_json(self) -> dict:
+        """The object that ``gearjax optimise --json`` prints."""
+        gradient = self.gradient
+        found = {
+            "objective": self.section.objective.name,
+            "window_s": self.section.window,
+            "objective_before_arcmin": self.before / arcmin,
+            "grid": None,
+            "gradient": {
+                **self._point(gradient.objective, gradient.best),
+                "starts": len(gradient.starts),
+                "evaluations": gradient.evaluations,
+                "within_1_percent": gradient.within(0.01),
+                "failed": gradient.failed,
+                "valleys": int(gradient.valley.max()) + 1,
+                "seconds": gradient.seconds,
+                "compile_seconds": gradient.compile_seconds,
+            },
+            "before": _metrics(self.cases["before"]),
+            "after": _metrics(self.cases["after"]),
+            "sensitivity": self._sensitivity(),
+        }
+        if self.grid is not None:
+            found["grid"] = {
+                **self._point(self.grid.objective, self.grid.best),
+                "combinations": self.grid.combinations,
+                "evaluated": self.grid.evaluated,
+                "seconds": self.grid.seconds,
+                "compile_seconds": self.grid.compile_seconds,
+                "metrics": _metrics(self.cases["grid"]),
+            }
+        return found
+
+    def _point(self, objective: float, point: np.ndarray) -> dict:
+        periodic = {path: parameter.periodic for path, parameter in self.parameters.items()}
+        shown = {path: self.shown(path, float(value)) for path, value in zip(periodic, point, strict=True)}
+        found: dict = {
+            "objective_arcmin": objective / arcmin,
+            "phases_deg": {path: value for path, value in shown.items() if periodic[path]},
+        }
+        others = {
+            path: {"value": value, "unit": dimension.shown if (dimension := self.parameters[path].dimension) else ""}
+            for path, value in shown.items()
+            if not periodic[path]
+        }
+        return found | ({"values": others} if others else {})
+
+    def _sensitivity(self) -> dict:
+        around = self.sensitivity
+        return {
+            "gradient_arcmin": dict(zip(around.paths, (around.gradient / arcmin).tolist(), strict=True)),
+            "hessian_eigenvalues_arcmin": (around.eigenvalues / arcmin).tolist(),
+            "directions": around.directions.tolist(),
+            "flat": around.flat.tolist(),
+            "deviations_deg": np.rad2deg(around.deviations).tolist(),
+            "worst_arcmin": (around.worst / arcmin).tolist(),
+            "mean_arcmin": (around.mean / arcmin).tolist(),
+        }
+
+
+def _metrics(cases: list[Case]) -> dict:
+    """Metrics of the first case, and all cases as ``gearjax run --json`` prints them."""
+    entries = [case.as_json() for case in cases]
+    return {**entries[0]["metrics"], "cases": entries}
+
+
+def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Optimisation:
+    """Search by grid and by gradients, judge both, and analyse the scene before and after.
+
+    Raises:
+        ParameterError: the objective does not depend on a number.
+        SceneError: an analysis of the run section cannot be done.
+    """
+    asked = {"where": section.where, "bounds": section.bounds, "progress": progress}
+    grid = None
+    if section.grid_step:
+        grid = grid_search(section.objective, scene, step=section.grid_step, **asked)
+        progress(f"grid: {grid.seconds:.2f} s, compiled in {grid.compile_seconds:.1f} s")
+    found = minimise(section.objective, scene, starts=section.starts, key=jax.random.key(section.seed), **asked)
+    progress(f"gradients: {found.seconds:.2f} s, compiled in {found.compile_seconds:.1f} s")
+    free = pick(scene, section.where, section.bounds)
+    stages = {"before": scene}
+    best = found.best
+    if grid is not None:
+        stages["grid"] = _at(scene, free, grid.best)
+        best = grid.best if grid.objective < found.objective else best
+    stages["after"] = _at(scene, free, best)
+    around = local_sensitivity(section.objective, scene, where=section.where, at=best, bounds=section.bounds)
+    cases = {}
+    for stage, changed in stages.items():
+        cases[stage] = []
+        for case in run_cases(changed):
+            progress(f"{stage}: {case.title}")
+            cases[stage].append(case)
+    point = np.asarray(free.get(scene), dtype=float)
+    before = float(values(section.objective, scene, free)(point[None])[0])
+    return Optimisation(section, scene, before, grid, found, around, cases)
+
+
+def _at(scene: Scene, free, point: np.ndarray) -> Scene:
+    return free.set(scene, jnp.asarray(point, scene.dtype))
+
+
+def save_optimisation(found: Optimisation, folder: Path) -> list[Path]:
+    """Write ``starts.csv`` (every start's end) and ``metrics.csv`` (before, grid, after).
+
+    Raises:
+        GearjaxError: the folder cannot be written.
+    """
+    search = found.gradient
+    parameters = found.parameters
+    header = [f"{path} [{p.dimension.shown if p.dimension else '-'}]" for path, p in parameters.items()]
+    lines = [",".join(["start", *header, "objective [arcmin]", "valley", "result"])]
+    for index, end in enumerate(search.ends):
+        shown = [f"{found.shown(path, value):.9g}" for path, value in zip(parameters, end, strict=True)]
+        last = [f"{search.objectives[index] / arcmin:.9g}", str(search.valley[index]), str(search.result[index])]
+        lines.append(",".join([str(index), *shown, *last]))
+    rows = [",".join(["stage", "analysis", "torque [N m]", "window [s]", *(f"{name} [arcmin]" for name in METRICS)])]
+    for stage, cases in found.cases.items():
+        for case in cases:
+            numbers = [f"{case.metrics[name] / arcmin:.9g}" for name in METRICS]
+            rows.append(",".join([stage, case.analysis, f"{case.torque:g}", f"{case.window:g}", *numbers]))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "starts.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (folder / "metrics.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    except OSError as fault:
+        raise GearjaxError(f"--out {folder}: cannot be written ({fault.strerror or fault})") from fault
+    return [folder / "starts.csv", folder / "metrics.csv"]

@@ -1,0 +1,91 @@
+"""Gradient descent of a smoothed objective whose temperature falls, from one start; batched by vmap.
+
+Optimisers are objects: an optax gradient transformation, stepped along a geometric fall of the temperature, or an
+optimistix minimiser, run to its own end at `LEVELS` temperatures one after the other.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+import optimistix
+
+from gearjax.checks import GearjaxError
+from gearjax.typing import Array, Float, Int, Scalar
+
+LEVELS = 4
+Optimiser = optax.GradientTransformation | optimistix.AbstractMinimiser
+Loss = Callable[[Float[Array, " free"], Scalar], Scalar]
+
+
+@functools.cache
+def default_optimiser(steps: int) -> optax.GradientTransformation:
+    """Adam with a short memory, its rate falling to nothing as a cosine."""
+    return optax.adam(optax.cosine_decay_schedule(0.4, max(steps, 1)), b1=0.8, b2=0.95)
+
+
+def check_optimiser(optimiser: Any) -> None:
+    """Refuse what is neither from optax nor from optimistix.
+
+    Raises:
+        GearjaxError: saying what would be right.
+    """
+    if not isinstance(optimiser, Optimiser):
+        raise GearjaxError(
+            f"optimiser = {type(optimiser).__name__}: give one of optax, such as optax.adam(0.1), or an optimistix "
+            "minimiser, such as optimistix.BFGS(rtol=1e-4, atol=1e-6)"
+        )
+
+
+def descend(
+    loss: Loss, start: Float[Array, " free"], optimiser: Optimiser, steps: int, temperatures: tuple[Scalar, Scalar]
+) -> tuple[Float[Array, " free"], Float[Array, " step"], Int[Array, ""]]:
+    """Where the descent ends, its losses, and how many times loss and gradient were evaluated.
+
+    Args:
+        loss: ``loss(numbers, temperature)``.
+        start: unconstrained numbers, shape (free,).
+        optimiser: from optax or optimistix.
+        steps: number of steps; the most steps of an optimistix minimiser, over all temperatures.
+        temperatures: first and last.
+    """
+    if isinstance(optimiser, optimistix.AbstractMinimiser):
+        return _levels(loss, start, optimiser, steps, temperatures)
+    first, last = temperatures
+    update = optax.with_extra_args_support(optimiser).update
+
+    def step(carry, share):
+        numbers, state = carry
+        temperature = first * (last / first) ** share
+
+        def at(numbers):
+            return loss(numbers, temperature)
+
+        value, slope = jax.value_and_grad(at)(numbers)
+        # optax mixes dtypes and ranks, which a user may have forbidden
+        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+            change, state = update(slope, state, numbers, value=value, grad=slope, value_fn=at)
+        return (numbers + change, state), value
+
+    shares = jnp.linspace(0.0, 1.0, steps, dtype=start.dtype)
+    (numbers, _), losses = jax.lax.scan(step, (start, optimiser.init(start)), shares)
+    return numbers, losses, jnp.asarray(steps)
+
+
+def _levels(loss, start, optimiser, steps, temperatures):
+    each = max(1, steps // LEVELS)
+
+    def level(numbers, temperature):
+        found = optimistix.minimise(
+            lambda numbers, _: loss(numbers, temperature), optimiser, numbers, max_steps=each, throw=False
+        )
+        ended = jnp.where(jnp.isfinite(found.value), found.value, numbers)
+        return ended, (loss(ended, temperature), found.stats["num_steps"] + 1)
+
+    first, last = temperatures
+    fall = first * (last / first) ** jnp.linspace(0.0, 1.0, LEVELS, dtype=start.dtype)
+    numbers, (losses, evaluations) = jax.lax.scan(level, start, fall)
+    return numbers, losses, evaluations.sum()

@@ -1,0 +1,299 @@
+"""Multi-start minimisation: smoothed descent, polish to the kinked optimum, hard judgement."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import GearjaxError, ParameterError
+from gearjax.scene import Scene
+from gearjax.studies import valleys
+from gearjax.studies.descent import Optimiser, check_optimiser, default_optimiser, descend
+from gearjax.studies.minimax import Polished, polish
+from gearjax.studies.objective import Objective, Term
+from gearjax.studies.select import Bounds, Free, Where, pick
+from gearjax.studies.values import require_influence, values
+from gearjax.timing import Stopwatch
+from gearjax.typing import Array, ArrayLike, Float, Scalar
+
+Progress = Callable[[str], None]
+CODES = {0: "converged", 1: "its steps ran out while it still fell", 2: "not finite: dropped"}
+SETTLED = 1e-3  # share of the objective that one more step must not promise
+DESCENT_SAMPLES, POLISH_SAMPLES = 10, 16  # per turn of the fastest error
+MOST_NUMBERS = 2**22  # samples times starts that are worked on at once
+MOST_STARTS = 256  # at once
+MOST_MOTIONS = 16  # starts at once of an objective with dynamic terms
+JUDGED = 10  # best ends that are judged on all angles
+SMALLEST = 1e-12  # rad of TE: below, a temperature makes no sense
+
+
+class Minimisation(eqx.Module):
+    """What a multi-start minimisation found, every start's own end included.
+
+    Args:
+        paths: the free numbers.
+        best: their values at the best end point, shape (free,), SI.
+        objective: the objective there, by the scene's own contact law, over all angles.
+        starts: starting points, shape (starts, free).
+        ends: end points, shape (starts, free).
+        objectives: objectives of the end points, inf where a start was dropped, shape (starts,); of all angles for
+            the ten best, of 16 samples per turn with the extremes between them for the others.
+        valley: number of the valley that an end point lies in, 0 for the best one's, -1 if dropped, shape (starts,).
+        result: 0 converged, 1 still falling, 2 dropped because it was not finite (`CODES`), shape (starts,).
+        history: the objective at the start, then after each evaluation: smoothed in the descent, hard in the polish,
+            shape (starts, 1 + steps).
+        evaluations: of the objective with its gradient, all starts together.
+        seconds: wall time without compilation [s].
+        compile_seconds: of tracing and compiling [s].
+    """
+
+    paths: tuple[str, ...] = eqx.field(static=True)
+    best: np.ndarray
+    objective: float
+    starts: np.ndarray
+    ends: np.ndarray
+    objectives: np.ndarray
+    valley: np.ndarray
+    result: np.ndarray
+    history: np.ndarray
+    evaluations: int
+    seconds: float
+    compile_seconds: float
+
+    @property
+    def failed(self) -> int:
+        """Number of starts that were dropped."""
+        return int((self.result == 2).sum())
+
+    def within(self, share: float = 0.01) -> int:
+        """Number of starts that ended within a share of the best objective."""
+        return int((self.objectives <= self.objective + share * abs(self.objective)).sum())
+
+
+def minimise(
+    loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
+    scene: Scene,
+    *,
+    where: Where,
+    starts: int | ArrayLike | Sequence[Sequence[float]] = 300,
+    theta: ArrayLike | None = None,
+    torque: float | None = None,
+    bounds: Bounds | None = None,
+    optimiser: Any = None,
+    steps: int = 30,
+    polish_steps: int = 12,
+    temperatures: tuple[float, float] = (0.1, 0.0015),
+    key: Array | None = None,
+    progress: Progress | None = None,
+) -> Minimisation:
+    r"""The minimum of an objective over numbers of a scene, from many starts at once.
+
+    From each start the smoothed objective (`gearjax.studies.objective`) is descended while its temperature falls. The
+    end is polished on the hard objective (`gearjax.studies.minimax`), whose optima lie on kinks, and judged hard.
+    Angles are periodic; other numbers stay within their bounds, by a logistic transform in the descent and exactly in
+    the polish. The descent looks at 10 samples per turn of the fastest error, the polish at 16 with the extremes
+    between them, the judgement at all.
+
+    Args:
+        loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\\ s to be summed, or a function of the
+            scene that returns a number (it sees a smooth contact law in the descent).
+        scene: the scene; its own numbers are the first start.
+        where: paths of the free numbers, or a function that returns them.
+        starts: how many starts, random but for the first; or the starting points themselves, shape (starts, free), SI.
+        theta: input angles [rad]; without, those of the scene's run section, or one cycle.
+        torque: load torque of a static or dynamic loss given by name [N m].
+        bounds: lowest and highest value by path, SI; needed for numbers that are not angles.
+        optimiser: of the descent, from optax (``optax.adam(0.1)``) or optimistix (``optimistix.BFGS(1e-4, 1e-6)``).
+        steps: of the descent.
+        polish_steps: of the polish, 0 for none.
+        temperatures: first and last temperature of the descent, as shares of the objective at the start.
+        key: random key of the starts.
+        progress: called with a line of text now and then.
+
+    Returns:
+        All end points. Starts that are not finite are dropped and counted, not raised.
+
+    Raises:
+        ParameterError: a path or a bound is wrong, or the objective does not depend on a number.
+        GearjaxError: no start has a finite objective.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> found = gj.minimise("no_load_amplitude", scene, where=["errors.planet_1.phase"], starts=4)
+        >>> found.ends.shape, found.failed
+        ((4, 1), 0)
+    """
+    with Stopwatch() as watch:
+        objective = Objective.of(loss, scene, theta, torque)
+        free = pick(scene, where, bounds)
+        free.require_bounds()
+        optimiser = default_optimiser(steps) if optimiser is None else optimiser
+        check_optimiser(optimiser)
+        _check(steps, polish_steps, temperatures)
+        points = _starting_points(free, scene, starts, key)
+        coarse = objective.coarse(scene, POLISH_SAMPLES).tabulated(scene, free)
+        sampled = values(coarse, scene, free, "sampled")
+        require_influence(coarse, scene, free, *free.box)
+        begun = sampled(points)
+        search = _Search(
+            objective.coarse(scene, DESCENT_SAMPLES).tabulated(scene, free),
+            coarse,
+            free,
+            (steps, polish_steps),
+            jnp.array(temperatures),
+        )
+        found = _in_chunks(search, objective.physics(scene, free), points, begun, optimiser, progress or _silent)
+        result = np.asarray(found.result)
+        if (result == 2).all():
+            raise GearjaxError(f"minimise {objective.name}: no start has a finite objective ({len(points)} dropped)")
+        ends = np.where(result[:, None] == 2, np.nan, free.wrapped(np.asarray(found.ends)))
+        objectives = np.where(result == 2, np.inf, found.value if polish_steps else sampled(ends))
+        back = (begun < objectives) & (result != 2)  # a start that lost is its own end
+        ends[back], objectives[back] = points[back], begun[back]
+        first = np.argsort(objectives, kind="stable")[:JUDGED]
+        first = first[result[first] != 2]
+        objectives[first] = values(objective, scene, free)(ends[first])
+        best = int(np.argmin(objectives))
+        labels = valleys.label(free, ends, objectives, sampled)
+    return Minimisation(
+        paths=free.paths,
+        best=ends[best],
+        objective=float(objectives[best]),
+        starts=points,
+        ends=ends,
+        objectives=objectives,
+        valley=labels,
+        result=result,
+        history=np.concatenate([begun[:, None], np.asarray(found.history)], axis=1),
+        evaluations=int(np.asarray(found.evaluations).sum()),
+        seconds=watch.seconds,
+        compile_seconds=watch.compile_seconds,
+    )
+
+
+def _silent(words: str) -> None:
+    del words
+
+
+def _check(steps: int, polish_steps: int, temperatures: tuple[float, float]) -> None:
+    for name, number in (("steps", steps), ("polish_steps", polish_steps)):
+        if number < 0:
+            raise ParameterError(name, number, "must be at least 0")
+    if not (np.isfinite(temperatures).all() and min(temperatures) > 0):
+        raise ParameterError("temperatures", temperatures, "must be above 0")
+
+
+def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | None) -> np.ndarray:
+    if not isinstance(starts, int):
+        given = np.asarray(starts, dtype=float)
+        if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != len(free.paths):
+            raise ParameterError("starts", given.shape, f"must have shape (starts, {len(free.paths)})")
+        return np.where(np.isfinite(given), free.wrapped(given), given)
+    if starts < 1:
+        raise ParameterError("starts", starts, "must be at least 1")
+    key = jax.random.key(0) if key is None else key
+    share = np.asarray(jax.random.uniform(key, (starts, len(free.paths))), dtype=float)
+    low, high = free.box
+    points = low + share * (high - low)
+    points[0] = free.wrapped(np.asarray(free.get(scene), dtype=float))
+    return points
+
+
+class _Found(NamedTuple):
+    """The end of one start, or of many."""
+
+    ends: Any
+    value: Any
+    result: Any
+    history: Any
+    evaluations: Any
+
+
+class _Search(eqx.Module):
+    """The whole way of one start."""
+
+    descent: Objective
+    polishing: Objective
+    free: Free
+    steps: tuple[int, int] = eqx.field(static=True)
+    temperatures: Float[Array, "2"]
+
+    def __call__(self, physics: Scene, start: Float[Array, " free"], begun: Scalar, optimiser: Optimiser) -> _Found:
+        """From a start and the objective there."""
+        dtype = start.dtype
+        size = jnp.maximum(jnp.abs(begun), SMALLEST)
+        numbers, losses, evaluations = start, jnp.zeros((0,), dtype), jnp.asarray(0)
+        if self.steps[0]:
+            first, last = self.temperatures.astype(dtype)
+            numbers, losses, evaluations = descend(
+                lambda numbers, share: self._loss(physics, numbers, share, size),
+                self.free.unconstrained(start),
+                optimiser,
+                self.steps[0],
+                (first, last),
+            )
+            numbers = self.free.constrained(numbers)
+        ended = self._polish(physics, numbers)
+        finite = jnp.isfinite(numbers).all() & jnp.isfinite(ended.numbers).all() & jnp.isfinite(begun)
+        finite &= jnp.isfinite(ended.value) if self.steps[1] else True
+        result = jnp.where(finite, jnp.where(ended.promise > SETTLED, 1, 0), 2)
+        history = jnp.concatenate([losses * size, ended.history])
+        return _Found(ended.numbers, ended.value, result, history, evaluations + self.steps[1])
+
+    def _loss(self, physics: Scene, numbers: Float[Array, " free"], share: Scalar, size: Scalar) -> Scalar:
+        """The smoothed objective over its value at the start; the temperature is a share of that."""
+        moved = self.free.set(physics, self.free.constrained(numbers))
+        return self.descent.smooth(moved, share * size) / size
+
+    def _polish(self, physics: Scene, numbers: Float[Array, " free"]) -> Polished:
+        free, dtype = self.free, numbers.dtype
+        if not self.steps[1]:  # whether it has converged is not known
+            return Polished(numbers, jnp.zeros((), dtype), jnp.zeros((), dtype), jnp.zeros((0,), dtype))
+        origins, scales = jnp.asarray(free.origins, dtype), jnp.asarray(free.scales, dtype)
+        low, high = ((bound - free.origins) / free.scales for bound in np.array(free.bounds).T)
+
+        def at(place: Float[Array, " free"]) -> Scene:
+            return free.set(physics, origins + scales * place)
+
+        def bend(place: Float[Array, " free"]) -> Float[Array, "free free"]:
+            bends, ways = jnp.linalg.eigh(jax.hessian(lambda place: self.polishing.smooth_part(at(place)))(place))
+            return (ways * jnp.maximum(bends, 0.0)[None, :]) @ ways.T
+
+        ended = polish(
+            lambda place: self.polishing.pieces(at(place)),
+            (numbers - origins) / scales,
+            np.where(free.periodic, -np.inf, low),
+            np.where(free.periodic, np.inf, high),
+            self.steps[1],
+            bend if self.polishing.is_bent else None,
+        )
+        return ended._replace(numbers=origins + scales * ended.numbers)
+
+
+@eqx.filter_jit
+def _run(search: _Search, physics: Scene, starts: Array, begun: Array, optimiser: Optimiser) -> _Found:
+    return jax.vmap(lambda start, value: search(physics, start, value, optimiser))(starts, begun)
+
+
+def _in_chunks(
+    search: _Search, physics: Scene, points: np.ndarray, begun: np.ndarray, optimiser: Optimiser, progress: Progress
+) -> _Found:
+    """All starts, so many at once that they fit into memory; the last chunk is filled up with its last start."""
+    dtype = search.descent.theta.dtype
+    most = max(1, min(MOST_STARTS, MOST_NUMBERS // search.polishing.theta.shape[0]))
+    if any(term.analysis == "dynamic" for term in search.descent.terms):
+        most = min(most, MOST_MOTIONS)
+    chunks = -(-len(points) // most)
+    size = -(-len(points) // chunks)
+    progress(f"{len(points)} starts, {size} at once")
+    found = []
+    for begin in range(0, len(points), size):
+        rows = np.minimum(np.arange(begin, begin + size), len(points) - 1)
+        inputs = jnp.asarray(points[rows], dtype), jnp.asarray(begun[rows], dtype)
+        found.append(jax.tree.map(np.asarray, _run(search, physics, *inputs, optimiser)))
+        progress(f"{min(begin + size, len(points))} of {len(points)} starts descended and polished")
+    return _Found(*(np.concatenate(parts)[: len(points)] for parts in zip(*found, strict=True)))

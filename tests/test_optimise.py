@@ -1,0 +1,170 @@
+"""``gearjax optimise`` and its section of a configuration."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.config import loads_optimise, with_numbers
+from gearjax.studies.select import numbers, pick
+from gearjax.units import arcmin, deg, um
+from tests.conftest import ROOT
+from tests.test_cli import command
+
+CONFIG = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
+TEXT = CONFIG.read_text(encoding="utf-8")
+PHASES = [f"errors.{body}.phase" for body in ("planet_1", "planet_2", "revolution", "output_wheel")]
+FAST = (
+    TEXT.replace('duration = "15.8 s" ', 'duration = "2 s" ')
+    .replace("samples = 15801", "samples = 401")
+    .replace('analyses = ["no_load", "static", "dynamic"]', 'analyses = ["no_load", "static"]')
+    .replace('grid_step = "10 deg"', 'grid_step = "60 deg"')
+    .replace("starts = 300", "starts = 8")
+    .replace('torques = ["30 N*m", "100 N*m", "300 N*m"]', 'torques = ["100 N*m"]')
+)
+
+
+@pytest.fixture(scope="module")
+def fast(tmp_path_factory):
+    path = tmp_path_factory.mktemp("optimise") / "fast.toml"
+    path.write_text(FAST, encoding="utf-8")
+    return path
+
+
+def test_json_and_files(capsys, tmp_path, fast):
+    """One run with files: the JSON, the tables and a configuration that holds what was found."""
+    folder = tmp_path / "out"
+    code, out, err = command(capsys, "optimise", fast, "--json", "--out", folder)
+    assert code == 0
+    found = json.loads(out)
+    assert found["objective"] == "no_load_amplitude"
+    assert found["window_s"] == 2.0
+    grid, gradient = found["grid"], found["gradient"]
+    assert grid["combinations"] == 6**4
+    assert set(grid["phases_deg"]) == set(gradient["phases_deg"]) == set(PHASES)
+    assert all(abs(round(phase / 60) * 60 - phase) < 1e-9 for phase in grid["phases_deg"].values())
+    assert gradient["starts"] == 8
+    assert gradient["evaluations"] == 8 * 42
+    assert 1 <= gradient["within_1_percent"] <= 8
+    assert gradient["failed"] == 0
+    assert min(grid["seconds"], grid["compile_seconds"], gradient["seconds"], gradient["compile_seconds"]) > 0
+    assert gradient["objective_arcmin"] < grid["objective_arcmin"] < found["objective_before_arcmin"]
+    assert found["after"]["amplitude_arcmin"] == pytest.approx(gradient["objective_arcmin"], rel=1e-9)
+    assert found["before"]["amplitude_arcmin"] == pytest.approx(found["objective_before_arcmin"], rel=1e-9)
+    assert [case["torque_Nm"] for case in found["after"]["cases"]] == [0.0, 100.0]
+    assert "8 of 8 starts descended and polished" in err
+    names = {"before_after.png", "search.png", "starts.csv", "metrics.csv", "optimised.toml"}
+    assert {path.name for path in folder.iterdir()} == names
+    with (folder / "starts.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8
+    best = min(float(row["objective [arcmin]"]) for row in rows)
+    assert best == pytest.approx(gradient["objective_arcmin"], rel=1e-6)
+    assert "errors.planet_1.phase [deg]" in rows[0]
+    scene = gj.load(folder / "optimised.toml")
+    theta = scene.system.input_speed * np.linspace(0, 2, 401)
+    amplitude = float(gj.transmission_error(scene, theta).amplitude / arcmin)
+    assert amplitude == pytest.approx(gradient["objective_arcmin"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_tables_without_a_grid(capsys, tmp_path):
+    path = tmp_path / "no_grid.toml"
+    text = FAST.replace('grid_step = "60 deg"', "").replace('["no_load", "static"]', '["no_load"]')
+    path.write_text(text, encoding="utf-8")
+    code, out, _ = command(capsys, "optimise", path, "--out", tmp_path / "out")
+    assert code == 0
+    assert "of 8 starts within 1 % of the best" in out
+    assert "assembled with errors of up to 10 deg" in out
+    assert "grid" not in out
+
+
+def test_the_section():
+    _, section = loads_optimise(TEXT)
+    assert section.where == tuple(PHASES)
+    assert section.window == 15.8
+    assert section.objective.theta.shape == (15801,)
+    assert section.grid_step == dict.fromkeys(PHASES, 10 * deg)
+    assert (section.starts, section.seed) == (300, 0)
+    objective = (
+        '[{ name = "no_load_amplitude" }, { name = "static_order", torque = "30 N*m", order = 26, weight = 2.0 }]'
+    )
+    other = TEXT.replace('objective = "no_load_amplitude"\n', f"objective = {objective}\n")
+    other = other.replace('grid_step = "10 deg"', 'window = "3 s"')
+    other = other.replace('"errors.planet_1.phase"', '"errors.planet_1.amplitude"')
+    other += '[optimise.bounds]\n"errors.planet_1.amplitude" = ["5 um", "20 um"]\n'
+    _, section = loads_optimise(other)
+    assert section.bounds == {"errors.planet_1.amplitude": pytest.approx((5 * um, 20 * um))}
+    assert section.grid_step == {}
+    assert section.objective.theta.shape == (3001,)
+    assert [term.name for term in section.objective.terms] == ["no_load_amplitude", "static_order"]
+    assert [float(term.weight) for term in section.objective.terms] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("starts = 300", "start = 300", 'did you mean "starts"'),
+        ("starts = 300", "starts = 0", "optimise.starts = 0: must be a whole number from 1"),
+        ('"errors.planet_1.phase"', '"errors.planet_1.phas"', 'did you mean "errors.planet_1.phase"'),
+        ('"errors.planet_1.phase"', '"errors.planet_2.phase"', "is listed twice"),
+        ('"errors.planet_1.phase"', '"errors.planet_1.amplitude"', "optimise.grid_step.errors.planet_1.amplitude"),
+        ('grid_step = "10 deg"', 'grid_step = "10 um"', "wrong dimension"),
+        ('grid_step = "10 deg"', 'grid_step = "-10 deg"', "must be above 0"),
+        ('grid_step = "10 deg"', "grid_step = 10", "has no unit"),
+        ('objective = "no_load_amplitude"\n', 'objective = "no_load_amplitud"\n', 'did you mean "no_load_amplitude"'),
+        ('objective = "no_load_amplitude"\n', 'objective = "static_std"\n', "needs a torque"),
+        ('objective = "no_load_amplitude"\n', 'torque = "3 N*m"\nobjective = "no_load_std"\n', "takes no torque"),
+        ('objective = "no_load_amplitude"\n', "", "optimise.objective"),
+        ('objective = "no_load_amplitude"\n', 'objective = [{ name = "no_load_std", weight = -1 }]\n', "above 0"),
+        ('objective = "no_load_amplitude"\n', 'objective = "no_load_order"\norder = "crnk"\n', '"crank"'),
+        ("starts = 300", 'starts = 300\nwindow = "3 m"', "wrong dimension"),
+        ("starts = 300", "starts = 300\nseed = -1", "must be a whole number from 0"),
+        ("starts = 300", 'starts = 300\n[optimise.bounds]\n"errors.planet_1.phase" = ["1 deg"]', "must be a pair"),
+        ("starts = 300", 'starts = 300\n[optimise.bounds]\n"system.module" = ["1 mm", "2 mm"]', "is not free"),
+        ("[run]", "[runs]", 'did you mean "run"'),
+    ],
+)
+def test_mistakes(old, new, words):
+    assert old in TEXT
+    with pytest.raises(gj.GearjaxError) as caught:
+        loads_optimise(TEXT.replace(old, new))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_mistakes_of_the_command(capsys, tmp_path, config_text):
+    path = tmp_path / "plain.toml"
+    path.write_text(config_text, encoding="utf-8")
+    code, out, err = command(capsys, "optimise", path, "--json")
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert "no [optimise]" in err
+    path.write_text(
+        FAST.replace('"errors.planet_1.phase"', '"damping.ratio"').replace('grid_step = "60 deg"', "")
+        + '[optimise.bounds]\n"damping.ratio" = [0.05, 0.2]\n',
+        encoding="utf-8",
+    )
+    code, out, err = command(capsys, "optimise", path, "--json")
+    assert (code, out) == (2, "")
+    assert '"damping.ratio": the objective no_load_amplitude does not depend on it' in err.splitlines()[-1]
+
+
+def test_other_numbers_in_a_configuration(config_text):
+    """Every kind of number survives the way into a file and back."""
+    scene = gj.loads(config_text)
+    values = {
+        "errors.planet_1.phase": -1.2345678901234,
+        "errors.planet_2.amplitude": 1.5e-5,
+        "compliance.phases[0]": 0.7,
+        "compliance.relative_amplitudes[0]": 0.11,
+        "damping.ratio": 0.2,
+        "inertia.mass": 2.5,
+        "system.input_speed": 20.0,
+    }
+    text = with_numbers(config_text, values, numbers(scene))
+    assert "published" not in text
+    again = gj.loads(text)
+    np.testing.assert_allclose(pick(again, list(values)).get(again), list(values.values()), rtol=1e-13)
