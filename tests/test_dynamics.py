@@ -190,6 +190,7 @@ def test_settle_may_leave_a_single_sample(scene):
     assert float(motion.mean) == pytest.approx(float(motion.te[-1]), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_fast_harmonics_and_strong_damping_need_short_steps(scene):
     ts = jnp.linspace(0.0, 0.02, 21)
     fast = dataclasses.replace(

@@ -28,6 +28,7 @@ def test_quasi_static(scene, single, theta):
             assert worst < 1e-3 * float(wide.forces.max())
 
 
+@pytest.mark.slow
 def test_gradients_are_close(scene, single, theta):
     def loss(scene, theta):
         return gj.transmission_error(scene, theta, 100.0).std

@@ -90,6 +90,7 @@ def test_static(scene, angles, with_contact, law):
     check(lambda s, t: stacked(gj.transmission_error(s, angles, t)), with_contact(scene, LAWS[law]), parameters)
 
 
+@pytest.mark.slow
 def test_backlash(scene, angles):
     check(lambda s, _: stacked(gj.backlash(s, angles)), scene, ["amplitude", "phase", "backlash"])
 

@@ -60,6 +60,7 @@ def test_every_combination_is_covered(scene):
             assert high[outer, a, b] == pytest.approx(te.max(), abs=1e-15)
 
 
+@pytest.mark.slow
 def test_other_leaves_and_functions(scene):
     """Amplitude budgets are not periodic; any function of a scene may be searched."""
     theta = window(scene, 3.0, 0.01)

@@ -39,6 +39,7 @@ def test_a_kink_between_samples_is_found():
 def test_the_gradient_at_a_kink_is_that_of_the_true_extreme():
     theta = jnp.linspace(0.0, 2 * jnp.pi, 57)
 
+    @jax.jit
     def lowest(shift):
         values = jax.vmap(kinked, in_axes=(None, 0))(shift, theta)
         return extremes(kinked, shift, theta, values).minimum

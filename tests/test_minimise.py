@@ -69,6 +69,13 @@ def test_the_best_phases(scene, angles):
     np.testing.assert_allclose(again.objectives[others], found.objectives[others], rtol=1e-4)
     np.testing.assert_allclose(again.ends[others], found.ends[others], atol=1e-9)
 
+    # with zero amplitudes the phases change nothing now; nothing is nan
+    amplitudes = pick(scene, [path.replace("phase", "amplitude") for path in PHASES])
+    still = amplitudes.set(scene, jnp.zeros(4))
+    zero = gj.minimise("no_load_amplitude", still, where=PHASES, theta=angles, starts=STARTS)
+    assert zero.objective == 0
+    assert zero.failed == 0
+
 
 def test_no_finite_start_is_an_error(scene):
     with pytest.raises(gj.GearjaxError, match=r"no start has a finite objective \(2 dropped\)"):
@@ -127,15 +134,6 @@ def test_bounded_numbers_reach_their_bounds(scene):
     result = gj.minimise(slope, scene, where=paths, bounds=bounds, starts=4)
     np.testing.assert_allclose(result.best, [5 * um, 20 * um], rtol=1e-6)
     assert result.objective == pytest.approx(0.85, abs=1e-6)
-
-
-def test_zero_amplitudes(scene, angles):
-    """Their phases change nothing now; nothing is nan."""
-    amplitudes = pick(scene, [path.replace("phase", "amplitude") for path in PHASES])
-    still = amplitudes.set(scene, jnp.zeros(4))
-    result = gj.minimise("no_load_amplitude", still, where=PHASES, theta=angles, starts=STARTS)
-    assert result.objective == 0
-    assert result.failed == 0
 
 
 @pytest.mark.parametrize(

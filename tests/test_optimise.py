@@ -19,7 +19,7 @@ PHASES = [f"errors.{body}.phase" for body in ("planet_1", "planet_2", "revolutio
 FAST = (
     TEXT.replace('duration = "15.8 s" ', 'duration = "2 s" ')
     .replace("samples = 15801", "samples = 401")
-    .replace('analyses = ["no_load", "static", "dynamic"]', 'analyses = ["no_load", "static"]')
+    .replace('analyses = ["no_load", "static", "dynamic"]', 'analyses = ["no_load"]')
     .replace('grid_step = "10 deg"', 'grid_step = "60 deg"')
     .replace("starts = 300", "starts = 8")
     .replace('torques = ["30 N*m", "100 N*m", "300 N*m"]', 'torques = ["100 N*m"]')
@@ -53,7 +53,7 @@ def test_json_and_files(capsys, tmp_path, fast):
     assert gradient["objective_arcmin"] < grid["objective_arcmin"] < found["objective_before_arcmin"]
     assert found["after"]["amplitude_arcmin"] == pytest.approx(gradient["objective_arcmin"], rel=1e-9)
     assert found["before"]["amplitude_arcmin"] == pytest.approx(found["objective_before_arcmin"], rel=1e-9)
-    assert [case["torque_Nm"] for case in found["after"]["cases"]] == [0.0, 100.0]
+    assert [case["torque_Nm"] for case in found["after"]["cases"]] == [0.0]
     assert "8 of 8 starts descended and polished" in err
     names = {"before_after.png", "search.png", "starts.csv", "metrics.csv", "optimised.toml"}
     assert {path.name for path in folder.iterdir()} == names
@@ -72,7 +72,7 @@ def test_json_and_files(capsys, tmp_path, fast):
 @pytest.mark.slow
 def test_tables_without_a_grid(capsys, tmp_path):
     path = tmp_path / "no_grid.toml"
-    text = FAST.replace('grid_step = "60 deg"', "").replace('["no_load", "static"]', '["no_load"]')
+    text = FAST.replace('grid_step = "60 deg"', "").replace('["no_load"]', '["no_load", "static"]')
     path.write_text(text, encoding="utf-8")
     code, out, _ = command(capsys, "optimise", path, "--out", tmp_path / "out")
     assert code == 0
