@@ -181,7 +181,7 @@ def main() -> None:
             f"numba, {name}": lambda c=own, q=outer, o=out: by_numba(*c, *q, o["numba"]),
             f"numba by rows, {name}": lambda c=own, q=outer, o=out: by_numba_separable(*c, *q, o["numba rows"]),
             f"gearjax full map, {name}": lambda t=tables: separable.sweep(
-                separable.lay_out(t, plan, TIMES), separable.lay_out(t, plan, TIMES), False
+                separable.lay_out(t, plan, TIMES), None, False
             ),
             f"gearjax certified minimum, {name}": lambda t=tables: separable.certified(
                 t, plan, spread=False, keep=1

@@ -49,8 +49,9 @@ def test_every_combination_is_covered(scene):
     assert plan.outer == (2, 3)
     assert plan.inner == ((0,), (1,))
     grid = separable.lay_out(tables, plan, theta.size)
-    walks = (separable.walk_lowest, separable.walk_highest)
-    low, high = (np.stack([np.asarray(walk(grid.own, shift)) for shift in grid.outer]) for walk in walks)
+    walks = [separable.walk(grid.own, shift) for shift in grid.outer]
+    low = np.stack([np.asarray(lowest) for lowest, _ in walks])
+    high = np.stack([np.maximum(tops[0][:, None], tops[1][None, :]) for _, tops in walks])
     assert low.shape == high.shape == (6, 3, 4)
     for outer, (g, o) in enumerate(np.ndindex(2, 3)):
         for a, b in np.ndindex(3, 4):

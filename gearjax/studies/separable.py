@@ -23,8 +23,9 @@ from gearjax.scene import Scene
 from gearjax.studies.select import Free
 from gearjax.typing import Array, Float
 
-BLOCK = 32  # times written out in the inner loop
-COARSE, MEDIUM = 16, 256  # times of the bound of the lowest and of the highest value
+BLOCK = 16  # times written out in the inner loop
+TOGETHER = 4  # outer combinations walked together
+COARSE, MEDIUM = 16, 96  # times of the bound of the lowest and of the highest value
 SURVIVORS = 512  # combinations evaluated at once
 
 
@@ -135,23 +136,29 @@ def lay_out(tables: Tables, plan: Plan, number: int) -> Grid:
     return Grid(own, combined(plan.outer))
 
 
-def walk_lowest(own: tuple[Array, ...], shift: Float[Array, "time pair"]) -> Float[Array, "..."]:
-    """``min_t max_i te_i`` of one outer combination, shape (inner of pair 1, inner of pair 2, ...)."""
+def walk(
+    own: tuple[Array, ...], shift: Float[Array, "time pair"]
+) -> tuple[Float[Array, "..."], list[Float[Array, " inner"]]]:
+    """Of one outer combination ``min_t max_i te_i``, shape (inner of pair 1, inner of pair 2, ...), and the highest
+    values of each pair, shape (inner,) each.
+
+    Maxima are written as selections: a maximum that hands nan on takes twice the time.
+    """
     sizes = tuple(curve.shape[1] for curve in own)
     block = min(BLOCK, shift.shape[0])
     rows = [(curve + shift[:, i, None]).reshape(-1, block, sizes[i]) for i, curve in enumerate(own)]
 
-    def several(low, rows):
+    def several(carry, rows):
+        low, tops = carry
         for time in range(block):
-            low = jnp.minimum(low, _largest([row[time] for row in rows]))
-        return low, None
+            now = [row[time] for row in rows]
+            largest = _largest(now)
+            low = jnp.where(largest < low, largest, low)
+            tops = [_greater(top, row) for top, row in zip(tops, now, strict=True)]
+        return (low, tops), None
 
-    return jax.lax.scan(several, jnp.full(sizes, jnp.inf, shift.dtype), rows)[0]
-
-
-def walk_highest(own: tuple[Array, ...], shift: Float[Array, "time pair"]) -> Float[Array, "..."]:
-    """``max_t max_i te_i`` of one outer combination: the largest of the pairs' own, same shape."""
-    return _largest([(curve + shift[:, i, None]).max(axis=0) for i, curve in enumerate(own)])
+    tops = [jnp.full((size,), -jnp.inf, shift.dtype) for size in sizes]
+    return jax.lax.scan(several, (jnp.full(sizes, jnp.inf, shift.dtype), tops), rows)[0]
 
 
 def score(low: Array, high: Array, spread: bool) -> Array:
@@ -160,39 +167,52 @@ def score(low: Array, high: Array, spread: bool) -> Array:
 
 
 @functools.partial(jax.jit, static_argnames="spread")
-def sweep(lowest: Grid, highest: Grid, spread: bool) -> tuple[Float[Array, "outer ..."], Float[Array, " outer"]]:
+def sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Float[Array, "outer ..."], Float[Array, " outer"]]:
     """Score of every combination at the times of two grids, and the least one of each outer combination.
 
     Args:
-        lowest, highest: grids whose times the lowest and the highest values count.
+        lowest, highest: grids whose times the lowest and the highest values count; one for both without the other.
         spread: peak-to-peak instead of amplitude.
     """
     devices = jax.local_devices()
+    grids = (lowest,) if highest is None else (lowest, highest)
     missing = -lowest.outer.shape[0] % len(devices)
-    shifts = tuple(jnp.concatenate([g.outer, g.outer[:missing]]) for g in (lowest, highest))
+    shifts = tuple(jnp.concatenate([grid.outer, grid.outer[:missing]]) for grid in grids)
+    sizes = tuple(curve.shape[1] for curve in lowest.own)
 
     def part(shifts, curves):
         def one(shift):
-            found = score(walk_lowest(curves[0], shift[0]), walk_highest(curves[1], shift[1]), spread)
+            low, tops = walk(curves[0], shift[0])
+            if highest is not None:
+                tops = walk(curves[1], shift[1])[1]
+            found = score(low, _largest(tops), spread)[tuple(slice(size) for size in sizes)]
             return found, found.min()
 
-        return jax.lax.map(one, shifts)
+        return jax.lax.map(one, shifts, batch_size=TOGETHER)
 
     along = PartitionSpec("outer")
     spread_out = jax.shard_map(
         part, mesh=Mesh(devices, ("outer",)), in_specs=(along, PartitionSpec()), out_specs=along, check_vma=False
     )
-    scores, least = spread_out(shifts, (lowest.own, highest.own))
+    scores, least = spread_out(shifts, tuple(_padded(grid.own) for grid in grids))
     count = lowest.outer.shape[0]
     return scores[:count], least[:count]
+
+
+def _padded(own: tuple[Array, ...]) -> tuple[Array, ...]:
+    """The last pair's curves filled up to whole vectors of the processor."""
+    lanes = 64 // own[-1].dtype.itemsize
+    return (*own[:-1], jnp.pad(own[-1], ((0, 0), (0, -own[-1].shape[1] % lanes)), mode="edge"))
+
+
+def _greater(one: Array, other: Array) -> Array:
+    return jnp.where(one > other, one, other)
 
 
 def _largest(rows: list[Array]) -> Float[Array, "..."]:
     """Largest of the pairs for every combination of their inner axes, shape (inner of pair 1, inner of pair 2, ...)."""
     axes = range(len(rows))
-    return functools.reduce(
-        jnp.maximum, [jnp.expand_dims(row, [a for a in axes if a != i]) for i, row in enumerate(rows)]
-    )
+    return functools.reduce(_greater, [jnp.expand_dims(row, [a for a in axes if a != i]) for i, row in enumerate(rows)])
 
 
 def scores_at(tables: Tables, plan: Plan, flat: np.ndarray, spread: bool) -> np.ndarray:
