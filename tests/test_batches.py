@@ -30,7 +30,11 @@ ANALYSES = {
 
 
 @pytest.mark.parametrize("analysis", ANALYSES)
-@pytest.mark.parametrize("law", [gj.HardContact(), gj.QuadraticContact(2e-7)], ids=["hard", "quadratic"])
+@pytest.mark.parametrize(
+    "law",
+    [gj.HardContact(), pytest.param(gj.QuadraticContact(2e-7), marks=pytest.mark.slow)],
+    ids=["hard", "quadratic"],
+)
 def test_a_batch_of_scenes_equals_a_loop(scene, with_contact, analysis, law, rng):
     """Scenes that differ in every number."""
     ts = jnp.linspace(0.0, 0.1, 51)

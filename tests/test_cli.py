@@ -182,6 +182,7 @@ def test_alternating_loads_run(capsys, fast):
     assert static["metrics"]["peak_to_peak_arcmin"] * arcmin > 0
 
 
+@pytest.mark.slow
 def test_smooth_contacts_run(capsys, fast):
     text = FAST.replace('kind = "hard"', 'kind = "quadratic"\nwidth = "0.5 um"')
     fast.write_text(text.replace(', "static", "dynamic"]', ', "static"]'), encoding="utf-8")

@@ -39,9 +39,10 @@ def test_the_readme_example_runs(monkeypatch):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     assert blocks
+    names: dict = {}  # later blocks go on from earlier ones
     for block in blocks:
         ast.parse(block)
-        exec(compile(block, "README.md", "exec"), {})
+        exec(compile(block, "README.md", "exec"), names)
 
 
 def test_the_readme_names_the_two_commands():

@@ -23,7 +23,9 @@ def three_planets(scene):
     return dataclasses.replace(scene, system=dataclasses.replace(scene.system, planets=3), errors=errors)
 
 
-@pytest.mark.parametrize(("metric", "planets"), [("peak_to_peak", 2), ("amplitude", 3)])
+@pytest.mark.parametrize(
+    ("metric", "planets"), [("peak_to_peak", 2), pytest.param("amplitude", 3, marks=pytest.mark.slow)]
+)
 def test_the_structured_search_is_the_brute_force_one(scene, metric, planets):
     """Small grids, the same combinations judged one by one."""
     chosen = scene if planets == 2 else three_planets(scene)
@@ -86,6 +88,25 @@ def test_other_leaves_and_functions(scene):
         theta=theta,
     )
     assert quick.combinations == 5 * 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "torque"), [("backlash_range", None), ("static_amplitude", 60.0)])
+def test_bounds_keep_the_best_of_any_grid(scene, name, torque):
+    """Bounded from samples and then judged: the same as all combinations one by one, with fewer judgements."""
+    theta = window(scene, 15.8, 0.02)
+    asked = {"where": PHASES[1:], "step": 30 * deg, "theta": theta, "keep": 5}
+    quick = gj.grid_search(name, scene, torque=torque, **asked)
+    result = "peak_to_peak" if torque is None else "amplitude"
+
+    def loss(scene):
+        found = gj.backlash(scene, theta) if torque is None else gj.transmission_error(scene, theta, torque)
+        return getattr(found, result)
+
+    slow = gj.grid_search(loss, scene, **asked)
+    assert quick.evaluated < slow.evaluated == 12**3
+    np.testing.assert_allclose(quick.objectives, slow.objectives, rtol=1e-12)
+    np.testing.assert_allclose(quick.best, slow.best, atol=1e-12)
 
 
 def test_paths(scene):

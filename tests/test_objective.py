@@ -102,6 +102,7 @@ def test_a_weighted_sum(scene, angles):
     assert found == pytest.approx(float(sum(parts)), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_dynamic_term(scene):
     theta = scene.system.input_speed * jnp.linspace(0.0, 0.02, 21)
     objective = gj.Objective.of(gj.Term("dynamic_amplitude", 100.0), scene, theta)

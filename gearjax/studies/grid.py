@@ -14,13 +14,15 @@ from gearjax.scene import Scene
 from gearjax.studies import separable
 from gearjax.studies.objective import Objective, Term
 from gearjax.studies.select import Bounds, Free, Where, pick, probed
-from gearjax.studies.values import require_influence, values
+from gearjax.studies.values import Values, require_influence, values
 from gearjax.timing import Stopwatch
 from gearjax.typing import ArrayLike
 
 Progress = Callable[[str], None]
 CHUNK = 16384  # combinations between two lines of progress
 JUDGED = 16  # combinations judged at once
+SURVIVORS = 256  # combinations judged at once after bounding
+BOUND_SAMPLES = 16  # per turn of the fastest error
 MOST_COMBINATIONS = 100_000_000
 
 
@@ -66,7 +68,8 @@ def grid_search(
 
     Periodic numbers have levels from minus half a period, the other end left out; others from their lowest to their
     highest bound. The amplitude and the peak-to-peak of the hard no-load TE over numbers of errors are searched by
-    their structure (`gearjax.studies.separable`), everything else by evaluating all combinations in chunks.
+    their structure (`gearjax.studies.separable`). Other amplitudes and peak-to-peaks are bounded from below on a part
+    of their samples, and evaluated where they may be among the best; everything else is evaluated for all combinations.
 
     Args:
         loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\ s to be summed, or a function of the
@@ -190,24 +193,57 @@ def _require_tables(tables: separable.Tables, scene: Scene, free: Free, axes: tu
 def _exhaustive(
     objective: Objective, scene: Scene, free: Free, levels: tuple[np.ndarray, ...], keep: int, progress: Progress
 ) -> Found:
-    """Every combination, in chunks."""
+    """Every combination, in chunks.
+
+    An objective made of largest values is bounded from below by a part of its samples: all combinations are bounded,
+    and only those that may be among the best are evaluated.
+    """
     shape = tuple(len(axis) for axis in levels)
     total = math.prod(shape)
     low, high = (np.array([end(axis) for axis in levels]) for end in (np.min, np.max))
-    require_influence(objective, scene, free, low, high, "hard")
-    evaluate = values(objective, scene, free)
 
     def numbers(flat: np.ndarray) -> np.ndarray:
         chosen = np.unravel_index(flat, shape)
         return np.stack([axis[level] for axis, level in zip(levels, chosen, strict=True)], axis=1)
 
-    reached = np.empty(total)
-    for start in range(0, total, CHUNK):
-        flat = np.arange(start, min(start + CHUNK, total))
-        reached[flat] = evaluate(numbers(flat))
-        progress(f"{flat[-1] + 1} of {total} combinations")
+    def each(evaluate: Values, words: str) -> np.ndarray:
+        found = np.empty(total)
+        for start in range(0, total, CHUNK):
+            flat = np.arange(start, min(start + CHUNK, total))
+            found[flat] = evaluate(numbers(flat))
+            progress(f"{flat[-1] + 1} of {total} combinations {words}")
+        return found
+
+    evaluate = values(objective, scene, free)
+    if objective.is_bounded:
+        coarse = objective.coarse(scene, BOUND_SAMPLES).tabulated(scene, free)
+        require_influence(coarse, scene, free, low, high)
+        bounds = each(values(coarse, scene, free, "sampled"), "bounded")
+        return _best_of(bounds, lambda flat: evaluate(numbers(flat)), numbers, keep, progress)
+    require_influence(objective, scene, free, low, high, "hard")
+    reached = each(evaluate, "evaluated")
     if not np.isfinite(reached).any():
         raise ParameterError("objective", objective.name, "is finite for no combination of the grid")
     reached = np.where(np.isfinite(reached), reached, np.inf)
     best = np.argsort(reached, kind="stable")[:keep]
     return list(zip(reached[best].tolist(), numbers(best), strict=True)), total
+
+
+def _best_of(bounds: np.ndarray, judge: Values, numbers: Callable, keep: int, progress: Progress) -> Found:
+    """The best combinations from lower bounds of all: judged from the lowest bound on, until no other can be better."""
+    order = np.argsort(np.where(np.isfinite(bounds), bounds, np.inf), kind="stable")
+    found: list[tuple[float, int]] = []
+    evaluated = 0
+    while evaluated < len(order):
+        part = order[evaluated : evaluated + SURVIVORS]
+        if len(found) == keep and bounds[part[0]] > found[-1][0] * (1 + 1e-12):
+            break
+        objectives = judge(part)
+        evaluated += len(part)
+        finite = np.isfinite(objectives)
+        found = sorted([*found, *zip(objectives[finite].tolist(), part[finite].tolist(), strict=True)])[:keep]
+        progress(f"{evaluated} combinations evaluated on all times")
+    if not found:
+        raise ParameterError("objective", "not finite", "is finite for no combination of the grid")
+    points = numbers(np.array([index for _, index in found]))
+    return [(value, point) for (value, _), point in zip(found, points, strict=True)], evaluated

@@ -30,7 +30,7 @@ from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 ANALYSES = ("no_load", "static", "backlash", "dynamic")
 METRICS = ("amplitude", "peak_to_peak", "std", "order")
-NAMES = tuple(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS)
+NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
 SLOTS = {
     "no_load": (),
     "static": ("backlash", "compliance"),
@@ -89,8 +89,8 @@ class Term(eqx.Module):
 
     @property
     def metric(self) -> str:
-        """Its metric."""
-        return self.name.removeprefix(f"{self.analysis}_")
+        """Its metric; the range of the backlash is its peak-to-peak."""
+        return self.name.removeprefix(f"{self.analysis}_").replace("range", "peak_to_peak")
 
     def per_turn(self, scene: Scene) -> float:
         """Its order in cycles per turn of the input."""
@@ -330,6 +330,12 @@ class Objective(eqx.Module):
             for index in range(batch.weight.shape[0])
             for values in sides
         ]
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether a part of its samples bounds it from below: it is made of largest values over time."""
+        bounded = ("amplitude", "peak_to_peak")
+        return bool(self.terms) and all(t.metric in bounded and t.analysis != "dynamic" for t in self.terms)
 
     @property
     def is_bent(self) -> bool:
