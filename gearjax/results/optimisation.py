@@ -101,7 +101,9 @@ class Optimisation:
 
     def _point(self, objective: float, point: np.ndarray) -> dict:
         periodic = {path: parameter.periodic for path, parameter in self.parameters.items()}
-        shown = {path: self.shown(path, float(value)) for path, value in zip(periodic, point, strict=True)}
+        shown = {
+            path: float(f"{self.shown(path, float(value)):.12g}") for path, value in zip(periodic, point, strict=True)
+        }
         found: dict = {
             "objective_arcmin": objective / arcmin,
             "phases_deg": {path: value for path, value in shown.items() if periodic[path]},
