@@ -1,9 +1,9 @@
 """Grid of assembly phases, 37^4 combinations x 512 times: gearjax against C and numba, in one run.
 
 Writes its peers itself: C with ``-O3 -march=native -ffast-math`` on two threads and numba ``prange``, both on the same
-tables. C uses the same algorithm (highest values are separable, only the lowest ones need every combination); numba is
-shown plain and by the same algorithm. Prints medians of interleaved repeats, compile time apart. Needs gcc and numba
-(``pip install numba``).
+tables. Both are shown twice: direct, with the highest and the lowest value of every combination over all times, and by
+gearjax's algorithm (highest values are separable, only the lowest ones need every combination). Prints medians of
+interleaved repeats, compile time apart. Needs gcc and numba (``pip install numba``).
 
     python experiments/phase_grid_bench.py [--repeats 7]
 """
@@ -39,6 +39,35 @@ C = r"""
 #define BLOCK 64
 /* s1[t][a], s2[t][b]: own curves; q1, q2[outer][t]: added by an outer combination. Result: amplitude of every one. */
 typedef struct { const REAL *s1, *s2, *q1, *q2; REAL *out; int first, last; } Job;
+#ifdef DIRECT
+static void *work(void *given) {
+    Job *job = (Job *)given;
+    REAL one[T * P], two[T * P];
+    for (int o = job->first; o < job->last; o++) {
+        const REAL *q1 = job->q1 + (long)o * T, *q2 = job->q2 + (long)o * T;
+        for (int t = 0; t < T; t++)
+            for (int b = 0; b < P; b++) {
+                one[t * P + b] = job->s1[t * P + b] + q1[t];
+                two[t * P + b] = job->s2[t * P + b] + q2[t];
+            }
+        for (int a = 0; a < N; a++) {
+            REAL low[P], high[P];
+            for (int b = 0; b < P; b++) { low[b] = INFINITY; high[b] = -INFINITY; }
+            for (int t = 0; t < T; t++) {
+                REAL x = one[t * P + a];
+                for (int b = 0; b < P; b++) {
+                    REAL y = two[t * P + b], m = x > y ? x : y;
+                    low[b] = m < low[b] ? m : low[b];
+                    high[b] = m > high[b] ? m : high[b];
+                }
+            }
+            for (int b = 0; b < N; b++)
+                job->out[((long)o * N + a) * N + b] = high[b] > -low[b] ? high[b] : -low[b];
+        }
+    }
+    return 0;
+}
+#else
 static void *work(void *given) {
     Job *job = (Job *)given;
     REAL one[T * P], two[T * P], low[N * P], high1[P], high2[P];
@@ -74,6 +103,7 @@ static void *work(void *given) {
     }
     return 0;
 }
+#endif
 void sweep(const REAL *s1, const REAL *s2, const REAL *q1, const REAL *q2, REAL *out, int outer) {
     pthread_t thread;
     Job jobs[2] = {{s1, s2, q1, q2, out, 0, outer / 2}, {s1, s2, q1, q2, out, outer / 2, outer}};
@@ -84,12 +114,13 @@ void sweep(const REAL *s1, const REAL *s2, const REAL *q1, const REAL *q2, REAL 
 """
 
 
-def compiled_c(real: str):
-    """The C peer for one precision."""
+def compiled_c(real: str, *, direct: bool):
+    """A C peer for one precision."""
     folder = Path(tempfile.mkdtemp())
     (folder / "sweep.c").write_text(C, encoding="utf-8")
     library = folder / f"sweep_{real}.so"
     flags = ["-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC", f"-DREAL={real}"]
+    flags += ["-DDIRECT"] if direct else []
     subprocess.run(["gcc", *flags, "-o", library, folder / "sweep.c", "-lpthread"], check=True)
     return ctypes.CDLL(str(library)).sweep
 
@@ -174,12 +205,14 @@ def main() -> None:
         for padded, curve in zip(curves, own, strict=True):
             padded[:, :LEVELS] = curve
         outer = [np.ascontiguousarray(np.asarray(grid.outer)[:, :, i]) for i in range(2)]
-        out = {name: np.empty((LEVELS**2, LEVELS, LEVELS), dtype) for name in ("C", "numba", "numba rows")}
-        sweep, name = compiled_c(real), "float64" if real == "double" else "float32"
+        out = np.empty((4, LEVELS**2, LEVELS, LEVELS), dtype)
+        direct, same = (compiled_c(real, direct=direct) for direct in (True, False))
+        name = "float64" if real == "double" else "float32"
         tasks |= {
-            f"C, {name}": lambda s=sweep, c=curves, q=outer, o=out: by_c(s, c, q, o["C"]),
-            f"numba, {name}": lambda c=own, q=outer, o=out: by_numba(*c, *q, o["numba"]),
-            f"numba by rows, {name}": lambda c=own, q=outer, o=out: by_numba_separable(*c, *q, o["numba rows"]),
+            f"C, {name}": lambda s=direct, c=curves, q=outer, o=out: by_c(s, c, q, o[0]),
+            f"C by the same algorithm, {name}": lambda s=same, c=curves, q=outer, o=out: by_c(s, c, q, o[1]),
+            f"numba, {name}": lambda c=own, q=outer, o=out: by_numba(*c, *q, o[2]),
+            f"numba by the same algorithm, {name}": lambda c=own, q=outer, o=out: by_numba_separable(*c, *q, o[3]),
             f"gearjax full map, {name}": lambda t=tables: separable.sweep(
                 separable.lay_out(t, plan, TIMES), None, False
             ),
@@ -196,13 +229,16 @@ def main() -> None:
         least = float(np.min(np.asarray(found))) / gj.units.arcmin
         ratio = median / medians[f"C, {precision}"]
         print(f"{name:36s} {1e3 * median:8.1f} {ratio:6.2f} {first[name]:15.2f} {least:15.6f}")
+    same = "by the same algorithm"
     for precision in ("float64", "float32"):
         full, certified = (medians[f"gearjax {what}, {precision}"] for what in ("full map", "certified minimum"))
         print(
-            f"{precision}: full map {full / medians[f'C, {precision}']:.2f} of C, "
+            f"{precision}: full map {full / medians[f'C, {precision}']:.2f} of C "
+            f"({full / medians[f'C {same}, {precision}']:.2f} {same}), "
             f"{medians[f'numba, {precision}'] / full:.1f} times faster than numba "
-            f"({medians[f'numba by rows, {precision}'] / full:.1f} than numba by rows), "
-            f"certified minimum {certified / medians['C, float64']:.2f} of the full C sweep in float64"
+            f"({medians[f'numba {same}, {precision}'] / full:.1f} {same}), certified minimum "
+            f"{certified / medians['C, float64']:.2f} of the full C sweep in float64 "
+            f"({certified / medians[f'C {same}, float64']:.2f} {same})"
         )
 
 

@@ -26,7 +26,7 @@ def main() -> None:
     scene = dataclasses.replace(scene, run=dataclasses.replace(scene.run, analyses=("no_load",), torques=()))
     found = optimise(section, scene, print)
     figure, (curves, ends) = new_figure(1, 2, width=12.0, height=3.4)
-    time = np.linspace(0.0, scene.run.duration, scene.run.samples)
+    time = scene.run.times
     labels = {"before": "before", "grid": "10-degree grid", "after": "gradients"}
     colours = {"before": "0.6", "grid": "tab:blue", "after": "tab:red"}
     for stage, label in labels.items():

@@ -1,7 +1,9 @@
 """Errors that a user's mistake raises: one line that says what is wrong, where, and what would be right."""
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -59,6 +61,19 @@ def nearest(name: object, names: Iterable[str]) -> str:
     close = difflib.get_close_matches(name[:100], names, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f'did you mean "{close[0]}"? ' if close else ""
     return f"{hint}valid: {', '.join(names) if names else '(none)'}"
+
+
+@contextlib.contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Files written in the block are the user's ``--out``: what goes wrong there is a mistake of one line.
+
+    Raises:
+        GearjaxError: naming the path.
+    """
+    try:
+        yield
+    except OSError as fault:
+        raise GearjaxError(f"--out {path}: cannot be written ({fault.strerror or fault})") from fault
 
 
 class Missing:

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from gearjax.checks import GearjaxError, ParameterError, nearest
-from gearjax.config import loads, loads_optimise, read_file, with_numbers
+from gearjax.checks import GearjaxError, ParameterError, nearest, writing
+from gearjax.config import loads, loads_optimise, read_file
 from gearjax.plot import save_figures, save_optimisation_figures
 from gearjax.reproduce import PAPERS, Row
 from gearjax.results import METRICS, Case, Optimisation, highest_load_sharing, remarks, run_cases, save, stored_config
@@ -109,24 +109,12 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     found = run_optimise(section, scene, progress)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:
-        written = save_optimisation(found, folder) + save_optimisation_figures(found, folder)
-        numbers = dict(zip(found.gradient.paths, found.best.tolist(), strict=True))
-        best = folder / "optimised.toml"
-        _write(best, with_numbers(text, numbers, found.parameters))
-        _progress.print(
-            f"written to {folder}: {', '.join(path.name for path in [*written, best])}", style="dim", soft_wrap=True
-        )
+        written = save_optimisation(found, text, folder) + save_optimisation_figures(found, folder)
+        _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
         print(json.dumps(found.as_json(), allow_nan=False))
     else:
         _print_optimisation(found)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as fault:
-        raise GearjaxError(f"--out {path}: cannot be written ({fault.strerror or fault})") from fault
 
 
 def _print_optimisation(found: Optimisation) -> None:
@@ -232,7 +220,7 @@ def _print_rows(paper: str, rows: list[Row]) -> None:
 
 
 def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         lines = ["paper,item,published,computed,deviation,unit,status"]
         for paper, rows in reports:
@@ -241,8 +229,6 @@ def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
                 for row in rows
             ]
         (folder / "published.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as fault:
-        raise GearjaxError(f"--out {folder}: cannot be written ({fault.strerror or fault})") from fault
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -7,6 +7,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
@@ -21,6 +22,14 @@ from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Scalar
 
 _OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
+NEEDS = {
+    "no_load": (),
+    "backlash": ("backlash",),
+    "static": ("compliance",),
+    "dynamic": ("compliance", "load", "inertia"),
+}
+ANALYSES = tuple(NEEDS)
+"""Analyses of a scene, and the optional slots that each needs."""
 Stiffness = Literal["rigid", "mean", "varying"]
 
 
@@ -61,6 +70,11 @@ class Run:
     start: str = "equilibrium"
     settle: float = 0.0
     published: tuple[Published, ...] = ()
+
+    @property
+    def times(self) -> np.ndarray:
+        """Sample times, shape (samples,) [s]."""
+        return np.linspace(0.0, self.duration, self.samples)
 
 
 class Scene(eqx.Module):

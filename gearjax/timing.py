@@ -5,14 +5,15 @@ from types import TracebackType
 
 import jax
 
-_intervals: list[tuple[float, float]] = []
+_running: "list[Stopwatch]" = []
 _listening: list[bool] = []
 
 
 def _compiled(event: str, duration_secs: float, **_: str | int) -> None:
     if event.startswith("/jax/core/compile/"):
         now = time.perf_counter()
-        _intervals.append((now - duration_secs, now))
+        for watch in _running:
+            watch.intervals.append((now - duration_secs, now))
 
 
 class Stopwatch:
@@ -31,19 +32,22 @@ class Stopwatch:
         """Without compilation [s]."""
         self.compile_seconds = 0.0
         """Tracing and compiling [s]."""
+        self.intervals: list[tuple[float, float]] = []
+        """When something was traced or compiled."""
 
     def __enter__(self) -> "Stopwatch":
         if not _listening:
             jax.monitoring.register_event_duration_secs_listener(_compiled)
             _listening.append(True)
-        self._first = len(_intervals)
+        _running.append(self)
         self._began = time.perf_counter()
         return self
 
     def __exit__(self, kind: type | None, value: BaseException | None, trace: TracebackType | None) -> None:
         total = time.perf_counter() - self._began
+        _running.remove(self)
         reached = self._began
-        for start, end in sorted(_intervals[self._first :]):  # events are nested: count their union
+        for start, end in sorted(self.intervals):  # events are nested: count their union
             self.compile_seconds += max(0.0, end - max(start, reached))
             reached = max(reached, end)
         self.seconds = max(0.0, total - self.compile_seconds)

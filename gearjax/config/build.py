@@ -7,13 +7,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gearjax import units
 from gearjax.checks import MISSING, GearjaxError, ParameterError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import COMPLIANCES
 from gearjax.config.optimise import OptimiseSection, read_optimise
-from gearjax.config.quantities import read_plain, read_quantity
 from gearjax.config.run import read_published, read_run
+from gearjax.config.tables import known_keys, read_parameter
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import ERRORS
 from gearjax.inertia import DampingRatio, EquivalentMass
@@ -106,11 +105,18 @@ def read_tables(text: str) -> dict[str, Any]:
 
 
 def build(tables: dict[str, Any]) -> Scene:
-    """A scene from the tables of a configuration.
+    """A scene from the tables of a configuration; the sections of studies are checked too.
 
     Raises:
         ParameterError: naming the key, what was given and what would be right.
     """
+    scene = _scene(tables)
+    if "optimise" in tables:
+        read_optimise(tables["optimise"], scene)
+    return scene
+
+
+def _scene(tables: dict[str, Any]) -> Scene:
     for key in tables:
         if key not in _SECTIONS:
             raise ParameterError(key, tables[key], f"unknown section; {nearest(key, _SECTIONS)}")
@@ -137,8 +143,6 @@ def build(tables: dict[str, Any]) -> Scene:
     published = read_published(tables.get("published", []))
     if "run" in tables:
         scene = dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
-    if "optimise" in tables:
-        read_optimise(tables["optimise"], scene)
     return scene
 
 
@@ -149,7 +153,7 @@ def loads_optimise(text: str) -> tuple[Scene, OptimiseSection]:
         GearjaxError: something in it is wrong, or there is no such section; one line that says where.
     """
     tables = read_tables(text)
-    scene = build(tables)
+    scene = _scene(tables)
     if "optimise" not in tables:
         raise GearjaxError(
             "the configuration has no [optimise]: list objective and where, such as "
@@ -195,17 +199,6 @@ def _part(path: str, table: dict[str, Any], part: Any, kind: str = "") -> Any:
         raise ParameterError(f"{path}.{fault.key}", given, fault.right) from fault
 
 
-def known_keys(path: str, table: dict[str, Any], keys: Iterable[str], of: str = "") -> None:
-    """Refuse a key that a section does not know.
-
-    Raises:
-        ParameterError: naming the nearest key.
-    """
-    for key in table:
-        if key not in keys:
-            raise ParameterError(f"{path}.{key}", table[key], f"unknown key{of}; {nearest(key, keys)}")
-
-
 def _example(parameter: Parameter) -> str:
     if parameter.dimension is not None and parameter.dimension.unit:
         return f', {parameter.dimension.described} such as "{parameter.dimension.example}"'
@@ -240,9 +233,7 @@ def _or_number(parameter: Parameter) -> str:
 
 
 def _number(key: str, given: Any, parameter: Parameter) -> float:
-    assert parameter.dimension is not None
-    plain = parameter.dimension is units.RATIO
-    value = read_plain(key, given) if plain else read_quantity(key, given, parameter.dimension)
+    value = read_parameter(key, given, parameter)
     if not parameter.holds(value):
         raise ParameterError(key, given, f"must be {parameter.allowed()}")
     return value

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_plain, read_quantity
+from gearjax.config.tables import known_keys, read_parameter, read_whole
 from gearjax.parameters import Parameter
 from gearjax.scene import Scene
 from gearjax.studies import Objective, Term
@@ -49,9 +50,7 @@ def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
         ParameterError: a value is wrong.
         SceneError: the scene has no run section to take the window from.
     """
-    for key in table:
-        if key not in _KEYS:
-            raise ParameterError(f"optimise.{key}", table[key], f"unknown key; {nearest(key, _KEYS)}")
+    known_keys("optimise", table, _KEYS)
     where = _where(table.get("where", MISSING), scene)
     known = numbers(scene)
     bounds = {path: _bounds(path, pair, known[path]) for path, pair in _by_path(table, "bounds", where, {}).items()}
@@ -61,14 +60,14 @@ def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
     elif steps and set(steps) != set(where):
         missing = next(iter(set(where) - set(steps)), next(iter(steps)))
         raise ParameterError(f"optimise.grid_step.{missing}", steps.get(missing, MISSING), "give one step per number")
-    grid_step = {path: _number(f"optimise.grid_step.{path}", step, known[path]) for path, step in steps.items()}
+    grid_step = {path: read_parameter(f"optimise.grid_step.{path}", step, known[path]) for path, step in steps.items()}
     for path, step in grid_step.items():
         if step <= 0:
             raise ParameterError(f"optimise.grid_step.{path}", steps[path], "must be above 0")
     pick(scene, where, bounds).require_bounds()
     objective, window = _objective(table, scene)
-    starts = _whole("starts", table.get("starts", 300), 1, MOST_STARTS)
-    seed = _whole("seed", table.get("seed", 0), 0, 2**31 - 1)
+    starts = read_whole("optimise.starts", table.get("starts", 300), 1, MOST_STARTS)
+    seed = read_whole("optimise.seed", table.get("seed", 0), 0, 2**31 - 1)
     return OptimiseSection(objective, window, where, grid_step, bounds, starts, seed)
 
 
@@ -98,26 +97,13 @@ def _bounds(path: str, pair: Any, parameter: Parameter) -> tuple[float, float]:
     key = f"optimise.bounds.{path}"
     if not isinstance(pair, list) or len(pair) != 2:
         raise ParameterError(key, pair, "must be a pair: lowest, highest")
-    low, high = (_number(key, value, parameter) for value in pair)
+    low, high = (read_parameter(key, value, parameter) for value in pair)
     if not low < high:
         raise ParameterError(key, pair, "must have the lowest first")
     for value, given in zip((low, high), pair, strict=True):
         if not parameter.holds(value):
             raise ParameterError(key, given, f"must be {parameter.allowed()}")
     return low, high
-
-
-def _number(key: str, given: Any, parameter: Parameter) -> float:
-    assert parameter.dimension is not None
-    if parameter.dimension is units.RATIO:
-        return read_plain(key, given)
-    return read_quantity(key, given, parameter.dimension)
-
-
-def _whole(key: str, given: Any, low: int, high: int) -> int:
-    if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
-        raise ParameterError(f"optimise.{key}", given, f"must be a whole number from {low} to {high}")
-    return given
 
 
 def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
@@ -150,9 +136,7 @@ def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
 def _term(path: str, given: Any) -> Term:
     if not isinstance(given, dict):
         raise ParameterError(path, given, 'must be a name, or tables such as { name = "no_load_std", weight = 2.0 }')
-    for key in given:
-        if key not in _TERM_KEYS:
-            raise ParameterError(f"{path}.{key}", given[key], f"unknown key; {nearest(key, _TERM_KEYS)}")
+    known_keys(path, given, _TERM_KEYS)
     name = given.get("name", MISSING)
     if name not in NAMES:
         raise ParameterError(path, name, nearest(name, NAMES))

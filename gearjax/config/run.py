@@ -5,16 +5,10 @@ from typing import Any
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_quantity
-from gearjax.scene import Published, Run, Scene, require
+from gearjax.config.tables import known_keys, read_whole
+from gearjax.scene import ANALYSES, NEEDS, Published, Run, Scene, require
 
-ANALYSES = ("no_load", "backlash", "static", "dynamic")
 STARTS = ("equilibrium", "zero")
-NEEDS = {
-    "no_load": (),
-    "backlash": ("backlash",),
-    "static": ("compliance",),
-    "dynamic": ("compliance", "load", "inertia"),
-}
 MOST_SAMPLES = 10_000_000
 METRICS = ("peak_to_peak", "amplitude", "mean", "std")
 _KEYS = ("duration", "samples", "start", "settle", "analyses", "torques")
@@ -27,9 +21,7 @@ def read_run(table: dict[str, Any], published: tuple[Published, ...], scene: Sce
         ParameterError: a value is wrong.
         SceneError: an analysis needs a section that the scene does not list.
     """
-    for key in table:
-        if key not in _KEYS:
-            raise ParameterError(f"run.{key}", table[key], f"unknown key; {nearest(key, _KEYS)}")
+    known_keys("run", table, _KEYS)
     for key in ("duration", "samples", "analyses"):
         if key not in table:
             raise ParameterError(f"run.{key}", MISSING, "must be given")
@@ -37,9 +29,7 @@ def read_run(table: dict[str, Any], published: tuple[Published, ...], scene: Sce
     duration = read_quantity("run.duration", table["duration"], units.TIME)
     if not 1e-9 <= duration <= 1e9:
         raise ParameterError("run.duration", table["duration"], "must be at least 1e-9 s and at most 1e9 s")
-    samples = table["samples"]
-    if isinstance(samples, bool) or not isinstance(samples, int) or not 2 <= samples <= MOST_SAMPLES:
-        raise ParameterError("run.samples", samples, f"must be a whole number from 2 to {MOST_SAMPLES}")
+    samples = read_whole("run.samples", table["samples"], 2, MOST_SAMPLES)
     start = table.get("start", "equilibrium")
     if start not in STARTS:
         raise ParameterError("run.start", start, nearest(start, STARTS))
@@ -90,10 +80,7 @@ def read_published(entries: Any) -> tuple[Published, ...]:
     found = []
     for index, entry in enumerate(entries):
         path = f"published[{index}]"
-        keys = ("analysis", "torque", "note", *METRICS)
-        for key in entry:
-            if key not in keys:
-                raise ParameterError(f"{path}.{key}", entry[key], f"unknown key; {nearest(key, keys)}")
+        known_keys(path, entry, ("analysis", "torque", "note", *METRICS))
         if entry.get("analysis") not in ANALYSES:
             raise ParameterError(f"{path}.analysis", entry.get("analysis"), f"must be one of {', '.join(ANALYSES)}")
         torque = read_quantity(f"{path}.torque", entry.get("torque", "0 N*m"), units.TORQUE)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gearjax.checks import GearjaxError
+from gearjax.checks import writing
 from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
 
@@ -50,9 +50,7 @@ def save_figure(figure: Figure, path: Path) -> Path:
     Raises:
         GearjaxError: the file cannot be written.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=130)
-    except OSError as fault:
-        raise GearjaxError(f"--out {path}: cannot be written ({fault.strerror or fault})") from fault
     return path

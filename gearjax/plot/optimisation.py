@@ -27,7 +27,7 @@ def before_after_figure(found: Optimisation) -> Figure:
 
 def _curves(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
     run = required_run(found.scene)
-    time = np.linspace(0.0, run.duration, run.samples)
+    time = run.times
     for stage, case in cases.items():
         spread = case.metrics["peak_to_peak"] / arcmin
         draw_curve(ax, time, case.record, f"{stage}: p-p {spread:.3f}", linewidth=0.8, color=COLOURS[stage])
@@ -44,7 +44,7 @@ def _curves(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
 def _spectra(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
     scene = found.scene
     run, orders = required_run(scene), scene.system.orders
-    theta = np.linspace(0.0, run.duration, run.samples) * float(scene.system.input_speed)
+    theta = run.times * float(scene.system.input_speed)
     turn = 2 * np.pi / orders["output"]
     dynamic = cases["before"].analysis == "dynamic"
     start = int(np.searchsorted(theta, run.settle * float(scene.system.input_speed))) if dynamic else 0

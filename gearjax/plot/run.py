@@ -26,7 +26,7 @@ def error_figure(scene: Scene, cases: list[Case]) -> Figure:
     groups = [(title, members) for title, members in groups if members]
     figure, axes = new_figure(len(groups))
     run = required_run(scene)
-    time = np.linspace(0.0, run.duration, run.samples)
+    time = run.times
     for ax, (title, members) in zip(axes, groups, strict=True):
         for case in members:
             draw_curve(ax, time, case.record, case.title)
@@ -41,7 +41,7 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         return None
     figure, axes = new_figure(len(loaded), height=2.2)
     run = required_run(scene)
-    time = np.linspace(0.0, run.duration, run.samples)
+    time = run.times
     for ax, case in zip(axes, loaded, strict=True):
         assert isinstance(case.result, (TransmissionError, Motion))
         forces = np.asarray(case.result.forces)
@@ -70,7 +70,7 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         return None
     figure, axes = new_figure(len(groups), height=3.6)
     run, orders = required_run(scene), scene.system.orders
-    theta = np.linspace(0.0, run.duration, run.samples) * float(scene.system.input_speed)
+    theta = run.times * float(scene.system.input_speed)
     turn = 2 * np.pi / orders["output"]
     name = "crank" if "crank" in orders else "mesh"
     highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from gearjax.analysis import Backlash, Motion, TransmissionError, backlash, simulate, transmission_error
 from gearjax.analysis.dynamics import suitable_step
-from gearjax.checks import GearjaxError, SceneError
+from gearjax.checks import GearjaxError, SceneError, writing
 from gearjax.scene import Published, Run, Scene
 from gearjax.units import arcmin
 
@@ -91,7 +91,7 @@ def run_cases(scene: Scene) -> Iterator[Case]:
     run = required_run(scene)
     if "dynamic" in run.analyses:
         suitable_step(scene, run.duration)  # refuses before anything is computed
-    ts = jnp.linspace(0.0, run.duration, run.samples)
+    ts = jnp.asarray(run.times)
     theta = scene.system.input_speed * ts
     for analysis in run.analyses:
         if analysis == "no_load":
@@ -144,7 +144,7 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> xr.Dataset:
         config: text of the configuration.
     """
     run = required_run(scene)
-    time = np.linspace(0.0, run.duration, run.samples)
+    time = run.times
     theta = time * float(scene.system.input_speed)
     coordinates = {
         "time": ("time", time, {"units": "s", "long_name": "time"}),
@@ -174,14 +174,12 @@ def save(scene: Scene, cases: list[Case], config: str, folder: Path) -> list[Pat
     Raises:
         GearjaxError: the folder cannot be written.
     """
-    try:
+    paths = [folder / "results.nc", folder / "curves.csv", folder / "metrics.csv"]
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / "results.nc", folder / "curves.csv", folder / "metrics.csv"]
         dataset(scene, cases, config).to_netcdf(paths[0], engine="scipy")
         paths[1].write_text(_curves(scene, cases), encoding="utf-8")
         paths[2].write_text(_metrics(cases), encoding="utf-8")
-    except OSError as fault:
-        raise GearjaxError(f"--out {folder}: cannot be written ({fault.strerror or fault})") from fault
     return paths
 
 
@@ -204,7 +202,7 @@ def _table(header: list[str], rows: list[list[str]]) -> str:
 
 def _curves(scene: Scene, cases: list[Case]) -> str:
     run = required_run(scene)
-    time = np.linspace(0.0, run.duration, run.samples)
+    time = run.times
     header = ["time [s]", "input angle [rad]", *(f"{case.title.replace(',', '')} [arcmin]" for case in cases)]
     columns = [time, time * float(scene.system.input_speed), *(case.record / arcmin for case in cases)]
     return _table(header, [[f"{value:.9g}" for value in row] for row in np.stack(columns, axis=1)])

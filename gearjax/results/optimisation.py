@@ -1,24 +1,22 @@
 """What ``gearjax optimise`` finds: grid and gradients side by side, and the scene before and after."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import GearjaxError
-from gearjax.config.optimise import OptimiseSection
+from gearjax.checks import writing
+from gearjax.config import OptimiseSection, with_numbers
 from gearjax.parameters import Parameter
+from gearjax.progress import Progress
 from gearjax.results.cases import METRICS, Case, run_cases
 from gearjax.scene import Scene
 from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
 from gearjax.studies.select import numbers, pick
 from gearjax.studies.values import values
 from gearjax.units import arcmin
-
-Progress = Callable[[str], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +29,7 @@ class Optimisation:
         before: the objective of the scene as it was [rad].
         grid: the grid search, ``None`` where no step was given.
         gradient: the search by gradients.
+        best: the better point of both searches, shape (free,), SI.
         sensitivity: around the best point.
         cases: analyses of the run section by stage: ``before``, ``grid`` and ``after`` (the best of both searches).
     """
@@ -40,20 +39,9 @@ class Optimisation:
     before: float
     grid: GridSearch | None
     gradient: Minimisation
+    best: np.ndarray
     sensitivity: LocalSensitivity
     cases: dict[str, list[Case]]
-
-    @property
-    def best(self) -> np.ndarray:
-        """The better point of both searches, shape (free,), SI."""
-        if self.grid is not None and self.grid.objective < self.gradient.objective:
-            return self.grid.best
-        return self.gradient.best
-
-    @property
-    def objective(self) -> float:
-        """The objective there [rad]."""
-        return min(self.gradient.objective, np.inf if self.grid is None else self.grid.objective)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -149,30 +137,28 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
     found = minimise(section.objective, scene, starts=section.starts, key=jax.random.key(section.seed), **asked)
     progress(f"gradients: {found.seconds:.2f} s, compiled in {found.compile_seconds:.1f} s")
     free = pick(scene, section.where, section.bounds)
-    stages = {"before": scene}
-    best = found.best
-    if grid is not None:
-        stages["grid"] = _at(scene, free, grid.best)
-        best = grid.best if grid.objective < found.objective else best
-    stages["after"] = _at(scene, free, best)
+    best = grid.best if grid is not None and grid.objective < found.objective else found.best
+    points = {"after": best} if grid is None else {"grid": grid.best, "after": best}
+    moved = {stage: free.set(scene, jnp.asarray(point, scene.dtype)) for stage, point in points.items()}
     around = local_sensitivity(section.objective, scene, where=section.where, at=best, bounds=section.bounds)
     cases = {}
-    for stage, changed in stages.items():
+    for stage, changed in {"before": scene, **moved}.items():
         cases[stage] = []
         for case in run_cases(changed):
             progress(f"{stage}: {case.title}")
             cases[stage].append(case)
     point = np.asarray(free.get(scene), dtype=float)
     before = float(values(section.objective, scene, free)(point[None])[0])
-    return Optimisation(section, scene, before, grid, found, around, cases)
+    return Optimisation(section, scene, before, grid, found, best, around, cases)
 
 
-def _at(scene: Scene, free, point: np.ndarray) -> Scene:
-    return free.set(scene, jnp.asarray(point, scene.dtype))
+def save_optimisation(found: Optimisation, config: str, folder: Path) -> list[Path]:
+    """Write ``starts.csv`` (every start's end), ``metrics.csv`` (before, grid, after), and ``optimised.toml``.
 
-
-def save_optimisation(found: Optimisation, folder: Path) -> list[Path]:
-    """Write ``starts.csv`` (every start's end) and ``metrics.csv`` (before, grid, after).
+    Args:
+        found: the optimisation.
+        config: text of the configuration that it started from.
+        folder: where to.
 
     Raises:
         GearjaxError: the folder cannot be written.
@@ -190,10 +176,14 @@ def save_optimisation(found: Optimisation, folder: Path) -> list[Path]:
         for case in cases:
             numbers = [f"{case.metrics[name] / arcmin:.9g}" for name in METRICS]
             rows.append(",".join([stage, case.analysis, f"{case.torque:g}", f"{case.window:g}", *numbers]))
-    try:
+    best = dict(zip(search.paths, found.best.tolist(), strict=True))
+    texts = {
+        "starts.csv": "\n".join(lines) + "\n",
+        "metrics.csv": "\n".join(rows) + "\n",
+        "optimised.toml": with_numbers(config, best, parameters),
+    }
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "starts.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (folder / "metrics.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    except OSError as fault:
-        raise GearjaxError(f"--out {folder}: cannot be written ({fault.strerror or fault})") from fault
-    return [folder / "starts.csv", folder / "metrics.csv"]
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]

@@ -10,6 +10,7 @@ import numpy as np
 
 from gearjax.checks import ParameterError
 from gearjax.contact import HardContact
+from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
 from gearjax.studies import separable
 from gearjax.studies.objective import Objective, Term
@@ -18,7 +19,6 @@ from gearjax.studies.values import Values, require_influence, values
 from gearjax.timing import Stopwatch
 from gearjax.typing import ArrayLike
 
-Progress = Callable[[str], None]
 CHUNK = 16384  # combinations between two lines of progress
 JUDGED = 16  # combinations judged at once
 SURVIVORS = 256  # combinations judged at once after bounding
@@ -31,8 +31,6 @@ class GridSearch(eqx.Module):
 
     Args:
         paths: the free numbers.
-        best: their values at the minimum, shape (free,), SI.
-        objective: the minimum.
         combinations: size of the grid.
         evaluated: combinations that were evaluated on all times; the others were excluded by a bound.
         runners_up: values of the best combinations, best first, shape (m, free).
@@ -42,14 +40,22 @@ class GridSearch(eqx.Module):
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
-    best: np.ndarray
-    objective: float
     combinations: int
     evaluated: int
     runners_up: np.ndarray
     objectives: np.ndarray
     seconds: float
     compile_seconds: float
+
+    @property
+    def best(self) -> np.ndarray:
+        """Values of the free numbers at the minimum, shape (free,), SI."""
+        return self.runners_up[0]
+
+    @property
+    def objective(self) -> float:
+        """The minimum."""
+        return float(self.objectives[0])
 
 
 def grid_search(
@@ -103,14 +109,12 @@ def grid_search(
             raise ParameterError(
                 "step", step, f"gives {combinations:.3g} combinations, more than {MOST_COMBINATIONS:g}"
             )
-        progress = progress or _silent
+        progress = progress or silent
         progress(f"grid of {combinations} combinations, {8e-6 * combinations:.3g} MB of objectives")
         found = _structured if _is_structured(objective, scene, free) else _exhaustive
         best, evaluated = found(objective, scene, free, levels, keep, progress)
     return GridSearch(
         paths=free.paths,
-        best=best[0][1],
-        objective=best[0][0],
         combinations=combinations,
         evaluated=evaluated,
         runners_up=np.array([numbers for _, numbers in best]),
@@ -124,10 +128,6 @@ def _is_structured(objective: Objective, scene: Scene, free: Free) -> bool:
     names = ("no_load_amplitude", "no_load_peak_to_peak")
     alone = len(objective.terms) == 1 and objective.terms[0].name in names
     return alone and isinstance(scene.contact, HardContact) and separable.is_separable(free)
-
-
-def _silent(words: str) -> None:
-    del words
 
 
 def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]) -> np.ndarray:

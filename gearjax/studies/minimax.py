@@ -62,7 +62,7 @@ def polish(
 
     def step(carry, _):
         best, trial, value, promised, values, slopes, curvature, mu = carry
-        new_values, new_slopes, weights, new = linearised(pieces, trial)
+        new_values, new_slopes, weights, new = linearised(pieces, trial, group)
         better = new < value
         kept = (value - new) / jnp.maximum(value - promised, jnp.finfo(dtype).tiny)
         change = jnp.where(kept > 0.7, 0.25, jnp.where(kept > 0.3, 1.0, 4.0))
@@ -98,10 +98,9 @@ def groups(pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Flo
 
 
 def linearised(
-    pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Float[Array, " free"]
+    pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Float[Array, " free"], group: np.ndarray
 ) -> tuple[Float[Array, " m"], Float[Array, "m free"], Float[Array, " k"], Scalar]:
-    """Values, their slopes, the weights of the largest ones, and their weighted sum."""
-    group = groups(pieces, numbers)
+    """Values, their slopes, the weights of the largest ones, and their weighted sum; ``group`` from `groups`."""
 
     def both(numbers):
         found = pieces(numbers)
@@ -120,10 +119,11 @@ def least_slope(
 
     Values that a step of `NEAR` could make the largest count too.
     """
-    values, slopes, weights, value = linearised(pieces, numbers)
+    group = groups(pieces, numbers)
+    values, slopes, weights, value = linearised(pieces, numbers, group)
     scale = jnp.abs(value) + jnp.finfo(numbers.dtype).tiny
     far, bend = jnp.full_like(numbers, LONGEST), jnp.eye(numbers.shape[0], dtype=numbers.dtype) / NEAR
-    step, _ = proximal_step(values / scale, slopes / scale, weights, groups(pieces, numbers), bend, -far, far)
+    step, _ = proximal_step(values / scale, slopes / scale, weights, group, bend, -far, far)
     return -step * scale / NEAR
 
 

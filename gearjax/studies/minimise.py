@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import GearjaxError, ParameterError
+from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
 from gearjax.studies import valleys
+from gearjax.studies.blocks import in_blocks
 from gearjax.studies.descent import Optimiser, check_optimiser, default_optimiser, descend
 from gearjax.studies.minimax import Polished, polish
 from gearjax.studies.objective import Objective, Term
@@ -19,7 +21,6 @@ from gearjax.studies.values import require_influence, values
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-Progress = Callable[[str], None]
 CODES = {0: "converged", 1: "its steps ran out while it still fell", 2: "not finite: dropped"}
 SETTLED = 1e-3  # share of the objective that one more step must not promise
 DESCENT_SAMPLES, POLISH_SAMPLES = 10, 16  # per turn of the fastest error
@@ -35,8 +36,6 @@ class Minimisation(eqx.Module):
 
     Args:
         paths: the free numbers.
-        best: their values at the best end point, shape (free,), SI.
-        objective: the objective there, by the scene's own contact law, over all angles.
         starts: starting points, shape (starts, free).
         ends: end points, shape (starts, free).
         objectives: objectives of the end points, inf where a start was dropped, shape (starts,); of all angles for
@@ -51,8 +50,6 @@ class Minimisation(eqx.Module):
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
-    best: np.ndarray
-    objective: float
     starts: np.ndarray
     ends: np.ndarray
     objectives: np.ndarray
@@ -62,6 +59,16 @@ class Minimisation(eqx.Module):
     evaluations: int
     seconds: float
     compile_seconds: float
+
+    @property
+    def best(self) -> np.ndarray:
+        """Values of the free numbers at the best end point, shape (free,), SI."""
+        return self.ends[np.argmin(self.objectives)]
+
+    @property
+    def objective(self) -> float:
+        """The objective there, by the scene's own contact law, over all angles."""
+        return float(self.objectives.min())
 
     @property
     def failed(self) -> int:
@@ -98,7 +105,7 @@ def minimise(
     between them, the judgement at all.
 
     Args:
-        loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\\ s to be summed, or a function of the
+        loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\ s to be summed, or a function of the
             scene that returns a number (it sees a smooth contact law in the descent).
         scene: the scene; its own numbers are the first start.
         where: paths of the free numbers, or a function that returns them.
@@ -146,7 +153,7 @@ def minimise(
             (steps, polish_steps),
             jnp.array(temperatures),
         )
-        found = _in_chunks(search, objective.physics(scene, free), points, begun, optimiser, progress or _silent)
+        found = _in_chunks(search, objective.physics(scene, free), points, begun, optimiser, progress or silent)
         result = np.asarray(found.result)
         if (result == 2).all():
             raise GearjaxError(f"minimise {objective.name}: no start has a finite objective ({len(points)} dropped)")
@@ -157,12 +164,9 @@ def minimise(
         first = np.argsort(objectives, kind="stable")[:JUDGED]
         first = first[result[first] != 2]
         objectives[first] = values(objective, scene, free)(ends[first])
-        best = int(np.argmin(objectives))
         labels = valleys.label(free, ends, objectives, sampled)
     return Minimisation(
         paths=free.paths,
-        best=ends[best],
-        objective=float(objectives[best]),
         starts=points,
         ends=ends,
         objectives=objectives,
@@ -173,10 +177,6 @@ def minimise(
         seconds=watch.seconds,
         compile_seconds=watch.compile_seconds,
     )
-
-
-def _silent(words: str) -> None:
-    del words
 
 
 def _check(steps: int, polish_steps: int, temperatures: tuple[float, float]) -> None:
@@ -282,18 +282,19 @@ def _run(search: _Search, physics: Scene, starts: Array, begun: Array, optimiser
 def _in_chunks(
     search: _Search, physics: Scene, points: np.ndarray, begun: np.ndarray, optimiser: Optimiser, progress: Progress
 ) -> _Found:
-    """All starts, so many at once that they fit into memory; the last chunk is filled up with its last start."""
+    """All starts, so many at once that they fit into memory."""
     dtype = search.descent.theta.dtype
     most = max(1, min(MOST_STARTS, MOST_NUMBERS // search.polishing.theta.shape[0]))
-    if any(term.analysis == "dynamic" for term in search.descent.terms):
+    if search.descent.is_dynamic:
         most = min(most, MOST_MOTIONS)
     chunks = -(-len(points) // most)
     size = -(-len(points) // chunks)
     progress(f"{len(points)} starts, {size} at once")
-    found = []
-    for begin in range(0, len(points), size):
-        rows = np.minimum(np.arange(begin, begin + size), len(points) - 1)
-        inputs = jnp.asarray(points[rows], dtype), jnp.asarray(begun[rows], dtype)
-        found.append(jax.tree.map(np.asarray, _run(search, physics, *inputs, optimiser)))
-        progress(f"{min(begin + size, len(points))} of {len(points)} starts descended and polished")
-    return _Found(*(np.concatenate(parts)[: len(points)] for parts in zip(*found, strict=True)))
+
+    def run(points: np.ndarray, begun: np.ndarray) -> _Found:
+        return _run(search, physics, jnp.asarray(points, dtype), jnp.asarray(begun, dtype), optimiser)
+
+    def done(number: int) -> None:
+        progress(f"{number} of {len(points)} starts descended and polished")
+
+    return in_blocks(run, size, points, begun, done=done)

@@ -24,11 +24,10 @@ from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import QuadraticContact
 from gearjax.contact.frame import Pose
 from gearjax.parameters import as_leaf
-from gearjax.scene import Scene, require
+from gearjax.scene import ANALYSES, NEEDS, Scene, require
 from gearjax.studies.select import Free
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-ANALYSES = ("no_load", "static", "backlash", "dynamic")
 METRICS = ("amplitude", "peak_to_peak", "std", "order")
 NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
 SLOTS = {
@@ -36,12 +35,6 @@ SLOTS = {
     "static": ("backlash", "compliance"),
     "backlash": ("backlash",),
     "dynamic": ("backlash", "compliance", "load", "inertia", "damping"),
-}
-NEEDS = {
-    "no_load": (),
-    "static": ("compliance",),
-    "backlash": ("backlash",),
-    "dynamic": ("compliance", "load", "inertia"),
 }
 SAMPLES = 8001  # of one cycle, where nothing else is said
 EXTREMES = 32  # highest and as many lowest points that `pieces` looks at; a polished curve has many equal ones
@@ -164,7 +157,7 @@ class Objective(eqx.Module):
         if isinstance(loss, Objective):
             return loss
         if theta is None and scene.run is not None:
-            theta = scene.system.input_speed * jnp.linspace(0.0, scene.run.duration, scene.run.samples)
+            theta = scene.system.input_speed * jnp.asarray(scene.run.times)
         elif theta is None:
             theta = jnp.linspace(0.0, scene.system.cycle, SAMPLES)
         angles = jnp.asarray(theta, scene.dtype)
@@ -182,7 +175,7 @@ class Objective(eqx.Module):
             if term.metric == "order":
                 term.per_turn(scene)
         found = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms)
-        if any(term.analysis == "dynamic" for term in terms):
+        if found.is_dynamic:
             ts = np.asarray(angles) / float(scene.system.input_speed)
             steps = suitable_step(scene, float(ts[-1] - ts[0])).steps(jnp.asarray(ts))
             run = scene.run
@@ -199,8 +192,7 @@ class Objective(eqx.Module):
 
     def at(self, theta: Float[Array, " n"]) -> "Objective":
         """The same over other angles; the dynamic TE keeps its own."""
-        dynamic = any(term.analysis == "dynamic" for term in self.terms)
-        return self if dynamic else dataclasses.replace(self, theta=theta, table=None)
+        return self if self.is_dynamic else dataclasses.replace(self, theta=theta, table=None)
 
     def tabulated(self, scene: Scene, free: Free) -> "Objective":
         """The same with a table of its samples, where no number of the system is free."""
@@ -330,6 +322,11 @@ class Objective(eqx.Module):
             for index in range(batch.weight.shape[0])
             for values in sides
         ]
+
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether one of its terms measures a motion."""
+        return any(term.analysis == "dynamic" for term in self.terms)
 
     @property
     def is_bounded(self) -> bool:

@@ -72,9 +72,11 @@ class Free(eqx.Module):
     def wrapped(self, values: np.ndarray) -> np.ndarray:
         """Angles within half a turn of zero, other numbers within their bounds; shape (..., free)."""
         low, high = np.array(self.bounds).T
-        with np.errstate(invalid="ignore"):  # a start may be infinite
-            turned = values - 2 * np.pi * np.round(values / (2 * np.pi))
-        return np.where(self.periodic, turned, np.clip(values, low, high))
+        return np.where(self.periodic, _turned(values), np.clip(values, low, high))
+
+    def way(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """The short way from one point to another, angles the short way round; shape (..., free)."""
+        return np.where(self.periodic, _turned(end - start), end - start)
 
     def unconstrained(self, values: Float[Array, " free"]) -> Float[Array, " free"]:
         """Angles as they are, bounded numbers by the logit of their place between the bounds."""
@@ -176,6 +178,12 @@ def probed(scene: Scene, free: Free) -> Scene:
         return scene
     beside = pick(scene, zeros)
     return beside.set(scene, jnp.full((len(zeros),), _PROBE, scene.dtype))
+
+
+def _turned(angles: np.ndarray) -> np.ndarray:
+    """Angles within half a turn of zero."""
+    with np.errstate(invalid="ignore"):  # a start may be infinite
+        return angles - 2 * np.pi * np.round(angles / (2 * np.pi))
 
 
 def _split(path: str) -> tuple[str, int | None]:

@@ -20,6 +20,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from gearjax.scene import Scene
+from gearjax.studies.blocks import in_blocks
 from gearjax.studies.select import Free
 from gearjax.typing import Array, Float
 
@@ -217,12 +218,11 @@ def _largest(rows: list[Array]) -> Float[Array, "..."]:
 
 def scores_at(tables: Tables, plan: Plan, flat: np.ndarray, spread: bool) -> np.ndarray:
     """Scores over all times of single combinations, given by their number in the order of the walk, shape (n,)."""
-    blocks = -(-len(flat) // SURVIVORS)
-    padded = np.concatenate([flat, np.repeat(flat[-1:], blocks * SURVIVORS - len(flat))])
-    found = [
-        np.asarray(_scores_at(tables, levels_of(part, plan, tables.shape), spread)) for part in np.split(padded, blocks)
-    ]
-    return np.concatenate(found)[: len(flat)]
+
+    def each(part: np.ndarray) -> Float[Array, " n"]:
+        return _scores_at(tables, levels_of(part, plan, tables.shape), spread)
+
+    return in_blocks(each, SURVIVORS, flat)
 
 
 @functools.partial(jax.jit, static_argnames="spread")

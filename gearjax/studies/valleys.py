@@ -60,5 +60,4 @@ def _neighbours(free: Free, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     pairs = np.stack([np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()], axis=1)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    ways = points[pairs[:, 1]] - points[pairs[:, 0]]
-    return pairs, np.where(free.periodic, ways - 2 * np.pi * np.round(ways / (2 * np.pi)), ways)
+    return pairs, free.way(points[pairs[:, 0]], points[pairs[:, 1]])

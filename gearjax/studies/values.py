@@ -9,6 +9,7 @@ import numpy as np
 
 from gearjax.checks import ParameterError
 from gearjax.scene import Scene
+from gearjax.studies.blocks import in_blocks
 from gearjax.studies.objective import Objective
 from gearjax.studies.select import Free, probed
 from gearjax.typing import Array, Float
@@ -33,13 +34,7 @@ def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard") -
 
     def evaluate(points: np.ndarray) -> np.ndarray:
         block = next((size for size in BLOCKS if len(points) <= size), BLOCKS[-1])
-        blocks = -(-len(points) // block)
-        padded = np.concatenate([points, np.repeat(points[-1:], blocks * block - len(points), axis=0)])
-        found = [
-            np.asarray(_block(objective, physics, free, jnp.asarray(part, dtype), kind))
-            for part in np.split(padded, blocks)
-        ]
-        return np.concatenate(found)[: len(points)]
+        return in_blocks(lambda part: _block(objective, physics, free, jnp.asarray(part, dtype), kind), block, points)
 
     return evaluate
 
