@@ -1,6 +1,7 @@
 """Command line. Tables and JSON go to stdout, progress and one-line errors to stderr; a mistake ends with code 2."""
 
 import json
+import math
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -14,13 +15,26 @@ from rich.table import Table
 
 from gearjax.checks import GearjaxError, ParameterError, nearest, writing
 from gearjax.config import loads, loads_optimise, read_file
-from gearjax.plot import save_figures, save_optimisation_figures
+from gearjax.plot import save_figures, save_optimisation_figures, save_tradeoff_figure
 from gearjax.reproduce import PAPERS, Row
-from gearjax.results import METRICS, Case, Optimisation, highest_load_sharing, remarks, run_cases, save, stored_config
+from gearjax.results import (
+    METRICS,
+    Case,
+    Optimisation,
+    highest_load_sharing,
+    remarks,
+    run_cases,
+    save,
+    save_optimisation,
+    save_tradeoff,
+    stored_config,
+    tradeoff_as_json,
+)
 from gearjax.results import optimise as run_optimise
-from gearjax.results.optimisation import save_optimisation
 from gearjax.scene import Scene
 from gearjax.studies.select import pick
+from gearjax.studies.tradeoff import Tradeoff, accurate_step
+from gearjax.studies.tradeoff import tradeoff as run_tradeoff
 from gearjax.units import arcmin, deg
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -48,16 +62,28 @@ def _app(
 
 
 @app.command()
-def run(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False) -> None:
+def run(
+    config: ConfigArgument,
+    out: OutOption = None,
+    json_: JsonOption = False,
+    accuracy: Annotated[
+        float | None, typer.Option("--accuracy", metavar="ARCMIN", help="allowed error of the dynamic metrics")
+    ] = None,
+) -> None:
     """Every analysis that the configuration lists: table, figures and results file.
 
     Without --out they go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
+    stepper = None
+    if accuracy is not None:
+        allowed = _positive("--accuracy", accuracy)
+        if scene.run is not None and "dynamic" in scene.run.analyses:
+            stepper = accurate_step(scene, allowed, _say)
     for remark in remarks(scene):
         _progress.print(f"note: {remark}", soft_wrap=True)
     cases = []
-    for case in run_cases(scene):
+    for case in run_cases(scene, stepper):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
         cases.append(case)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
@@ -103,10 +129,7 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     text = _read_text(config)
     scene, section = loads_optimise(text)
 
-    def progress(words: str) -> None:
-        _progress.print(words, style="dim", soft_wrap=True)
-
-    found = run_optimise(section, scene, progress)
+    found = run_optimise(section, scene, _say)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:
         written = save_optimisation(found, text, folder) + save_optimisation_figures(found, folder)
@@ -115,6 +138,57 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
         print(json.dumps(found.as_json(), allow_nan=False))
     else:
         _print_optimisation(found)
+
+
+@app.command()
+def tradeoff(
+    config: ConfigArgument,
+    error: Annotated[float, typer.Option("--error", metavar="ARCMIN", help="allowed error of a metric")] = 0.001,
+    out: OutOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Speed against accuracy of the dynamic TE for this scene, measured: solvers, steps, contact laws, precision.
+
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
+    """
+    _, scene = _read(config)
+    found = run_tradeoff(scene, _positive("--error", error), _say)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    if folder is not None:
+        written = save_tradeoff(found, folder) + save_tradeoff_figure(found, folder)
+        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+    if json_:
+        print(json.dumps(tradeoff_as_json(str(config), found), allow_nan=False))
+    else:
+        _print_tradeoff(found)
+
+
+def _positive(option: str, given: float) -> float:
+    """A positive number of arcmin, in rad."""
+    if not (math.isfinite(given) and given > 0):
+        raise ParameterError(option, given, "must be above 0 arcmin")
+    return given * arcmin
+
+
+def _say(words: str) -> None:
+    _progress.print(words, style="dim", soft_wrap=True)
+
+
+def _print_tradeoff(found: Tradeoff) -> None:
+    table = Table(title="What each choice costs and buys; one run, one torque")
+    for column in ("setting", "", "error [arcmin]", "run [ms]", "gradient [ms]", "compile [s]"):
+        table.add_column(escape(column), justify="left" if column in ("setting", "") else "right")
+    for row in found.rows:
+        gradient = "" if row.gradient_seconds is None else f"{1e3 * row.gradient_seconds:.1f}"
+        error = f"{row.error / arcmin:.2g}"
+        table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
+    console = _output()
+    console.print(table)
+    allowed = f"{found.error / arcmin:g} arcmin"
+    if found.best is None:
+        console.print(f"no setting is within {allowed}", soft_wrap=True)
+    else:
+        console.print(f"cheapest within {allowed}: {found.best.group}: {found.best.name}", soft_wrap=True)
 
 
 def _print_optimisation(found: Optimisation) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis.dynamics import natural_frequency, suitable_step
+from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.equation import natural_frequency
 from gearjax.reproduce import two_kv
 from gearjax.units import arcmin
 
@@ -58,7 +59,7 @@ def exact(ts, ratio=0.0, stiffness=STIFFNESS, torque=TORQUE):
 def test_linear_oscillator(oscillator, ratio):
     ts = jnp.linspace(0.0, 0.05, 201)
     damped = oscillator if ratio == 0 else dataclasses.replace(oscillator, damping=gj.DampingRatio(ratio))
-    motion = gj.simulate(damped, ts, TORQUE, start="zero", stepper=gj.FixedStep(1e-6))
+    motion = gj.simulate(damped, ts, TORQUE, start="zero", stepper=gj.FixedStep(1e-6, solver=gj.RungeKutta4()))
     assert float(motion.forces.min()) > 100.0, "the pair stays closed"
     np.testing.assert_allclose(motion.te, exact(np.asarray(ts), ratio), rtol=0, atol=2e-12)
 
@@ -72,7 +73,7 @@ def test_a_jammed_pair_has_two_springs_and_one_damper(oscillator):
         damping=gj.DampingRatio(0.2),
     )
     ts = jnp.linspace(0.0, 0.02, 201)
-    motion = gj.simulate(jammed, ts, 50.0, start="zero", stepper=gj.FixedStep(1e-6))
+    motion = gj.simulate(jammed, ts, 50.0, start="zero", stepper=gj.FixedStep(1e-6, solver=gj.RungeKutta4()))
     assert float(motion.forces.min()) > 100.0, "both flanks stay closed"
     damping, time = 0.2 * np.sqrt(2 * STIFFNESS * MASS), np.asarray(ts)
     rise, edge = (SIZE * np.exp(1j * (np.pi + sign * ALPHA)) for sign in (-1, 1))
@@ -108,7 +109,9 @@ def test_fourth_order(oscillator):
     ts = jnp.linspace(0.0, 0.01, 11)
     errors = []
     for steps in (12, 24, 48):
-        motion = gj.simulate(oscillator, ts, TORQUE, start="zero", stepper=gj.FixedStep(per_sample=steps))
+        motion = gj.simulate(
+            oscillator, ts, TORQUE, start="zero", stepper=gj.FixedStep(per_sample=steps, solver=gj.RungeKutta4())
+        )
         errors.append(float(abs(motion.te - exact(np.asarray(ts))).max()))
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     np.testing.assert_allclose(orders, 4.0, atol=0.1)
@@ -295,12 +298,12 @@ def test_faults_are_codes_in_batches(scene):
 
     def run(mass):
         light = dataclasses.replace(scene, inertia=gj.EquivalentMass(mass))
-        motion = gj.simulate(light, ts, 30.0)
+        motion = gj.simulate(light, ts, 30.0, stepper=gj.FixedStep(4e-5))
         return motion.result, motion.te
 
     codes, te = jax.vmap(run)(jnp.array([3.0, 1e-3, 10.0]))
     assert codes.tolist() == [0, 2, 0]
-    np.testing.assert_allclose(te[2], run(jnp.asarray(10.0))[1], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(te[2], run(jnp.asarray(10.0))[1], rtol=1e-9)
 
 
 def test_natural_frequency(scene):

@@ -18,6 +18,7 @@ class Motion(eqx.Module):
         highest, lowest: extremes of te over the steps up to each sample from the one before, shape (n,) [rad].
         settle: time that the metrics leave out [s].
         result: 0 good, else a key of `gearjax.analysis.dynamics.FAULTS`.
+        defect: how far windows of time were apart where they meet, 0 without windows [rad].
         pairs: number of driving contacts.
     """
 
@@ -29,6 +30,7 @@ class Motion(eqx.Module):
     lowest: Float[Array, " n"]
     settle: Scalar
     result: Int[Array, ""]
+    defect: Scalar
     pairs: int = eqx.field(static=True)
 
     @property

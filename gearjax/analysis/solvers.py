@@ -1,19 +1,20 @@
 """Time steppers for the equation of motion.
 
-`FixedStep` is the default: it batches without waiting and its gradients are exact in both modes. It runs a diffrax
-solver's step under ``lax.scan``, because the adjoints of ``diffeqsolve`` cost hundreds of primal solves on these long
-records. `AdaptiveStep` is diffrax's own adaptive loop: the yardstick for accuracy, for single scenes.
+`FixedStep` is the default: it batches without waiting and its gradients are exact in both modes. It runs a solver's
+step under ``lax.scan``, because the adjoints of ``diffeqsolve`` cost hundreds of primal solves on these long records.
+`AdaptiveStep` is diffrax's own adaptive loop: the yardstick for accuracy, for single scenes.
 """
 
 import math
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.analysis.fitted import ExponentialFit
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 
@@ -45,18 +46,33 @@ class RungeKutta4(diffrax.AbstractSolver):
         return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
 
 
+class Windows(NamedTuple):
+    """A record cut into windows of time that run side by side, each warmed up from the quasi-static solution.
+
+    Args:
+        number: of windows.
+        warm_up: time before each window that is computed and thrown away [s].
+    """
+
+    number: int
+    warm_up: float
+
+
 class FixedStep(eqx.Module):
     """Even steps between samples.
 
     Args:
         step: longest step [s]. Each interval between samples is divided evenly, so that a step ends on each sample.
         per_sample: number of steps between samples, in place of ``step``; needed where the sample times are traced.
-        solver: a diffrax solver.
+        solver: `ExponentialFit` (second order, exact between changes of contact), or any solver of diffrax such as
+            `RungeKutta4`.
+        windows: for `ExponentialFit`: how the record is cut; ``None`` for one go.
     """
 
     step: float = eqx.field(static=True, default=4e-5)
     per_sample: int | None = eqx.field(static=True, default=None)
-    solver: diffrax.AbstractSolver = RungeKutta4()
+    solver: diffrax.AbstractSolver = ExponentialFit()
+    windows: Windows | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if not (math.isfinite(self.step) and self.step > 0):

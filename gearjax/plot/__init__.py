@@ -1,8 +1,9 @@
-"""Figures of a run and of an optimisation."""
+"""Figures of a run, of an optimisation and of a trade-off."""
 
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
+from gearjax.plot.tradeoff import save_tradeoff_figure
 
 __all__ = [
     "draw_curve",
@@ -14,6 +15,7 @@ __all__ = [
     "save_figure",
     "save_figures",
     "save_optimisation_figures",
+    "save_tradeoff_figure",
     "spectrum_figure",
     "thin",
 ]

@@ -141,7 +141,8 @@ def _deviations(ax: Axes, found: Optimisation) -> None:
         ax.axhline(found.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
     ax.set_xticks(place, [*names, "all: mean", "all: worst"], rotation=20, ha="right", fontsize="small")
     finish(ax, "What assembly errors cost", x="which number is off", y="objective [arcmin]")
-    ax.legend(fontsize="small", loc="best", framealpha=0.8)
+    ax.set_ylim(0.0, 1.4 * ax.get_ylim()[1])  # room for the legend
+    ax.legend(fontsize="small", loc="upper left", framealpha=0.8)
 
 
 def _short(path: str) -> str:

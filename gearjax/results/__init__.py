@@ -10,7 +10,9 @@ from gearjax.results.cases import (
     save,
     stored_config,
 )
-from gearjax.results.optimisation import Optimisation, optimise
+from gearjax.results.optimisation import Optimisation, optimise, save_optimisation
+from gearjax.results.tradeoff import as_json as tradeoff_as_json
+from gearjax.results.tradeoff import save_tradeoff
 
 __all__ = [
     "METRICS",
@@ -22,5 +24,8 @@ __all__ = [
     "required_run",
     "run_cases",
     "save",
+    "save_optimisation",
+    "save_tradeoff",
     "stored_config",
+    "tradeoff_as_json",
 ]

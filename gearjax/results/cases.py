@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from gearjax.analysis import Backlash, Motion, TransmissionError, backlash, simulate, transmission_error
+from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
 from gearjax.analysis.dynamics import suitable_step
 from gearjax.checks import GearjaxError, SceneError, writing
 from gearjax.scene import Published, Run, Scene
@@ -82,8 +82,12 @@ def remarks(scene: Scene) -> list[str]:
     return found
 
 
-def run_cases(scene: Scene) -> Iterator[Case]:
+def run_cases(scene: Scene, stepper: FixedStep | None = None) -> Iterator[Case]:
     """Every analysis that the run section lists, one after the other.
+
+    Args:
+        scene: the scene.
+        stepper: of the dynamic TE, in place of `suitable_step`.
 
     Raises:
         SceneError: no run section, or an analysis that cannot be done.
@@ -99,17 +103,16 @@ def run_cases(scene: Scene) -> Iterator[Case]:
         elif analysis == "backlash":
             yield _case(run, analysis, 0.0, backlash(scene, theta))
         for torque in run.torques if analysis in ("static", "dynamic") else ():
-            yield _loaded(scene, run, analysis, torque, ts)
+            yield _loaded(scene, run, analysis, torque, ts, stepper)
 
 
-def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts) -> Case:
+def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts, stepper: FixedStep | None) -> Case:
     if analysis == "static":
         theta = scene.system.input_speed * ts
         result = transmission_error(scene, theta, torque_history(scene, ts, torque))
         if bool((result.result != 0).any()):
             raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
         return _case(run, analysis, torque, result)
-    stepper = suitable_step(scene, run.duration)
     motion = simulate(scene, ts, torque, start=run.start, settle=run.settle, stepper=stepper)
     return _case(run, analysis, torque, motion)
 

@@ -1,0 +1,195 @@
+"""The equation of motion of the output on its contacts, and its rates.
+
+    M q'' + sum_i J_i (k_i(t) penetration(overlap_i) + c_i overlap_i') = -T(t)
+
+(consistent form of Wang et al. 2020, eq. 19; the printed one has wrong signs). Position is scaled by `LENGTH_SCALE` on
+the line of action, time by the highest natural frequency.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.analysis.quasi_static import rest
+from gearjax.analysis.tables import depends
+from gearjax.contact import ContactSet
+from gearjax.scene import Scene
+from gearjax.typing import Array, Float, Scalar
+
+LENGTH_SCALE = 1e-5  # m on the line of action
+
+
+def natural_frequency(scene: Scene) -> Scalar:
+    """Highest natural frequency, all pairs in contact at their peak stiffness [rad/s]."""
+    contacts = scene.contacts(jnp.zeros_like(scene.system.input_speed))
+    assert scene.inertia is not None
+    assert scene.compliance is not None
+    lever = contacts.lever[: contacts.pairs]
+    stiffness = (lever * lever).sum() * scene.compliance.peak_stiffness()
+    return jnp.sqrt(stiffness / scene.inertia.moment(lever))
+
+
+def fastest_rate(scene: Scene) -> Scalar:
+    """Fastest rate of a scene, which a step has to resolve [rad/s].
+
+    The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of the
+    stiffness, the load and the bodies.
+    """
+    assert scene.inertia is not None
+    assert scene.compliance is not None
+    assert scene.load is not None
+    system, pairs = scene.system, scene_pairs(scene)
+    orders = system.orders
+    rates = [
+        natural_frequency(scene),
+        scene.compliance.harmonics * orders["mesh"] * system.input_speed,
+        scene.load.rate(system.input_speed, orders),
+        turning_rate(scene),
+    ]
+    if scene.damping is not None:
+        mass = scene.inertia.mass
+        rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), mass).sum() / mass)
+    return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+
+def turning_rate(scene: Scene) -> Scalar:
+    """Fastest rate of the turning bodies, which the gaps follow [rad/s]."""
+    return jnp.asarray(fastest_order(scene), scene.dtype) * scene.system.input_speed
+
+
+def fastest_order(scene: Scene) -> float:
+    """Turns of the fastest body per turn of the input."""
+    return max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
+
+
+def slowest_decay(scene: Scene) -> Scalar:
+    """Rate at which a motion forgets its start while one pair is in contact [1/s]; 0 undamped."""
+    if scene.damping is None or scene.inertia is None or scene.compliance is None:
+        return jnp.zeros((), scene.dtype)
+    mass = scene.inertia.mass
+    stiffness = scene.compliance.mean_stiffness(scene_pairs(scene))
+    decay = 0.5 * scene.damping.coefficient(stiffness, mass).min() / mass
+    overdamped = decay > jnp.sqrt(stiffness.min() / mass)
+    return jnp.where(overdamped, stiffness.min() / mass / jnp.maximum(2 * decay, 1e-30), decay)
+
+
+class Gaps(eqx.Module):
+    """Levers and gaps of the contacts at one time, and their rates; ``None`` where they do not count."""
+
+    lever: Array
+    gap: Array
+    lever_rate: Array | None
+    gap_rate: Array | None
+
+
+class Excitation(eqx.Module):
+    """What drives the motion at one time: everything but the output's own position."""
+
+    gaps: Gaps
+    stiffness: Array
+    load: Array
+
+
+class Equation(eqx.Module):
+    """The scaled equation of motion of one scene under one torque.
+
+    Args:
+        scene: with its start worked out.
+        torque: size of the load [N m].
+        frequency: scaled time per time [1/s].
+        scale: position per scaled position [rad].
+    """
+
+    scene: Scene
+    torque: Scalar
+    frequency: Scalar
+    scale: Scalar
+
+    @classmethod
+    def of(cls, scene: Scene, torque: Scalar) -> "Equation":
+        """The equation, scaled for the scene."""
+        scene = scene.anchored()
+        lever = jnp.mean(jnp.abs(scene.contacts(jnp.zeros_like(scene.system.input_speed)).lever))
+        return cls(scene, torque, natural_frequency(scene), LENGTH_SCALE / lever)
+
+    def load(self, time: Scalar) -> Scalar:
+        """Load torque [N m]."""
+        assert self.scene.load is not None
+        turns = self.scene.system.input_speed * time / (2 * jnp.pi)
+        return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+
+    def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
+        """Levers and stiffness of the contacts at a time [s]."""
+        contacts = self._contacts(time)
+        assert contacts.stiffness is not None
+        return contacts.lever, contacts.stiffness
+
+    def gaps(self, time: Scalar) -> Gaps:
+        """Levers and gaps at a time [s]."""
+
+        def both(time):
+            contacts = self.scene.contacts(self.scene.system.input_speed * time)
+            return contacts.lever, contacts.gap
+
+        if self.scene.damping is None:
+            lever, gap = both(time)
+            return Gaps(lever, gap, None, None)
+        (lever, gap), (lever_rate, gap_rate) = jax.jvp(both, (time,), (jnp.ones_like(time),))
+        turning, _ = depends(both, time)
+        return Gaps(lever, gap, lever_rate if turning else None, gap_rate)
+
+    def excitation(self, time: Scalar) -> Excitation:
+        """Contacts and load at a time [s]."""
+        return Excitation(self.gaps(time), self.springs(time)[1], self.load(time))
+
+    def _contacts(self, time: Scalar) -> ContactSet:
+        return self.scene.contacts(self.scene.system.input_speed * time, "varying")
+
+    def forces(self, time: Scalar, position: Scalar) -> Float[Array, " contact"]:
+        """Elastic force of each contact [N]."""
+        now = self.excitation(time)
+        return now.stiffness * self.scene.contact.penetration(now.gaps.lever * position - now.gaps.gap)
+
+    def acceleration(self, now: Excitation, position: Scalar, velocity: Scalar) -> Scalar:
+        """Acceleration of the output's deviation [rad/s2]."""
+        scene, gaps = self.scene, now.gaps
+        assert scene.inertia is not None
+        assert scene.compliance is not None
+        pairs = scene_pairs(scene)
+        overlap = gaps.lever * position - gaps.gap
+        moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
+        if scene.damping is not None and gaps.gap_rate is not None:
+            coefficient = scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), scene.inertia.mass)
+            speed = gaps.lever * velocity - gaps.gap_rate
+            if gaps.lever_rate is not None:
+                speed = speed + gaps.lever_rate * position
+            engaged = scene.contact.closed(overlap)
+            if overlap.shape[0] > pairs:  # one damper per pair, while either of its flanks is in contact
+                engaged = 1.0 - (1.0 - engaged[:pairs]) * (1.0 - engaged[pairs:])
+            moment = moment - (gaps.lever[:pairs] * coefficient * engaged * speed[:pairs]).sum()
+        return moment / scene.inertia.moment(gaps.lever[:pairs])
+
+    def rate(self, now: Excitation, state: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Change of the scaled state per scaled time."""
+        acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)
+        return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
+
+    def initial(self, time: Scalar, start: str) -> Float[Array, "2"]:
+        """Scaled position and velocity to start from."""
+        if start == "zero":
+            return jnp.zeros((2,), time.dtype)
+        stiffness, load = self._contacts(time).stiffness, self.load(time)
+
+        def follow(time: Scalar) -> Scalar:
+            """Static equilibrium as the gaps move, under the stiffness and the torque of the start."""
+            now = self._contacts(time)
+            held = ContactSet(now.jacobian, now.gap, stiffness, now.pairs)
+            return rest(held, self.scene, load).position
+
+        position, velocity = jax.jvp(follow, (time,), (jnp.ones_like(time),))
+        return jnp.stack([position, velocity / self.frequency]) / self.scale
+
+
+def scene_pairs(scene: Scene) -> int:
+    """Number of driving contacts of a scene."""
+    return jax.eval_shape(scene.contacts, scene.system.input_speed).pairs

@@ -1,0 +1,49 @@
+"""Motion without integration: the output follows its quasi-static position, with a first correction for inertia."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.analysis.equation import Equation, scene_pairs
+from gearjax.analysis.quasi_static import rest
+from gearjax.contact import ContactSet
+from gearjax.typing import Array, Float, Scalar
+
+
+class QuasiStatic(eqx.Module):
+    """The cheapest stand-in for a motion: equilibrium at each time under the stiffness and load of that time.
+
+    Args:
+        inertia: whether to add the first correction, ``-(M q'' + d q') / k`` of the following output; it holds where
+            everything is slow against the natural frequency.
+    """
+
+    inertia: bool = eqx.field(static=True, default=True)
+
+
+def follow(equation: Equation, ts: Float[Array, " n"], method: QuasiStatic) -> tuple[Array, Array]:
+    """Position [rad] and velocity [rad/s] at each time, shape (n,) each."""
+
+    def position(time: Scalar) -> Scalar:
+        now, (_, stiffness) = equation.gaps(time), equation.springs(time)
+        contacts = ContactSet(now.lever[:, None], now.gap, stiffness, scene_pairs(equation.scene))
+        return rest(contacts, equation.scene, equation.load(time)).position
+
+    def at(time: Scalar) -> tuple[Scalar, Scalar]:
+        def rate(time: Scalar) -> tuple[Scalar, Scalar]:
+            return jax.jvp(position, (time,), (jnp.ones_like(time),))
+
+        if not method.inertia:
+            return rate(time)
+        (place, velocity), (_, acceleration) = jax.jvp(rate, (time,), (jnp.ones_like(time),))
+        # what the equation of motion lacks at the followed position, over the stiffness there
+        now = equation.excitation(time)
+        missing = acceleration - equation.acceleration(now, place, velocity)
+        assert equation.scene.inertia is not None
+        closed = equation.scene.contact.closed(now.gaps.lever * place - now.gaps.gap)
+        stiffness = (closed * now.stiffness * now.gaps.lever**2).sum()
+        moment = equation.scene.inertia.moment(now.gaps.lever[: scene_pairs(equation.scene)])
+        step = jnp.where(stiffness > 0, moment * missing / jnp.where(stiffness > 0, stiffness, 1.0), 0.0)
+        return place - step, velocity
+
+    return jax.vmap(at)(ts)

@@ -1,0 +1,99 @@
+"""Solvers of diffrax on the equation of motion: even steps of any of them, and its own adaptive loop."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from gearjax.analysis.equation import Equation
+from gearjax.analysis.solvers import AdaptiveStep, highest_between
+from gearjax.typing import Array, Float, Scalar
+
+MOST_ROWS = 256  # steps whose excitation is tabulated at once
+
+
+def even_steps(equation: Equation, ts: Array, state: Array, solver: diffrax.AbstractSolver, steps: int):
+    """Even steps: a scan over the sample intervals, cut into parts of `MOST_ROWS` steps, and over the steps of each.
+
+    What drives the motion is tabulated for all ends and middles of the steps of an interval at once (vectorised,
+    and out of the sequential loop); within a step it is interpolated, exactly so at the nodes of Runge-Kutta.
+    A step runs over the time 0 to 1.
+    """
+
+    now, unpack = ravel_pytree(equation.excitation(ts[0]))
+
+    def field(time, state, args):
+        rows, span = args
+        return span * equation.rate(unpack(_within(rows, time)), state)
+
+    terms = diffrax.ODETerm(field)
+    parts = -(-steps // MOST_ROWS)
+    steps = -(-steps // parts)
+
+    def interval(carry, times):
+        origin, length = times
+        span = length * equation.frequency / steps
+        nodes = origin + jnp.arange(2 * steps + 1).astype(ts.dtype) * (0.5 / steps) * length
+        table = jax.vmap(lambda time: ravel_pytree(equation.excitation(time))[0])(nodes)
+        rows = jnp.stack([table[:-1:2], table[1::2], table[2::2]], axis=1)
+
+        def step(inner, now):
+            rows, first = now
+            state, memory, highest, lowest = inner
+            new, _, _, memory, _ = solver.step(terms, 0.0, 1.0, state, (rows, span), memory, first)
+            highest = jnp.maximum(highest, highest_between(state[0], new[0], state[1], new[1], span))
+            lowest = jnp.minimum(lowest, -highest_between(-state[0], -new[0], -state[1], -new[1], span))
+            return (new, memory, highest, lowest), None
+
+        state, memory = carry
+        firsts = jnp.arange(steps) == 0
+        start = (state, memory, state[0], state[0])
+        # recompute each step when differentiating backwards: storing its inner values is slower and larger
+        carry, _ = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), start, (rows, firsts))
+        state, memory, highest, lowest = carry
+        return (state, memory), (state, highest, lowest)
+
+    memory = solver.init(terms, 0.0, 1.0, state, (jnp.stack([now, now, now]), jnp.ones_like(ts[0])))
+    lengths = (ts[1:] - ts[:-1]) / parts
+    origins = ts[:-1, None] + lengths[:, None] * jnp.arange(parts).astype(ts.dtype)[None, :]
+    intervals = (origins.ravel(), jnp.repeat(lengths, parts))
+    _, (states, highest, lowest) = jax.lax.scan(interval, (state, memory), intervals)
+    first = state[:1]
+    return (
+        jnp.concatenate([state[None, :], states[parts - 1 :: parts]]),
+        jnp.concatenate([first, highest.reshape(-1, parts).max(axis=1)]),
+        jnp.concatenate([first, lowest.reshape(-1, parts).min(axis=1)]),
+    )
+
+
+def _within(rows: Float[Array, "3 row"], time: float | Scalar) -> Float[Array, " row"]:
+    """A row within a step, at a time from 0 to 1: the parabola through its start, middle and end."""
+    if isinstance(time, float) and time in (0.0, 0.5, 1.0):
+        return rows[round(2 * time)]
+    weights = 2 * (time - 0.5) * (time - 1), 4 * time * (1 - time), 2 * time * (time - 0.5)
+    return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
+
+
+def adaptive_steps(equation: Equation, ts: Array, state: Array, stepper: AdaptiveStep):
+    """diffrax's adaptive loop; extremes are those of the samples."""
+
+    def field(tau, state, origin):
+        return equation.rate(equation.excitation(origin + tau / equation.frequency), state)
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        stepper.solver,
+        t0=jnp.zeros_like(ts[0]),
+        t1=(ts[-1] - ts[0]) * equation.frequency,
+        dt0=jnp.full_like(ts[0], 0.05),
+        y0=state,
+        args=ts[0],
+        saveat=diffrax.SaveAt(ts=(ts - ts[0]) * equation.frequency),
+        stepsize_controller=diffrax.PIDController(rtol=stepper.rtol, atol=stepper.atol),
+        max_steps=stepper.max_steps,
+        adjoint=stepper.adjoint,
+        throw=False,
+    )
+    states = jnp.asarray(solution.ys)
+    failed = jnp.where(solution.result == diffrax.RESULTS.successful, 0, 3)
+    return states, states[:, 0], states[:, 0], failed

@@ -1,0 +1,180 @@
+"""The equation of motion as even steps see it: an oscillator whose springs and dampers come and go."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis.equation import Equation, scene_pairs
+from gearjax.analysis.fitted import State
+from gearjax.contact import HardContact
+from gearjax.typing import Array, Float, Scalar
+
+FEW = 8  # pairs that are written out
+
+
+class Slow(NamedTuple):
+    """What drives a step and follows the turning bodies.
+
+    Args:
+        lever: change of overlap per scaled position, shape (contact,) [m].
+        gap: shape (contact,) [m].
+        inverse: push per force and lever, shape () [1/N m].
+        damping: ``d h / 2`` of each pair's damper, shape (pair,).
+        decay: ``e^-damping``, shape (pair,).
+        drag: push of each pair's damper on a resting output, shape (pair,).
+        turning: drag per scaled position, where the levers change, shape (pair,).
+    """
+
+    lever: Array
+    gap: Array
+    inverse: Array
+    damping: Array
+    decay: Array
+    drag: Array
+    turning: Array | None
+
+
+class Fast(NamedTuple):
+    """What drives a step and follows the teeth or the load: stiffness of each pair [N/m], load torque [N m]."""
+
+    stiffness: Array
+    load: Array
+
+
+class Oscillator(eqx.Module):
+    """The equation of motion of even steps.
+
+    Args:
+        equation: of motion.
+        step: [s].
+    """
+
+    equation: Equation
+    step: Scalar
+
+    def slow(self, time: Scalar) -> Slow:
+        """Slow numbers of the step at a time [s]."""
+        scene, now, scale = self.equation.scene, self.equation.gaps(time), self.equation.scale
+        assert scene.inertia is not None
+        pairs = scene_pairs(scene)
+        arm = now.lever[:pairs]
+        moment = scene.inertia.moment(arm)
+        inverse = self.step * self.step / (moment * scale * scale)
+        damping = drag = jnp.zeros((pairs,), now.gap.dtype)
+        turning = None
+        if scene.damping is not None:
+            assert scene.compliance is not None
+            assert now.gap_rate is not None
+            mean = scene.compliance.mean_stiffness(pairs)
+            coefficient = scene.damping.coefficient(mean, scene.inertia.mass) * arm
+            damping = 0.5 * self.step * coefficient * arm / moment
+            drag = inverse * scale * coefficient * now.gap_rate[:pairs]
+            if now.lever_rate is not None:
+                turning = -inverse * scale * scale * coefficient * now.lever_rate[:pairs]
+        return Slow(now.lever * scale, now.gap, inverse, damping, jnp.exp(-damping), drag, turning)
+
+    def state(self, slow: Slow, fast: Fast, position: Array) -> State:
+        """The oscillator of the contacts that are closed at a position."""
+        scene, pairs = self.equation.scene, len(fast.stiffness)
+        hard = isinstance(scene.contact, HardContact)
+        nothing = jnp.zeros_like(position)
+        force, stiffness, drag, damping, decay = [], [], [], [], []
+        for pair in list(range(pairs)) if pairs <= FEW else [slice(0, pairs)]:
+            engaged = None
+            for flank in range(len(slow.gap) // pairs):
+                lever, gap = slow.lever[flank * pairs :][pair], slow.gap[flank * pairs :][pair]
+                overlap = lever * position - gap
+                spring = lever * (slow.inverse * fast.stiffness[pair])
+                # hard contacts by selection: a batch takes half the time of products with zeros and ones
+                closed = overlap > 0 if hard else scene.contact.closed(overlap)
+                force.append(_gate(closed, spring * overlap) if hard else spring * scene.contact.penetration(overlap))
+                stiffness.append(_gate(closed, spring * lever))
+                engaged = closed if engaged is None else _either(engaged, closed)
+            if scene.damping is None or engaged is None:
+                continue
+            pull = slow.drag[pair] if slow.turning is None else slow.drag[pair] + slow.turning[pair] * position
+            drag.append(_gate(engaged, pull))
+            damping.append(_gate(engaged, slow.damping[pair]))
+            if hard:
+                decay.append(jnp.where(engaged, slow.decay[pair], 1.0).prod())
+        load = slow.inverse * self.equation.scale * fast.load
+        push = _total(drag, nothing) - _total(force, nothing) - load
+        damped = _total(damping, nothing)
+        left = jnp.exp(-damped) if not hard else jnp.ones_like(position)
+        for part in decay:
+            left = left * part
+        return State(push, _total(stiffness, nothing), damped, left)
+
+    def forces(self, slow: Slow, fast: Fast, position: Array) -> Float[Array, " contact"]:
+        """Elastic force of each contact [N]."""
+        flanks = slow.gap.shape[0] // len(fast.stiffness)
+        penetration = self.equation.scene.contact.penetration(slow.lever * position - slow.gap)
+        return jnp.concatenate([fast.stiffness] * flanks) * penetration
+
+
+def _gate(closed: Array, value: Array) -> Array:
+    """A value where contacts are closed; by parts where a smooth law closes them by parts."""
+    return jnp.where(closed, value, 0.0) if closed.dtype == bool else closed * value
+
+
+def _either(one: Array, other: Array) -> Array:
+    return one | other if one.dtype == bool else 1.0 - (1.0 - one) * (1.0 - other)
+
+
+def _total(parts: list[Array], nothing: Array) -> Array:
+    """Sum of numbers, as a tree: a chain would wait for each addition."""
+    parts = [part.sum() for part in parts] or [nothing]
+    while len(parts) > 1:
+        parts = [sum(parts[i + 1 : i + 2], parts[i]) for i in range(0, len(parts), 2)]
+    return parts[0]
+
+
+class Harmonics(NamedTuple):
+    """Stiffness of each pair as a Fourier series of its mesh phase.
+
+    Args:
+        mean: shape (pair,) [N/m].
+        cosine, sine: shape (harmonic, pair) [N/m].
+    """
+
+    mean: Array
+    cosine: Array
+    sine: Array
+
+    @classmethod
+    def of(cls, equation: Equation) -> "Harmonics":
+        """The series of a scene, from as many samples of a mesh period as it has terms."""
+        compliance, pairs = equation.scene.compliance, scene_pairs(equation.scene)
+        assert compliance is not None
+        number = 2 * compliance.harmonics + 1
+        angles = 2 * np.pi * np.arange(number) / number
+        dtype = equation.scene.dtype
+        sampled = jnp.stack([compliance.stiffness(jnp.full((pairs,), angle, dtype)) for angle in angles])
+        order = np.arange(1, compliance.harmonics + 1)[:, None] * angles[None, :]
+        waves = [jnp.asarray(2 / number * wave, dtype) for wave in (np.cos(order), np.sin(order))]
+        cosine, sine = ((wave[:, :, None] * sampled[None, :, :]).sum(axis=1) for wave in waves)
+        return cls(sampled.mean(axis=0), cosine, sine)
+
+    def turned(self, angle: Float[Array, " pair"]) -> "Harmonics":
+        """The same counted from a mesh phase [rad]."""
+        if self.cosine.shape[0] == 0:
+            return self
+        order = jnp.arange(1, self.cosine.shape[0] + 1).astype(angle.dtype)
+        turn = order[:, None] * angle[None, :]
+        cosine, sine = jnp.cos(turn), jnp.sin(turn)
+        return Harmonics(self.mean, self.cosine * cosine + self.sine * sine, self.sine * cosine - self.cosine * sine)
+
+
+def mesh_phases(equation: Equation, time: Scalar) -> Float[Array, " pair"]:
+    """Mesh phase of each pair at a time [s]."""
+    system = equation.scene.system
+    return system.mesh_angle(system.input_speed * time)
+
+
+def mesh_rate(equation: Equation) -> Scalar:
+    """Rate of the mesh phase [rad/s]."""
+    start = jnp.zeros_like(equation.scene.system.input_speed)
+    return jax.jvp(lambda time: mesh_phases(equation, time), (start,), (jnp.ones_like(start),))[1].mean()

@@ -1,0 +1,54 @@
+"""Signals at evenly spaced times, without a sine for every time.
+
+A block of steps is covered by the polynomial through a few Chebyshev nodes; how many it takes follows from the fastest
+rate of the signal.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import Literal
+
+ACCURACY = 1e-10  # of the interpolation, relative to a sine of the fastest rate
+MOST_NODES = 24
+
+
+def nodes_for(phase: float) -> int:
+    """How many nodes resolve a phase per block [rad], at most `MOST_NODES`."""
+    return next((number for number in range(3, MOST_NODES) if phase <= reach(number)), MOST_NODES)
+
+
+def reach(number: int) -> float:
+    """Largest phase per block that a number of nodes resolves [rad]."""
+    return 4 * (0.5 * ACCURACY * math.factorial(number)) ** (1 / number)
+
+
+def interpolation(steps: int, number: int, beyond: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev nodes in steps, shape (node,), and the weights of the steps of a block, shape (steps, node).
+
+    Args:
+        steps: of a block.
+        number: of nodes.
+        beyond: rows of weights for steps after the block.
+    """
+    angles = np.pi * (np.arange(number) + 0.5) / number
+    places = 0.5 * steps * (1 - np.cos(angles))
+    barycentric = (-1.0) ** np.arange(number) * np.sin(angles)
+    away = np.arange(steps + beyond)[:, None] - places[None, :]
+    met = np.isclose(away, 0, atol=1e-12)
+    weights = barycentric / np.where(met, 1.0, away)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return places, np.where(np.any(met, axis=1, keepdims=True), met, weights)
+
+
+def depends(function: Callable[[Any], Any], argument: Any) -> list[bool]:
+    """Which results of a function, the leaves of a tree, depend on its argument, from its program."""
+    program = jax.make_jaxpr(function)(argument).jaxpr
+    touched = set(program.invars)
+    for equation in program.eqns:
+        if any(not isinstance(atom, Literal) and atom in touched for atom in equation.invars):
+            touched |= set(equation.outvars)
+    return [not isinstance(atom, Literal) and atom in touched for atom in program.outvars]

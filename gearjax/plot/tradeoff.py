@@ -1,0 +1,44 @@
+"""Work-precision figure of the settings of a scene."""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from gearjax.plot.axes import finish, new_figure, save_figure
+from gearjax.studies.tradeoff import Tradeoff
+from gearjax.units import arcmin
+
+LEAST = 1e-8  # arcmin: below, an error is drawn there
+
+
+def tradeoff_figure(found: Tradeoff) -> Figure:
+    """Error of the metrics against run time and against the time of a gradient, a colour for each group."""
+    figure, axes = new_figure(2, height=4.2)
+    for ax, kind in zip(axes, ("run", "gradient"), strict=True):
+        for index, group in enumerate(dict.fromkeys(row.group for row in found.rows)):
+            rows = [row for row in found.rows if row.group == group]
+            times = [row.seconds if kind == "run" else row.gradient_seconds for row in rows]
+            points = [
+                (1e3 * seconds, max(row.error / arcmin, LEAST), row.name)
+                for row, seconds in zip(rows, times, strict=True)
+                if seconds is not None
+            ]
+            if not points:
+                continue
+            x, y, names = zip(*points, strict=True)
+            ax.loglog(x, y, "osD^v<>P"[index % 8], color=f"C{index}", label=group, markersize=5)
+            for place in zip(x, y, names, strict=True):
+                ax.annotate(place[2], place[:2], fontsize=5.5, xytext=(3, 2), textcoords="offset points")
+        ax.axhline(found.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
+        title = "one run" if kind == "run" else "gradient of the standard deviation, all numbers of the errors"
+        finish(ax, f"Error against time: {title}", x="time [ms]", y="largest error of a metric [arcmin]")
+    return figure
+
+
+def save_tradeoff_figure(found: Tradeoff, folder: Path) -> list[Path]:
+    """Write ``tradeoff.png``.
+
+    Raises:
+        GearjaxError: the file cannot be written.
+    """
+    return [save_figure(tradeoff_figure(found), folder / "tradeoff.png")]

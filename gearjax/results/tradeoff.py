@@ -1,0 +1,55 @@
+"""What ``gearjax tradeoff`` measures, as JSON and CSV."""
+
+from pathlib import Path
+
+from gearjax.checks import writing
+from gearjax.studies.tradeoff import Measured, Tradeoff
+from gearjax.units import arcmin
+
+
+def as_json(config: str, found: Tradeoff) -> dict:
+    """The object that ``gearjax tradeoff --json`` prints."""
+    return {
+        "config": config,
+        "error_arcmin": found.error / arcmin,
+        "truth": {"metrics": _metrics(found.truth), "seconds": found.truth_seconds},
+        "settings": [
+            {
+                "group": row.group,
+                "name": row.name,
+                "error_arcmin": row.error / arcmin,
+                "seconds": row.seconds,
+                "gradient_seconds": row.gradient_seconds,
+                "compile_seconds": row.compile_seconds,
+                "metrics": _metrics(row.metrics),
+            }
+            for row in found.rows
+        ],
+        "recommended": None if found.best is None else f"{found.best.group}: {found.best.name}",
+    }
+
+
+def _metrics(metrics: dict[float, dict[str, float]]) -> list[dict]:
+    return [
+        {"torque_Nm": torque} | {f"{name}_arcmin": value / arcmin for name, value in values.items()}
+        for torque, values in metrics.items()
+    ]
+
+
+def save_tradeoff(found: Tradeoff, folder: Path) -> list[Path]:
+    """Write ``tradeoff.csv``.
+
+    Raises:
+        GearjaxError: the folder cannot be written.
+    """
+    lines = ["group,setting,error [arcmin],run [s],gradient [s],compile [s]"]
+    lines += [f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))}" for row in found.rows]
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "tradeoff.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return [folder / "tradeoff.csv"]
+
+
+def _numbers(row: Measured) -> list[str]:
+    numbers = (row.error / arcmin, row.seconds, row.gradient_seconds, row.compile_seconds)
+    return ["" if number is None else f"{number:.6g}" for number in numbers]

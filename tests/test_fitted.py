@@ -1,0 +1,193 @@
+"""The exponentially fitted steps: exact between changes of contact, second order, windows, gradients, refusals."""
+
+import dataclasses
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.analysis.fitted import ExponentialFit, OscillatorTerm, State
+from gearjax.units import arcmin
+from tests.test_dynamics import ALPHA, MASS, PHASE, RADIUS, SIZE, STIFFNESS, TORQUE, exact, oscillator, still
+
+__all__ = ["oscillator", "still"]
+RK4 = gj.RungeKutta4()
+PUSHED = SIZE * np.sin(PHASE - ALPHA)
+
+
+def resting(scene, ratio):
+    """One pair that never opens, in a reducer that hardly turns: a constant push."""
+    damping = None if ratio == 0 else gj.DampingRatio(ratio)
+    return dataclasses.replace(scene, system=dataclasses.replace(scene.system, input_speed=1e-9), damping=damping)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.1, 2**0.5, 3.0])
+@pytest.mark.parametrize("per_sample", [1, 3])
+def test_exact_for_a_linear_oscillator_at_any_step(oscillator, ratio, per_sample):
+    """Long steps: position and velocity to rounding, undamped to overdamped (critical at sqrt 2)."""
+    ts = jnp.arange(101.0) * (0.2 * per_sample / np.sqrt(STIFFNESS / MASS))
+    step = gj.FixedStep(per_sample=per_sample)
+    motion = gj.simulate(resting(oscillator, ratio), ts, TORQUE, start="zero", stepper=step)
+    rest = PUSHED - TORQUE / RADIUS / STIFFNESS
+    decay = 0.5 * ratio * np.sqrt(2 * STIFFNESS / MASS) + 0j
+    swing = np.sqrt(STIFFNESS / MASS - decay**2 + 1e-6j)
+    time = np.asarray(ts)
+    own = np.exp(-decay * time) * (np.cos(swing * time) + decay / swing * np.sin(swing * time))
+    np.testing.assert_allclose(motion.te * RADIUS, rest * (1 - own.real), rtol=0, atol=1e-9 * abs(rest))
+    rate = STIFFNESS / MASS / swing * np.exp(-decay * time) * np.sin(swing * time)
+    np.testing.assert_allclose(
+        motion.velocity * RADIUS, rest * rate.real, rtol=0, atol=1e-8 * abs(rest) * np.sqrt(STIFFNESS / MASS)
+    )
+
+
+def test_second_order(oscillator):
+    """Where the gaps move, in position and in velocity."""
+    damped = dataclasses.replace(oscillator, damping=gj.DampingRatio(0.1))
+    ts = jnp.linspace(0.0, 0.02, 11)
+    truth = gj.simulate(damped, ts, TORQUE, start="zero", stepper=gj.FixedStep(2e-6, solver=RK4))
+    np.testing.assert_allclose(truth.te, exact(np.asarray(ts), 0.1), rtol=0, atol=1e-12)
+    errors = []
+    for steps in (12, 24, 48):
+        motion = gj.simulate(damped, ts, TORQUE, start="zero", stepper=gj.FixedStep(per_sample=steps))
+        errors.append([float(abs(getattr(motion, n) - getattr(truth, n)).max()) for n in ("te", "velocity")])
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    np.testing.assert_allclose(orders[:, 0], 2.0, atol=0.15)
+    assert (orders[:, 1] > 1.8).all()
+
+
+@pytest.mark.parametrize("torque", [pytest.param(30.0, marks=pytest.mark.slow), 300.0])
+def test_one_contact_that_opens_and_closes(scene, torque):
+    """The whole reducer: contacts open and close, and the error still falls with the step."""
+    ts = jnp.linspace(0.0, 0.2, 201)
+    truth = gj.simulate(scene, ts, torque, stepper=gj.FixedStep(per_sample=512, solver=RK4))
+    errors = []
+    for steps in (10, 40, 160):
+        motion = gj.simulate(scene, ts, torque, stepper=gj.FixedStep(per_sample=steps))
+        errors.append(float(abs(motion.te - truth.te).max()) / arcmin)
+    assert errors[0] < 2e-3
+    assert errors[2] < errors[1] < errors[0]
+    assert errors[2] < 1e-4
+    np.testing.assert_allclose(motion.forces, truth.forces, rtol=0, atol=2.0)
+    assert float(motion.peak_to_peak) == pytest.approx(float(truth.peak_to_peak), rel=1e-4)
+    assert float(abs(motion.velocity - truth.velocity).max()) < 2e-3 * float(abs(truth.velocity).max())
+
+
+@pytest.mark.slow
+def test_smooth_laws(scene, with_contact):
+    ts = jnp.linspace(0.0, 0.05, 51)
+    for law in (gj.SoftplusContact(5e-7), gj.QuadraticContact(5e-7)):
+        soft = with_contact(scene, law)
+        fitted = gj.simulate(soft, ts, 100.0, stepper=gj.FixedStep(per_sample=64))
+        other = gj.simulate(soft, ts, 100.0, stepper=gj.FixedStep(per_sample=64, solver=RK4))
+        assert float(abs(fitted.te - other.te).max()) / arcmin < 2e-4
+
+
+def test_the_scheme_as_a_solver_of_diffrax(oscillator):
+    """diffeqsolve with even steps and all steps saved gives the same as the scan."""
+    ts = jnp.linspace(0.0, 0.002, 41)
+    stiff = STIFFNESS / MASS
+    pull = stiff * PUSHED - TORQUE / RADIUS / MASS
+    step = float(ts[1])
+
+    def state(_, position, args):
+        assert args is None
+        zero = jnp.zeros(())
+        return State(step**2 * (pull - stiff * position), jnp.asarray(stiff * step**2), zero, zero + 1.0)
+
+    solution = diffrax.diffeqsolve(
+        OscillatorTerm(state), ExponentialFit(), 0.0, 40.0, 1.0, jnp.zeros(2), saveat=diffrax.SaveAt(steps=True)
+    )
+    motion = gj.simulate(resting(oscillator, 0), ts, TORQUE, start="zero", stepper=gj.FixedStep(per_sample=1))
+    assert solution.ys is not None
+    np.testing.assert_allclose(solution.ys[:40, 0], motion.te[1:] * RADIUS, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(solution.ys[:40, 1] / step, motion.velocity[1:] * RADIUS, rtol=1e-7, atol=1e-9)
+
+
+def test_windows_agree_with_one_go(scene):
+    ts = jnp.linspace(0.0, 1.0, 1001)
+    whole = gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(per_sample=16))
+    cut = gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(per_sample=16, windows=gj.Windows(7, 0.06)))
+    assert 0 < float(cut.defect) < 1e-10
+    for name in ("te", "velocity", "forces", "highest", "lowest"):
+        one, other = getattr(whole, name), getattr(cut, name)
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-6 * float(abs(one).max()))
+    shorter = gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(per_sample=16, windows=gj.Windows(7, 0.03)))
+    assert float(shorter.defect) > 100 * float(cut.defect), "a shorter warm-up is further apart, and says so"
+
+
+@pytest.mark.slow
+def test_windows_that_do_not_agree_are_replaced(scene):
+    light = dataclasses.replace(scene, damping=gj.DampingRatio(1e-3))
+    ts = jnp.linspace(0.0, 0.5, 501)
+    whole = gj.simulate(light, ts, 100.0, stepper=gj.FixedStep(per_sample=16))
+    cut = gj.FixedStep(per_sample=16, windows=gj.Windows(8, 0.02))
+    with pytest.warns(UserWarning, match="rad apart where they meet: computed in one go instead"):
+        motion = gj.simulate(light, ts, 100.0, stepper=cut)
+    np.testing.assert_array_equal(motion.te, whole.te)
+    traced = jax.jit(lambda scene: gj.simulate(scene, ts, 100.0, stepper=cut))(light)
+    np.testing.assert_allclose(traced.te, whole.te, rtol=0, atol=1e-9 * arcmin)
+    assert float(traced.defect) > 1e-9
+
+
+def test_the_default_takes_windows_where_they_pay(scene):
+    from gearjax.analysis.dynamics import suitable_step
+
+    assert suitable_step(scene, 3.0).windows is not None
+    assert suitable_step(scene, 0.05).windows is None
+    assert suitable_step(dataclasses.replace(scene, damping=None), 3.0).windows is None
+    assert suitable_step(dataclasses.replace(scene, load=gj.SinusoidalLoad("mesh")), 3.0).windows is None
+
+
+@pytest.mark.parametrize("windows", [None, pytest.param(gj.Windows(6, 0.03), marks=pytest.mark.slow)])
+def test_gradients_of_statistics(scene, windows):
+    """Reverse and forward mode against central differences, jitted and batched."""
+    ts = jnp.linspace(0.0, 0.3, 151)
+    stepper = gj.FixedStep(per_sample=32, windows=windows)
+
+    def metrics(phase):
+        errors = dict(scene.errors)
+        errors["planet_2"] = gj.Eccentricity("planet_2", 20e-6, phase)
+        motion = gj.simulate(dataclasses.replace(scene, errors=errors), ts, 100.0, stepper=stepper)
+        return jnp.stack([motion.std, motion.mean]) / arcmin
+
+    phases = jnp.array([0.3, 2.0])
+    forward = jax.jit(jax.vmap(jax.jacfwd(metrics)))(phases)
+    reverse = jax.jit(jax.vmap(jax.jacrev(metrics)))(phases)
+    step = 1e-5
+    both = jax.jit(jax.vmap(metrics))
+    central = (both(phases + step) - both(phases - step)) / (2 * step)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(forward, central, rtol=0, atol=1e-6 * float(abs(central).max()))
+
+
+def test_a_sweep_compiles_once(scene):
+    """Damping, mass, speed, stiffness and sizes of errors are numbers: other values take the same program."""
+    from gearjax.analysis.dynamics import _simulate
+
+    ts = jnp.linspace(0.0, 0.02, 21)
+    stepper = gj.FixedStep(per_sample=25)
+    gj.simulate(scene, ts, 30.0, stepper=stepper)
+    before = _simulate._cached._cache_size()
+    for factor in (0.7, 1.2):
+        other = dataclasses.replace(
+            scene,
+            system=dataclasses.replace(scene.system, input_speed=factor * scene.system.input_speed),
+            damping=gj.DampingRatio(0.1 * factor),
+            inertia=gj.EquivalentMass(MASS * factor),
+            compliance=gj.HarmonicStiffness(STIFFNESS * factor, [0.1 * factor], [0.2]),
+        )
+        gj.simulate(other, ts, 30.0 * factor, stepper=stepper)
+    assert _simulate._cached._cache_size() == before
+
+
+def test_uneven_samples(scene):
+    ts = jnp.array([0.0, 0.001, 0.003, 0.0031, 0.01])
+    fine = gj.simulate(scene, ts, 100.0, stepper=gj.AdaptiveStep())
+    np.testing.assert_allclose(gj.simulate(scene, ts, 100.0).te, fine.te, rtol=0, atol=2e-4 * arcmin)
+    with pytest.raises(gj.SceneError, match=r"not evenly spaced.*RungeKutta4"):
+        gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(4e-5))
+    traced = jax.jit(lambda ts: gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(per_sample=64)).result)(ts)
+    assert int(traced) == 5
