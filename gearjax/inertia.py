@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax import units
-from gearjax.parameters import check_parameters, number
+from gearjax.parameters import check_parameters, name, number
 from gearjax.typing import Array, Float, Number, Scalar
 
 
@@ -26,13 +26,15 @@ class EquivalentMass(eqx.Module):
 
 
 class DampingRatio(eqx.Module):
-    """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``, acting while one of its flanks is in contact.
+    """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``.
 
     Args:
         ratio: damping ratio [-]; k is the mean stiffness of the pair, m the equivalent mass.
+        acting: ``"contact"`` while one of its flanks is in contact, or ``"always"``, through the clearance too.
     """
 
     ratio: Number = number(units.RATIO, at_least=0.0, at_most=100.0)
+    acting: str = name(default="contact", names=("contact", "always"))
 
     def __check_init__(self):
         check_parameters(self)

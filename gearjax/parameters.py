@@ -140,9 +140,10 @@ def count(*, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int
     return _field(parameter, static=True, **keywords)
 
 
-def name(*, names: tuple[str, ...] = ()) -> Any:
+def name(*, default: Any = dataclasses.MISSING, names: tuple[str, ...] = ()) -> Any:
     """A word, static; one of ``names`` where they are given."""
-    return _field(Parameter(None, "name", names=names), static=True)
+    keywords = {} if default is dataclasses.MISSING else {"default": default}
+    return _field(Parameter(None, "name", names=names), static=True, **keywords)
 
 
 def declared(part: Any) -> dict[str, Parameter]:

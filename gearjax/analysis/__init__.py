@@ -4,6 +4,7 @@ from gearjax.analysis.dynamics import simulate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.motion import Motion
+from gearjax.analysis.periodic import Periodic, Sweep, harmonic_balance, shooting, speed_sweep
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, transmission_error
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
@@ -14,13 +15,18 @@ __all__ = [
     "ExponentialFit",
     "FixedStep",
     "Motion",
+    "Periodic",
     "QuasiStatic",
     "RungeKutta4",
     "Spectrum",
+    "Sweep",
     "TransmissionError",
     "Windows",
     "backlash",
+    "harmonic_balance",
     "order_spectrum",
+    "shooting",
     "simulate",
+    "speed_sweep",
     "transmission_error",
 ]

@@ -166,6 +166,7 @@ class Equation(eqx.Module):
             engaged = scene.contact.closed(overlap)
             if overlap.shape[0] > pairs:  # one damper per pair, while either of its flanks is in contact
                 engaged = 1.0 - (1.0 - engaged[:pairs]) * (1.0 - engaged[pairs:])
+            engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged
             moment = moment - (gaps.lever[:pairs] * coefficient * engaged * speed[:pairs]).sum()
         return moment / scene.inertia.moment(gaps.lever[:pairs])
 

@@ -95,6 +95,8 @@ class Oscillator(eqx.Module):
                 engaged = closed if engaged is None else _either(engaged, closed)
             if scene.damping is None or engaged is None:
                 continue
+            if scene.damping.acting == "always":
+                engaged = jnp.ones_like(engaged)
             pull = slow.drag[pair] if slow.turning is None else slow.drag[pair] + slow.turning[pair] * position
             drag.append(_gate(engaged, pull))
             damping.append(_gate(engaged, slow.damping[pair]))
