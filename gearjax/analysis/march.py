@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 
 from gearjax.analysis.fitted import State, advance, change_before, velocity
 from gearjax.analysis.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
+from gearjax.analysis.recurrence import recur
 from gearjax.analysis.tables import depends, interpolation
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
@@ -169,13 +170,11 @@ def march(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: Spacin
         def at(row, position):
             return drive.state(unpack(row[0]), row[1], row[2] if load.ndim else load, position)
 
-        def one(inner, row):
-            position, change = inner
-            change = advance(change, at(row, position))
-            return (position + change, change), position  # an output that takes no work is not worked out twice
+        def step(position, change, row):
+            return advance(change, at(row, position))
 
         before = carry[0] - carry[1]
-        carry, path = jax.lax.scan(one, carry, _rows(table, slice(0, -1)))
+        carry, path = recur(step, carry[0], carry[1], _rows(table, slice(0, -1)))
         path = jnp.concatenate([before[None], path, carry[0][None]])
         now = path[1:-1:every]
 
@@ -277,7 +276,7 @@ def march_windows(
     def drives(row: Any) -> tuple[Slow, Fast]:
         return unpack(jnp.stack(row[0])), Fast(jnp.stack(row[1]), row[2][0] if row[2] else load)
 
-    def step(change: Scalar, row: Any, position: Scalar) -> Scalar:
+    def step(position: Scalar, change: Scalar, row: Any) -> Scalar:
         slow, fast = drives(row)
         return advance(change, drive.oscillator.state(slow, fast, position))
 
@@ -287,16 +286,11 @@ def march_windows(
         rows = table.rows(origins, offsets)
         begins = window + jnp.arange(lanes) == 0
 
-        def one(carry, row):
-            position, change = carry
-            change = jax.vmap(step)(change, row, position)
-            return (position + change, change), position
-
         carry = jax.vmap(lambda origin: begin(drive, origin, rest(origin)))(origins)
-        carry, _ = jax.lax.scan(lambda *given: (one(*given)[0], None), carry, _rows(rows, slice(0, warm)))
+        carry, _ = recur(jax.vmap(step), carry[0], carry[1], _rows(rows, slice(0, warm)))
         carry = tuple(jnp.where(begins, own, lane) for own, lane in zip(real, carry, strict=True))
         rows = _rows(rows, slice(warm, None))
-        ended, path = jax.lax.scan(one, carry, _rows(rows, slice(0, -1)))
+        ended, path = recur(jax.vmap(step), carry[0], carry[1], _rows(rows, slice(0, -1)))
         path = jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
         return _measured(drive.oscillator, drives, rows, path, spacing.each), carry, ended
 

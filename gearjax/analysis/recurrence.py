@@ -1,0 +1,75 @@
+"""The scan over the steps of a motion, with a derivative that costs little more than the scan.
+
+A derivative of the loop by the rules would carry every tangent through every operation of every step. But a step is a
+smooth function of position, last change and what drives it, so its partial derivatives can be worked out for all steps
+at once, after the scan; what is left in sequence is the linear recurrence
+
+    dc_n+1 = (dc/dx)_n dx_n + (dc/dc)_n dc_n + b_n,     dx_n+1 = dx_n + dc_n+1
+
+whose transpose is another one, backwards. Both modes follow from this one rule.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from gearjax.typing import Array
+
+Step = Callable[[Array, Array, Any], Array]
+
+
+def recur(step: Step, position: Array, change: Array, rows: Any) -> tuple[tuple[Array, Array], Array]:
+    """Positions before each step, and position and change after the last.
+
+    Args:
+        step: from position, last change and a row to the next change; elementwise over lanes.
+        position, change: at the start, a number or one for each lane.
+        rows: a tree of arrays, their first axis the steps.
+    """
+    first = jax.tree.map(lambda column: column[0], rows)
+    converted, constants = jax.closure_convert(step, position, change, first)
+    return _recur(converted, position, change, rows, tuple(constants))
+
+
+def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
+    def one(carry, row):
+        position, change = carry
+        change = step(position, change, row, *constants)
+        return (position + change, change), position  # an output that takes no work is not worked out twice
+
+    return jax.lax.scan(one, (position, change), rows)
+
+
+_recur = jax.custom_jvp(_scan, nondiff_argnums=(0,))
+
+
+@_recur.defjvp
+def _recur_jvp(step: Callable, primals: tuple, tangents: tuple) -> tuple:
+    position, change, rows, constants = primals
+    (last, ended), path = _recur(step, position, change, rows, constants)
+    after = jnp.concatenate([path[1:], last[None]])
+    changes = jnp.concatenate([change[None], after[:-1] - path[:-1]])
+
+    def at(x: Array, c: Array, row: Any, dx: Any, dc: Any, row_dot: Any, constants_dot: Any) -> Array:
+        return jax.jvp(step, (x, c, row, *constants), (dx, dc, row_dot, *constants_dot))[1]
+
+    nothing = jnp.zeros_like(path)
+    still_rows = jax.tree.map(jnp.zeros_like, rows)
+    still = tuple(jnp.zeros_like(constant) for constant in constants)
+    over = (0, 0, 0, 0, 0, 0, None)
+    one = jnp.ones_like(path)
+    by_position = jax.vmap(at, over)(path, changes, rows, one, nothing, still_rows, still)
+    by_change = jax.vmap(at, over)(path, changes, rows, nothing, one, still_rows, still)
+    position_dot, change_dot, rows_dot, constants_dot = tangents
+    driven = jax.vmap(at, over)(path, changes, rows, nothing, nothing, rows_dot, constants_dot)
+
+    def linear(carry, given):
+        dx, dc = carry
+        a, b, push = given
+        dc = a * dx + b * dc + push
+        return (dx + dc, dc), dx
+
+    (last_dot, ended_dot), path_dot = jax.lax.scan(linear, (position_dot, change_dot), (by_position, by_change, driven))
+    return ((last, ended), path), ((last_dot, ended_dot), path_dot)
