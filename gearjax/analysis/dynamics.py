@@ -5,7 +5,7 @@ Times come from the sample and step number.
 
 import math
 import warnings
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -39,7 +39,7 @@ FAULTS = {
 MOST_WINDOWED = 1_000_000  # steps of a record in windows
 WINDOW = 3000  # steps of a window after its warm-up
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
-APART = 1e-4  # scaled position (1e-9 m) that windows may be apart where they meet
+APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
 UNKNOWN = 0.03  # rad per step of the bodies, where their speeds are traced
 
 
@@ -120,7 +120,11 @@ def simulate(
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
         raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(scene, int(motion.result))}")
-    if limits is not None and is_concrete(motion.defect) and not float(motion.defect) <= APART * float(limits.scale):
+    if (
+        limits is not None
+        and is_concrete(motion.defect)
+        and not float(motion.defect) <= _allowed(ts.dtype) * float(limits.scale)
+    ):
         warnings.warn(
             f"windows of time are {float(motion.defect):.2g} rad apart where they meet: computed in one go instead",
             stacklevel=2,
@@ -171,7 +175,8 @@ def _suitable_windows(scene: Scene, duration: float, step: float, decay: float) 
         return None
     warm_up = FORGOTTEN / decay
     number = int(duration / max(WINDOW * step, warm_up))
-    return Windows(number, warm_up) if number >= 8 else None
+    number = number // march.LANES * march.LANES if number > march.LANES else number
+    return Windows(number, warm_up) if number >= march.LANES // 2 else None
 
 
 def _method(scene: Scene, ts: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None) -> Method:
@@ -229,6 +234,11 @@ def _windows(windows: Windows, samples: int, each: int, spacing: float, phase: f
         return None
     nodes = tables.MOST_NODES if phase is None else tables.nodes_for(phase * steps)
     return march.Windows(number, warm_up, nodes)
+
+
+def _allowed(dtype: Any) -> float:
+    """How far windows may be apart, scaled."""
+    return max(APART[0], APART[1] * float(jnp.finfo(dtype).eps))
 
 
 def _advice(scene: Scene, fault: int) -> str:
@@ -296,7 +306,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
     else:
         found = march.march_windows(drive, ts[0], state * per_step, rest, method.spacing, method.windows)
         if method.fall_back:
-            whole = found.defect <= APART
+            whole = found.defect <= _allowed(ts.dtype)
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing

@@ -13,7 +13,7 @@ LEAST = 1e-8  # arcmin: below, an error is drawn there
 
 def tradeoff_figure(found: Tradeoff) -> Figure:
     """Error of the metrics against run time and against the time of a gradient, a colour for each group."""
-    figure, axes = new_figure(2, height=4.2)
+    figure, axes = new_figure(2, height=5.0)
     for ax, kind in zip(axes, ("run", "gradient"), strict=True):
         for index, group in enumerate(dict.fromkeys(row.group for row in found.rows)):
             rows = [row for row in found.rows if row.group == group]
@@ -27,11 +27,21 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
                 continue
             x, y, names = zip(*points, strict=True)
             ax.loglog(x, y, "osD^v<>P"[index % 8], color=f"C{index}", label=group, markersize=5)
+            turned = -35 if index % 2 else 35  # neighbours of other groups lean the other way
             for place in zip(x, y, names, strict=True):
-                ax.annotate(place[2], place[:2], fontsize=5.5, xytext=(3, 2), textcoords="offset points")
+                ax.annotate(
+                    place[2],
+                    place[:2],
+                    fontsize=5.5,
+                    xytext=(2, -4 if index % 2 else 4),
+                    textcoords="offset points",
+                    rotation=turned,
+                    rotation_mode="anchor",
+                )
         ax.axhline(found.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
         title = "one run" if kind == "run" else "gradient of the standard deviation, all numbers of the errors"
         finish(ax, f"Error against time: {title}", x="time [ms]", y="largest error of a metric [arcmin]")
+        ax.margins(x=0.12, y=0.12)
     return figure
 
 
