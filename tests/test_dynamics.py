@@ -241,6 +241,7 @@ def test_stiffness_harmonics_of_any_length(scene):
     assert lines[30] > 3 * lines[20]
 
 
+@pytest.mark.slow
 def test_sinusoidal_loads(scene):
     """At the crank frequency the output runs from the driving to the back flanks and over, fig. 7a."""
     alternating = dataclasses.replace(scene, load=gj.SinusoidalLoad("crank"))

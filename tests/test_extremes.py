@@ -35,6 +35,7 @@ def test_tiny_and_huge_torques_settle_on_the_static_deflection(still, torque):
     assert float(motion.te[-1]) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.0, 1 / np.sqrt(2), 10 / np.sqrt(2)])
 def test_undamped_critical_and_overdamped(still, ratio):
     """Two pairs and two dampers: 1/sqrt(2) each is critical. Against the exact solution from rest at zero."""
@@ -50,6 +51,7 @@ def test_undamped_critical_and_overdamped(still, ratio):
     np.testing.assert_allclose(motion.te * RADIUS, rest * (1 - own.real), rtol=0, atol=2e-3 * abs(rest))
 
 
+@pytest.mark.slow
 def test_overdamped_by_an_implicit_solver_of_diffrax(still):
     """For scenes whose damping is far faster than what one wants to see."""
     import diffrax
@@ -61,6 +63,7 @@ def test_overdamped_by_an_implicit_solver_of_diffrax(still):
     np.testing.assert_allclose(slow.te, exact.te, rtol=0, atol=1e-4 * float(abs(exact.te).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stiffness", "mass"), [(1e3, 1e-3), (1e3, 1e3), (1e12, 1e3), (1e12, 1e-3)])
 def test_soft_stiff_light_and_heavy(still, stiffness, mass):
     """The deflection scales with 1 / k, the time with sqrt(m / k): the same motion in scaled numbers."""
@@ -95,6 +98,7 @@ def test_no_backlash_negative_and_infinite(scene):
     assert not np.asarray(far.forces[:, 2:]).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["crank", "mesh"])
 def test_torque_reversal(scene, order):
     """Between the lower and the upper edge of the backlash, and impacts; finite, and the load reverses."""
@@ -106,7 +110,9 @@ def test_torque_reversal(scene, order):
     assert float(motion.te.max() - motion.te.min()) > 0.8 * float(play.backlash.min())
 
 
-@pytest.mark.parametrize("width", [1e-12, 1e-9, 1e-6, 1e-3])
+@pytest.mark.parametrize(
+    "width", [1e-12, *(pytest.param(width, marks=pytest.mark.slow) for width in (1e-9, 1e-6, 1e-3))]
+)
 def test_smoothing_from_nothing_to_a_millimetre(scene, with_contact, width):
     hard = gj.simulate(scene, TS, 100.0)
     soft = gj.simulate(with_contact(scene, gj.QuadraticContact(width)), TS, 100.0)
@@ -141,6 +147,7 @@ def test_a_thousand_turns_of_the_output_later(still):
     np.testing.assert_allclose(later.te, first.te, rtol=0, atol=2 * np.pi * 1e-9 * swing + 1e-9 * swing)
 
 
+@pytest.mark.slow
 def test_far_from_equilibrium(scene):
     """From the ideal position under a load that wants it 30 times the usual deflection away."""
     motion = gj.simulate(scene, jnp.linspace(0.0, 0.1, 101), 1e4, start="zero")
@@ -177,6 +184,7 @@ def test_one_bad_scene_in_a_thousand(scene):
     np.testing.assert_allclose(np.delete(np.asarray(te), 417, axis=0), np.broadcast_to(te[0], (999, 5)), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_quasi_static_is_close_where_everything_is_slow(scene):
     """Ten times slower: the followed position, and closer with the first correction for inertia and damping."""
     slow = dataclasses.replace(

@@ -58,7 +58,8 @@ def test_second_order(oscillator):
     assert (orders[:, 1] > 1.8).all()
 
 
-@pytest.mark.parametrize("torque", [pytest.param(30.0, marks=pytest.mark.slow), 300.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [30.0, 300.0])
 def test_one_contact_that_opens_and_closes(scene, torque):
     """The whole reducer: contacts open and close, and the error still falls with the step."""
     ts = jnp.linspace(0.0, 0.2, 201)

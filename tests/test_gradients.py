@@ -95,9 +95,8 @@ def test_backlash(scene, angles):
     check(lambda s, _: stacked(gj.backlash(s, angles)), scene, ["amplitude", "phase", "backlash"])
 
 
-@pytest.mark.parametrize(
-    "law", ["hard", *(pytest.param(law, marks=pytest.mark.slow) for law in ("softplus", "quadratic"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["hard", "softplus", "quadratic"])
 def test_dynamic_mean_and_std(scene, with_contact, law):
     """The hard law under a torque that keeps both pairs closed, smooth laws where pairs open and close."""
     ts = jnp.linspace(0.0, 0.25, 126)

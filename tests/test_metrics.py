@@ -81,6 +81,7 @@ def test_metrics_are_those_of_the_record(scene, theta):
     assert float(play.range) == float(play.peak_to_peak)
 
 
+@pytest.mark.slow
 def test_extremes_of_random_assemblies(scene, rng):
     """Many peaks of nearly the same height: the highest is found, not the one with the loosest bound."""
     span = float(scene.system.cycle / scene.system.input_speed)

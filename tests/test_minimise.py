@@ -33,6 +33,7 @@ def angles(scene):
     return jnp.linspace(0.0, scene.system.cycle, 4001)
 
 
+@pytest.mark.slow
 def test_the_best_phases(scene, angles):
     """Better than the paper's optimum by 7.8 %, nearly from every start, with 42 evaluations each.
 

@@ -33,6 +33,7 @@ def fast(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_json_and_files(capsys, tmp_path, fast):
     """One run with files: the JSON, the tables and a configuration that holds what was found."""
     folder = tmp_path / "out"

@@ -69,6 +69,7 @@ def test_jumps_and_hysteresis(sweeps):
     assert (down[both] > 1.1 * up[both]).all(), "two stable motions"
 
 
+@pytest.mark.slow
 def test_shooting(scene_of_one_pair, sweeps):
     """rms 1.44290291 at 0.85; multipliers of size 0.6910 with the product exp(-4 pi z / W)."""
     scene, period = turning(clearance(scene_of_one_pair), 0.85)
@@ -83,6 +84,7 @@ def test_shooting(scene_of_one_pair, sweeps):
     assert multipliers.prod().real == pytest.approx(np.exp(-4 * np.pi * 0.05 / 0.85), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_lower_branch_is_another_motion(scene_of_one_pair, sweeps):
     scene, period = turning(clearance(scene_of_one_pair), 0.88)
     upper = gj.shooting(scene, TORQUE, period, guess=sweeps[3][0.88])
@@ -102,6 +104,7 @@ def test_harmonic_balance_agrees_with_shooting(scene_of_one_pair, sweeps):
         assert float(found.std) / FORCE == pytest.approx(1.44290291, rel=allowed)
 
 
+@pytest.mark.slow
 def test_linear_frequency_response(oscillator):
     """A pair that never opens, driven by its eccentricity: amplitude and phase to 1e-6 by both solvers."""
     from tests.test_dynamics import MASS as HEAVY
@@ -125,6 +128,7 @@ def test_linear_frequency_response(oscillator):
     assert errors[1] < errors[0] / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solve", [gj.shooting, gj.harmonic_balance])
 def test_implicit_gradients(scene_of_one_pair, solve):
     """Of the alternating part with respect to torque and stiffness ratio: reverse, forward and central differences."""

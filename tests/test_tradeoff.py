@@ -45,6 +45,7 @@ def test_tradeoff(short, tmp_path, capsys):
         assert (tmp_path / "out" / name).stat().st_size > 500
 
 
+@pytest.mark.slow
 def test_accuracy(short):
     """A stricter accuracy takes shorter steps; one that no step reaches is refused."""
     scene = loads(short.read_text(encoding="utf-8"))
