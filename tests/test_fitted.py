@@ -107,6 +107,7 @@ def test_the_scheme_as_a_solver_of_diffrax(oscillator):
     np.testing.assert_allclose(solution.ys[:40, 1] / step, motion.velocity[1:] * RADIUS, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_windows_agree_with_one_go(scene):
     ts = jnp.linspace(0.0, 1.0, 1001)
     whole = gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(per_sample=16))
@@ -142,7 +143,8 @@ def test_the_default_takes_windows_where_they_pay(scene):
     assert suitable_step(dataclasses.replace(scene, load=gj.SinusoidalLoad("mesh")), 3.0).windows is None
 
 
-@pytest.mark.parametrize("windows", [None, pytest.param(gj.Windows(6, 0.03), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("windows", [None, gj.Windows(6, 0.03)])
 def test_gradients_of_statistics(scene, windows):
     """Reverse and forward mode against central differences, jitted and batched."""
     ts = jnp.linspace(0.0, 0.3, 151)

@@ -76,7 +76,7 @@ def angles(scene):
     return scene.system.input_speed * jnp.linspace(0.0, 3.0, 401)
 
 
-@pytest.mark.parametrize("law", ["hard", pytest.param("softplus", marks=pytest.mark.slow), "quadratic"])
+@pytest.mark.parametrize("law", HARD_FIRST)
 def test_no_load(scene, angles, with_contact, law):
     parameters = ["amplitude", "phase", "module"]
     check(lambda s, _: stacked(gj.transmission_error(s, angles)), with_contact(scene, LAWS[law]), parameters)

@@ -83,6 +83,7 @@ def test_no_finite_start_is_an_error(scene):
         gj.minimise(bowl, scene, where=PHASES[0], starts=np.full((2, 1), np.nan))
 
 
+@pytest.mark.slow
 def test_equal_orders_leave_no_error(scene, angles):
     """Vectors that all turn alike can cancel: zero is attainable, and found."""
     errors = {key: error for key, error in scene.errors.items() if key != "output_wheel"}

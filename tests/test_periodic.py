@@ -94,6 +94,7 @@ def test_the_lower_branch_is_another_motion(scene_of_one_pair, sweeps):
     assert float(upper.std) > 1.2 * float(lower.std)
 
 
+@pytest.mark.slow
 def test_harmonic_balance_agrees_with_shooting(scene_of_one_pair, sweeps):
     """Error at W = 0.85: 2.2e-4 with 8 harmonics, 3.0e-5 with 16, 1.1e-6 with 32 (relative)."""
     scene, period = turning(clearance(scene_of_one_pair), 0.85)
