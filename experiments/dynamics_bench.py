@@ -11,9 +11,6 @@ Needs gcc and numba (``pip install numba``).
 
 import argparse
 import ctypes
-import subprocess
-import tempfile
-import time
 from pathlib import Path
 
 import diffrax
@@ -23,6 +20,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numba
 import numpy as np
+from peers import compiled_c, interleaved, pointer
 from scipy.integrate import solve_ivp
 
 import gearjax as gj
@@ -132,20 +130,11 @@ def reducer(torque: float) -> tuple[np.ndarray, Constants]:
     return np.ascontiguousarray(fitted.T), Constants(k, amplitude, phase, damping, mass, pull, *w)
 
 
-def compiled_c():
-    """The C peers."""
-    folder = Path(tempfile.mkdtemp())
-    (folder / "peers.c").write_text(C, encoding="utf-8")
-    flags = ["-O3", "-march=native", "-ffast-math", "-shared", "-fPIC"]
-    subprocess.run(["gcc", *flags, "-o", folder / "peers.so", folder / "peers.c", "-lm"], check=True)
-    return ctypes.CDLL(str(folder / "peers.so"))
-
-
 def by_c(function, gaps, constants, spacing, samples, each, first):
     out = np.empty(samples)
-    pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (gaps, out)]
     x, v, h = (ctypes.c_double(value) for value in (*first, spacing / each))
-    function(pointers[0], ctypes.byref(constants), h, ctypes.c_long(samples), ctypes.c_long(each), x, v, pointers[1])
+    counts = ctypes.c_long(samples), ctypes.c_long(each)
+    function(pointer(gaps), ctypes.byref(constants), h, *counts, x, v, pointer(out))
     return out
 
 
@@ -187,22 +176,6 @@ def scaled_rate(t, y, g, p):
     return np.array([y[1] * 7000.0, acceleration(t, 1e-5 * y[0], 0.07 * y[1], g, p) / 0.07])
 
 
-def interleaved(tasks: dict, repeats: int) -> tuple[dict, dict, dict]:
-    """Results, first-call times and median times of tasks that take turns."""
-    results, first, times = {}, {}, {name: [] for name in tasks}
-    for name, task in tasks.items():
-        began = time.perf_counter()
-        results[name] = jax.block_until_ready(task())
-        first[name] = time.perf_counter() - began
-    for turn in range(repeats):
-        for name, task in tasks.items():
-            if turn < 3 or first[name] < 1.0 or name.startswith("gearjax"):
-                began = time.perf_counter()
-                jax.block_until_ready(task())
-                times[name].append(time.perf_counter() - began)
-    return results, first, {name: float(np.median(values)) for name, values in times.items()}
-
-
 def ours(ts, torque, stepper):
     """A jitted solve that returns the transmission error at the samples, with the scene's numbers as arguments."""
     physics = SCENE.physics("backlash", "compliance", "load", "inertia", "damping")
@@ -225,7 +198,7 @@ def main() -> None:
     first = float(begun.te[0]) * radius, float(begun.velocity[0]) * radius
     gaps, constants = reducer(torque)
     numbers = np.array([getattr(constants, name) for name, _ in Constants._fields_])
-    library = compiled_c()
+    library = compiled_c(C)
     truth = by_c(library.runge_kutta, gaps, constants, 1e-3, 3001, 4096, first)
     windows = suitable_step(SCENE, 3.0).windows
 
@@ -262,7 +235,7 @@ def main() -> None:
             long, torque, gj.FixedStep(per_sample=16, windows=suitable_step(SCENE, 15.8).windows)
         ),
     }
-    results, begin, medians = interleaved(tasks, given.repeats)
+    results, begin, medians = interleaved(tasks, given.repeats, slow=1.0)
     print(f"{torque:g} N m, hard contacts; {windows}; median of {given.repeats}")
     print(f"{'':34s} {'ms':>9s} {'first [s]':>9s} {'max [um]':>9s} {'rms [um]':>9s}")
     for name, median in medians.items():

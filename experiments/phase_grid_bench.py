@@ -9,10 +9,6 @@ interleaved repeats, compile time apart. Needs gcc and numba (``pip install numb
 """
 
 import argparse
-import ctypes
-import subprocess
-import tempfile
-import time
 from pathlib import Path
 
 import jax
@@ -22,6 +18,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numba
 import numpy as np
+from peers import compiled_c, interleaved, pointer
 
 import gearjax as gj
 from gearjax.studies import separable
@@ -114,20 +111,8 @@ void sweep(const REAL *s1, const REAL *s2, const REAL *q1, const REAL *q2, REAL 
 """
 
 
-def compiled_c(real: str, *, direct: bool):
-    """A C peer for one precision."""
-    folder = Path(tempfile.mkdtemp())
-    (folder / "sweep.c").write_text(C, encoding="utf-8")
-    library = folder / f"sweep_{real}.so"
-    flags = ["-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC", f"-DREAL={real}"]
-    flags += ["-DDIRECT"] if direct else []
-    subprocess.run(["gcc", *flags, "-o", library, folder / "sweep.c", "-lpthread"], check=True)
-    return ctypes.CDLL(str(library)).sweep
-
-
 def by_c(sweep, curves, outer, out):
-    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*curves, *outer, out)]
-    sweep(*pointers, outer[0].shape[0])
+    sweep(*(pointer(array) for array in (*curves, *outer, out)), outer[0].shape[0])
     return out
 
 
@@ -170,21 +155,6 @@ def by_numba_separable(s1, s2, q1, q2, out):
     return out
 
 
-def interleaved(tasks: dict, repeats: int) -> tuple[dict, dict, dict]:
-    """Results, first-call times and median times of tasks that take turns."""
-    results, first, times = {}, {}, {name: [] for name in tasks}
-    for name, task in tasks.items():
-        began = time.perf_counter()
-        results[name] = jax.block_until_ready(task())
-        first[name] = time.perf_counter() - began
-    for _ in range(repeats):
-        for name, task in tasks.items():
-            began = time.perf_counter()
-            jax.block_until_ready(task())
-            times[name].append(time.perf_counter() - began)
-    return results, first, {name: float(np.median(values)) for name, values in times.items()}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="grid of assembly phases against C and numba")
     parser.add_argument("--repeats", type=int, default=7)
@@ -206,7 +176,7 @@ def main() -> None:
             padded[:, :LEVELS] = curve
         outer = [np.ascontiguousarray(np.asarray(grid.outer)[:, :, i]) for i in range(2)]
         out = np.empty((4, LEVELS**2, LEVELS, LEVELS), dtype)
-        direct, same = (compiled_c(real, direct=direct) for direct in (True, False))
+        direct, same = (compiled_c(C, f"-DREAL={real}", *flags).sweep for flags in (("-DDIRECT",), ()))
         name = "float64" if real == "double" else "float32"
         tasks |= {
             f"C, {name}": lambda s=direct, c=curves, q=outer, o=out: by_c(s, c, q, o[0]),
