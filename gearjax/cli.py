@@ -15,10 +15,8 @@ from rich.table import Table
 
 from gearjax.checks import GearjaxError, ParameterError, nearest, writing
 from gearjax.config import loads, loads_optimise, read_file
-from gearjax.plot import save_figures, save_optimisation_figures, save_tradeoff_figure
 from gearjax.reproduce import PAPERS, Row
 from gearjax.results import (
-    METRICS,
     Case,
     Optimisation,
     highest_load_sharing,
@@ -31,7 +29,7 @@ from gearjax.results import (
     tradeoff_as_json,
 )
 from gearjax.results import optimise as run_optimise
-from gearjax.scene import Scene
+from gearjax.scene import METRICS, Scene
 from gearjax.studies.select import pick
 from gearjax.studies.tradeoff import Tradeoff, accurate_step
 from gearjax.studies.tradeoff import tradeoff as run_tradeoff
@@ -88,6 +86,8 @@ def run(
         cases.append(case)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:
+        from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
+
         written = save(scene, cases, text, folder) + save_figures(scene, cases, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
@@ -132,6 +132,8 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     found = run_optimise(section, scene, _say)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:
+        from gearjax.plot import save_optimisation_figures
+
         written = save_optimisation(found, text, folder) + save_optimisation_figures(found, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
@@ -155,6 +157,8 @@ def tradeoff(
     found = run_tradeoff(scene, _positive("--error", error), _say)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:
+        from gearjax.plot import save_tradeoff_figure
+
         written = save_tradeoff(found, folder) + save_tradeoff_figure(found, folder)
         _say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:

@@ -30,6 +30,8 @@ NEEDS = {
 }
 ANALYSES = tuple(NEEDS)
 """Analyses of a scene, and the optional slots that each needs."""
+METRICS = ("peak_to_peak", "amplitude", "mean", "std")
+"""What is told of every record."""
 Stiffness = Literal["rigid", "mean", "varying"]
 
 

@@ -6,11 +6,10 @@ from gearjax import units
 from gearjax.checks import MISSING, ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_quantity
 from gearjax.config.tables import known_keys, read_whole
-from gearjax.scene import ANALYSES, NEEDS, Published, Run, Scene, require
+from gearjax.scene import ANALYSES, METRICS, NEEDS, Published, Run, Scene, require
 
 STARTS = ("equilibrium", "zero")
 MOST_SAMPLES = 10_000_000
-METRICS = ("peak_to_peak", "amplitude", "mean", "std")
 _KEYS = ("duration", "samples", "start", "settle", "analyses", "torques")
 
 

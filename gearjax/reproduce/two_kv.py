@@ -11,7 +11,7 @@ from gearjax.errors import Eccentricity
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import ConstantLoad
 from gearjax.reproduce.rows import Row, printed_precision
-from gearjax.scene import Scene
+from gearjax.scene import METRICS, Scene
 from gearjax.systems import TwoKV
 from gearjax.units import arcmin, deg, mm, rpm, um
 
@@ -91,7 +91,7 @@ class _Item(NamedTuple):
 
 
 def _item(label, window, values, reached, **keywords) -> _Item:
-    names = [name for name in ("peak_to_peak", "amplitude", "mean", "std") if name in values]
+    names = [name for name in METRICS if name in values]
     return _Item(label, window, values, dict(zip(names, reached, strict=True)), **keywords)
 
 

@@ -1,7 +1,6 @@
 """Results of a run or of a study, and the files that hold them."""
 
 from gearjax.results.cases import (
-    METRICS,
     Case,
     highest_load_sharing,
     remarks,
@@ -15,7 +14,6 @@ from gearjax.results.tradeoff import as_json as tradeoff_as_json
 from gearjax.results.tradeoff import save_tradeoff
 
 __all__ = [
-    "METRICS",
     "Case",
     "Optimisation",
     "highest_load_sharing",

@@ -3,18 +3,19 @@
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 
 from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
 from gearjax.analysis.dynamics import suitable_step
 from gearjax.checks import GearjaxError, SceneError, writing
-from gearjax.scene import Published, Run, Scene
+from gearjax.scene import METRICS, Published, Run, Scene
 from gearjax.units import arcmin
 
-METRICS = ("peak_to_peak", "amplitude", "mean", "std")
+if TYPE_CHECKING:
+    import xarray as xr  # otherwise where it is needed: importing it takes a second
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,7 +139,7 @@ def _case(run: Run, analysis: str, torque: float, result: TransmissionError | Ba
     return Case(analysis, torque, window, result, metrics, published[0] if published else None)
 
 
-def dataset(scene: Scene, cases: list[Case], config: str) -> xr.Dataset:
+def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
     """All curves of a run with named dimensions, units as attributes and the configuration inside.
 
     Args:
@@ -146,6 +147,8 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> xr.Dataset:
         cases: its cases.
         config: text of the configuration.
     """
+    import xarray as xr
+
     run = required_run(scene)
     time = run.times
     theta = time * float(scene.system.input_speed)
@@ -192,6 +195,8 @@ def stored_config(path: Path) -> str:
     Raises:
         GearjaxError: the file holds none.
     """
+    import xarray as xr
+
     try:
         with xr.open_dataset(path, engine="scipy") as stored:
             return str(stored.attrs["config"])

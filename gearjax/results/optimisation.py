@@ -11,8 +11,8 @@ from gearjax.checks import writing
 from gearjax.config import OptimiseSection, with_numbers
 from gearjax.parameters import Parameter
 from gearjax.progress import Progress
-from gearjax.results.cases import METRICS, Case, run_cases
-from gearjax.scene import Scene
+from gearjax.results.cases import Case, run_cases
+from gearjax.scene import METRICS, Scene
 from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
 from gearjax.studies.select import numbers, pick
 from gearjax.studies.values import values

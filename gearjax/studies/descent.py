@@ -6,24 +6,31 @@ optimistix minimiser, run to its own end at `LEVELS` temperatures one after the 
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
-import optax
 import optimistix
 
 from gearjax.checks import GearjaxError
 from gearjax.typing import Array, Float, Int, Scalar
 
+if TYPE_CHECKING:
+    import optax  # otherwise where it is needed: importing it takes longer than many a run
+
+    Optimiser: TypeAlias = optax.GradientTransformation | optimistix.AbstractMinimiser
+else:
+    Optimiser = Any
+
 LEVELS = 4
-Optimiser = optax.GradientTransformation | optimistix.AbstractMinimiser
 Loss = Callable[[Float[Array, " free"], Scalar], Scalar]
 
 
 @functools.cache
-def default_optimiser(steps: int) -> optax.GradientTransformation:
+def default_optimiser(steps: int) -> Optimiser:
     """Adam with a short memory, its rate falling to nothing as a cosine."""
+    import optax
+
     return optax.adam(optax.cosine_decay_schedule(0.4, max(steps, 1)), b1=0.8, b2=0.95)
 
 
@@ -33,7 +40,9 @@ def check_optimiser(optimiser: Any) -> None:
     Raises:
         GearjaxError: saying what would be right.
     """
-    if not isinstance(optimiser, Optimiser):
+    import optax
+
+    if not isinstance(optimiser, optax.GradientTransformation | optimistix.AbstractMinimiser):
         raise GearjaxError(
             f"optimiser = {type(optimiser).__name__}: give one of optax, such as optax.adam(0.1), or an optimistix "
             "minimiser, such as optimistix.BFGS(rtol=1e-4, atol=1e-6)"
@@ -54,6 +63,8 @@ def descend(
     """
     if isinstance(optimiser, optimistix.AbstractMinimiser):
         return _levels(loss, start, optimiser, steps, temperatures)
+    import optax
+
     first, last = temperatures
     update = optax.with_extra_args_support(optimiser).update
 

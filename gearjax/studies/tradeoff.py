@@ -16,11 +16,10 @@ from gearjax.checks import SceneError
 from gearjax.compliance import HarmonicStiffness
 from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
 from gearjax.progress import Progress, silent
-from gearjax.scene import Scene
+from gearjax.scene import METRICS, Run, Scene
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 
-METRICS = ("peak_to_peak", "amplitude", "mean", "std")
 STEPS = (0.8, 0.4, 0.2, 0.1, 0.05)  # rad of the fastest motion
 WIDTHS = (1e-8, 1e-7, 1e-6)  # m
 TRUE_STEP = 0.0125  # rad of the fastest motion, Runge-Kutta: the yardstick
@@ -82,14 +81,18 @@ class Tradeoff:
         truth_seconds: what the yardstick took [s].
         rows: the settings.
         error: what was asked for [rad].
-        best: the fastest setting within it, ``None`` if there is none.
     """
 
     truth: dict[float, dict[str, float]]
     truth_seconds: float
     rows: list[Measured]
     error: float
-    best: Measured | None
+
+    @property
+    def best(self) -> Measured | None:
+        """The fastest setting within the error, ``None`` if there is none."""
+        good = [row for row in self.rows if row.error <= self.error]
+        return min(good, key=lambda row: row.seconds, default=None)
 
 
 def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeoff:
@@ -103,21 +106,29 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
     Raises:
         SceneError: there is no dynamic analysis to measure.
     """
-    run = scene.run
-    if run is None or "dynamic" not in run.analyses:
-        raise SceneError('tradeoff: [run] must list "dynamic" among its analyses: it compares ways to compute it')
-    step = suitable_step(scene, run.duration).step
-    longest = step / STEP * LONGEST_STEP
+    run = _dynamic(scene)
+    longest, usual = _resolving(scene, run)
     truth_step = FixedStep(TRUE_STEP * longest, solver=RungeKutta4())
     yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
     progress(f"truth: Runge-Kutta, steps of {TRUE_STEP * longest:.2g} s")
     truth, seconds, _ = _run(yardstick, repeats=0)
     rows = []
-    for setting in settings(scene, longest):
+    for setting in settings(scene, run, longest, usual):
         rows.append(_measure(setting, truth))
         progress(f"{setting.group}: {setting.name}: {rows[-1].seconds:.3g} s")
-    good = [row for row in rows if row.error <= error]
-    return Tradeoff(truth, seconds, rows, error, min(good, key=lambda row: row.seconds, default=None))
+    return Tradeoff(truth, seconds, rows, error)
+
+
+def _dynamic(scene: Scene) -> Run:
+    if scene.run is None or "dynamic" not in scene.run.analyses:
+        raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
+    return scene.run
+
+
+def _resolving(scene: Scene, run: Run) -> tuple[float, FixedStep]:
+    """The longest step that follows the fastest motion [s], and the steps of a run."""
+    usual = suitable_step(scene, run.duration)
+    return usual.step / STEP * LONGEST_STEP, usual
 
 
 def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> FixedStep:
@@ -129,12 +140,10 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
         progress: called with a line of text now and then.
 
     Raises:
-        SceneError: no step is short enough.
+        SceneError: there is no dynamic analysis, or no step is short enough.
     """
-    run = scene.run
-    assert run is not None
-    usual = suitable_step(scene, run.duration)
-    longest = usual.step / STEP * LONGEST_STEP
+    run = _dynamic(scene)
+    longest, usual = _resolving(scene, run)
     for size in (*STEPS, STEPS[-1] / 2, STEPS[-1] / 4):
         stepper = FixedStep(size * longest, windows=usual.windows)
         setting = Setting("solver", f"{size:g} rad", scene, stepper, run.samples)
@@ -147,22 +156,14 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
     raise SceneError(f"accuracy: no step down to {STEPS[-1] / 4 * longest:.2g} s is within {error:.2g} rad")
 
 
-def settings(scene: Scene, longest: float) -> list[Setting]:
-    """The settings to measure, for the longest step of the scene [s]."""
-    run = scene.run
-    assert run is not None
-    usual = suitable_step(scene, run.duration)
-    alone = FixedStep(usual.step)
-    number = run.samples
+def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[Setting]:
+    """The settings to measure, for the longest step of the scene [s] and its usual steps."""
+    alone, number, cut = FixedStep(usual.step), run.samples, usual.windows
     found = [Setting("solver", f"fitted, {s:g} rad", scene, FixedStep(s * longest), number) for s in STEPS]
-    cut = usual.windows
-    if cut is not None:
-        found += [
-            Setting(
-                "solver", f"fitted, {s:g} rad, windows", scene, FixedStep(s * longest, windows=usual.windows), number
-            )
-            for s in STEPS[:3]
-        ]
+    found += [
+        Setting("solver", f"fitted, {s:g} rad, windows", scene, FixedStep(s * longest, windows=cut), number)
+        for s in (STEPS[:3] if cut is not None else ())
+    ]
     found += [
         Setting("solver", f"Runge-Kutta, {s:g} rad", scene, FixedStep(s * longest, solver=RungeKutta4()), number)
         for s in STEPS[:3]

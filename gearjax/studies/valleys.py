@@ -3,9 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from gearjax.studies.select import Free
 
@@ -28,6 +25,9 @@ def label(
         objectives: shape (starts,); not finite where a start failed.
         evaluate: objectives of many points, (n, free) to (n,), or something close to them.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     labels = np.full(len(ends), -1)
     good = np.flatnonzero(np.isfinite(objectives))
     order = good[np.argsort(objectives[good], kind="stable")]
@@ -49,6 +49,8 @@ def label(
 
 def _neighbours(free: Free, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of near points, shape (pairs, 2), and the ways from the first to the second, shape (pairs, free)."""
+    from scipy.spatial import KDTree  # a third of a second that few runs need
+
     size = points.shape[1]
     number = min(NEIGHBOURS + 1, len(points))
     if number < 2:
