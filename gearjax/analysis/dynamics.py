@@ -119,7 +119,7 @@ def simulate(
     method = _method(scene, ts, stepper, limits)
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
-        raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(scene, int(motion.result))}")
+        raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(limits, int(motion.result))}")
     if (
         limits is not None
         and is_concrete(motion.defect)
@@ -165,18 +165,22 @@ def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
             f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow its "
             f"fastest motion, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
         )
-    return FixedStep(step, windows=_suitable_windows(scene, duration, step, float(limits.decay)))
+    return FixedStep(step, windows=_suitable_windows(scene, duration, step, limits))
 
 
-def _suitable_windows(scene: Scene, duration: float, step: float, decay: float) -> Windows | None:
+def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
     """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly, or
-    so long that their tables would fill the memory."""
+    so long that their tables would fill the memory, or its bodies turn too far in a window to be tabulated."""
+    decay = float(limits.decay)
     if decay <= 0 or duration / step > MOST_WINDOWED or (scene.load is not None and scene.load.alternates):
         return None
     warm_up = FORGOTTEN / decay
     number = int(duration / max(WINDOW * step, warm_up))
     number = number // march.LANES * march.LANES if number > march.LANES else number
-    return Windows(number, warm_up) if number >= march.LANES // 2 else None
+    if number < march.LANES // 2:
+        return None
+    turned = float(limits.turning) * (warm_up + duration / number)
+    return Windows(number, warm_up) if turned <= 0.9 * tables.reach(tables.MOST_NODES) else None
 
 
 def _method(scene: Scene, ts: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None) -> Method:
@@ -223,17 +227,27 @@ def _block(phase: float) -> march.Block:
 
 
 def _windows(windows: Windows, samples: int, each: int, spacing: float, phase: float | None) -> march.Windows | None:
-    """Windows in steps; ``None`` where fewer than two would be left, or their tables would not resolve the bodies.
+    """Windows in steps; ``None`` where fewer than two would be left.
 
-    Where the phase of the bodies per step is not known the program checks that they do.
+    Where the phase of the bodies per step [rad] is not known the program checks that the tables resolve it.
+
+    Raises:
+        SceneError: the tables of so long a window would not resolve the bodies.
     """
     number = max(1, min(windows.number, samples // 2))
-    warm_up = each * max(1, math.ceil(windows.warm_up / spacing - 1e-9))
-    steps = warm_up + each * math.ceil(samples / number)
-    if number < 2 or (phase is not None and phase * steps > tables.reach(tables.MOST_NODES)):
+    if number < 2:
         return None
-    nodes = tables.MOST_NODES if phase is None else tables.nodes_for(phase * steps)
-    return march.Windows(number, warm_up, nodes)
+    warm_up = each * max(1, math.ceil(windows.warm_up / spacing - 1e-9))
+    found = march.Windows(number, warm_up, tables.MOST_NODES)
+    if phase is None:
+        return found
+    turned = phase * found.steps(march.Spacing(samples, each, _block(phase)))
+    if turned > tables.reach(tables.MOST_NODES):
+        raise SceneError(
+            f"windows: the bodies turn {turned:.3g} rad in each of {number} windows, warm-up included, at most "
+            f"{tables.reach(tables.MOST_NODES):.3g} can be tabulated: give more windows or a shorter warm_up"
+        )
+    return found._replace(nodes=tables.nodes_for(turned))
 
 
 def _allowed(dtype: Any) -> float:
@@ -241,10 +255,10 @@ def _allowed(dtype: Any) -> float:
     return max(APART[0], APART[1] * float(jnp.finfo(dtype).eps))
 
 
-def _advice(scene: Scene, fault: int) -> str:
-    if fault != 2:
+def _advice(limits: Limits | None, fault: int) -> str:
+    if fault != 2 or limits is None:
         return ""
-    longest = LONGEST_STEP / float(fastest_rate(scene))
+    longest = LONGEST_STEP / float(limits.fastest)
     return f": it must be at most {longest:.3g} s, give stepper=FixedStep(step={0.25 * longest:.2g})"
 
 
@@ -255,17 +269,17 @@ def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str,
     fault = jnp.where(jnp.isfinite(state).all(), 0, 4)
     state = jnp.nan_to_num(state)
     if isinstance(method, Fitted):
-        motion, failed = _fitted(equation, ts, settle, state, method)
+        motion = _fitted(equation, ts, settle, state, method)
     else:
-        motion, failed = _integrated(equation, ts, settle, state, method)
-    fault = jnp.where(fault > 0, fault, failed)
+        motion = _integrated(equation, ts, settle, state, method)
+    fault = jnp.where(fault > 0, fault, motion.result)
     fault = jnp.where((fault == 0) & ~(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.velocity).all()), 1, fault)
     return eqx.tree_at(lambda motion: motion.result, motion, fault)
 
 
 def _integrated(
     equation: Equation, ts: Array, settle: Array, state: Array, method: Even | AdaptiveStep | QuasiStatic
-) -> tuple[Motion, Array]:
+) -> Motion:
     """By a solver of diffrax, or by following the quasi-static position; extremes of the latter are those of the
     samples."""
     if isinstance(method, QuasiStatic):
@@ -284,16 +298,16 @@ def _integrated(
     forces = jax.vmap(equation.forces)(ts, te)
     velocity = states[:, 1] * (scale * equation.frequency)
     nothing, pairs = jnp.zeros_like(scale), scene_pairs(equation.scene)
-    return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, nothing, pairs), failed
+    return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, nothing, pairs)
 
 
-def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: Fitted) -> tuple[Motion, Array]:
+def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: Fitted) -> Motion:
     """By the exponentially fitted scheme."""
     samples, each = method.spacing.samples, method.spacing.each
     spacing = (ts[-1] - ts[0]) / (samples - 1)
     step = spacing / each
     per_step = jnp.stack([jnp.ones_like(step), equation.frequency * step])
-    drive = march.Drive.of(Oscillator(equation, step))
+    drive = march.Drive.of(Oscillator(equation, step), ts[0])
 
     def rest(time: Scalar) -> Array:
         return jnp.nan_to_num(equation.initial(time, "equilibrium")) * per_step
@@ -317,7 +331,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
     unresolved = step * turning_rate(equation.scene) * steps > 1.01 * tables.reach(nodes)
     fast = unresolved | (step * fastest_rate(equation.scene) > LONGEST_STEP)
     failed = jnp.where(uneven, 5, jnp.where(fast, 2, 0))
-    motion = Motion(
+    return Motion(
         ts,
         found.positions * scale,
         found.speeds * (scale / step),
@@ -329,4 +343,3 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
         found.defect * scale,
         scene_pairs(equation.scene),
     )
-    return motion, failed

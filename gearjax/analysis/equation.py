@@ -98,19 +98,22 @@ class Equation(eqx.Module):
         torque: size of the load [N m].
         frequency: scaled time per time [1/s].
         scale: position per scaled position [rad].
+        levers_turn: whether the levers change over time.
     """
 
     scene: Scene
     torque: Scalar
     frequency: Scalar
     scale: Scalar
+    levers_turn: bool = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "Equation":
         """The equation, scaled for the scene."""
-        scene = scene.anchored()
-        lever = jnp.mean(jnp.abs(scene.contacts(jnp.zeros_like(scene.system.input_speed)).lever))
-        return cls(scene, torque, natural_frequency(scene), LENGTH_SCALE / lever)
+        scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
+        lever = jnp.mean(jnp.abs(scene.contacts(start).lever))
+        (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
+        return cls(scene, torque, natural_frequency(scene), LENGTH_SCALE / lever, turn)
 
     def load(self, time: Scalar) -> Scalar:
         """Load torque [N m]."""
@@ -135,8 +138,7 @@ class Equation(eqx.Module):
             lever, gap = both(time)
             return Gaps(lever, gap, None, None)
         (lever, gap), (lever_rate, gap_rate) = jax.jvp(both, (time,), (jnp.ones_like(time),))
-        turning, _ = depends(both, time)
-        return Gaps(lever, gap, lever_rate if turning else None, gap_rate)
+        return Gaps(lever, gap, lever_rate if self.levers_turn else None, gap_rate)
 
     def excitation(self, time: Scalar) -> Excitation:
         """Contacts and load at a time [s]."""
@@ -175,19 +177,17 @@ class Equation(eqx.Module):
         acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)
         return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
 
+    def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:
+        """Static equilibrium at a time [s] under a stiffness [N/m] and a load [N m]: position [rad]."""
+        now = self.scene.contacts(self.scene.system.input_speed * time)
+        return rest(ContactSet(now.jacobian, now.gap, stiffness, now.pairs), self.scene, load).position
+
     def initial(self, time: Scalar, start: str) -> Float[Array, "2"]:
         """Scaled position and velocity to start from."""
         if start == "zero":
             return jnp.zeros((2,), time.dtype)
-        stiffness, load = self._contacts(time).stiffness, self.load(time)
-
-        def follow(time: Scalar) -> Scalar:
-            """Static equilibrium as the gaps move, under the stiffness and the torque of the start."""
-            now = self._contacts(time)
-            held = ContactSet(now.jacobian, now.gap, stiffness, now.pairs)
-            return rest(held, self.scene, load).position
-
-        position, velocity = jax.jvp(follow, (time,), (jnp.ones_like(time),))
+        held = self.springs(time)[1], self.load(time)  # the output moves as the gaps move it
+        position, velocity = jax.jvp(lambda time: self.resting(time, *held), (time,), (jnp.ones_like(time),))
         return jnp.stack([position, velocity / self.frequency]) / self.scale
 
 

@@ -5,8 +5,6 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.analysis.equation import Equation, scene_pairs
-from gearjax.analysis.quasi_static import rest
-from gearjax.contact import ContactSet
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -25,9 +23,7 @@ def follow(equation: Equation, ts: Float[Array, " n"], method: QuasiStatic) -> t
     """Position [rad] and velocity [rad/s] at each time, shape (n,) each."""
 
     def position(time: Scalar) -> Scalar:
-        now, (_, stiffness) = equation.gaps(time), equation.springs(time)
-        contacts = ContactSet(now.lever[:, None], now.gap, stiffness, scene_pairs(equation.scene))
-        return rest(contacts, equation.scene, equation.load(time)).position
+        return equation.resting(time, equation.springs(time)[1], equation.load(time))
 
     def at(time: Scalar) -> tuple[Scalar, Scalar]:
         def rate(time: Scalar) -> tuple[Scalar, Scalar]:

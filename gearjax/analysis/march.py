@@ -65,52 +65,42 @@ class Drive(eqx.Module):
     Args:
         oscillator: what is driven.
         harmonics: of its stiffness.
+        changing: which leaves of its slow signals change over time.
     """
 
     oscillator: Oscillator
     harmonics: Harmonics
+    changing: tuple[bool, ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, oscillator: Oscillator) -> "Drive":
-        """The signals of an oscillator."""
-        return cls(oscillator, Harmonics.of(oscillator.equation))
+    def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
+        """The signals of an oscillator; the time [s] is that of any sample."""
+        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(depends(oscillator.slow, time)))
 
     def nodes(self, start: Scalar, places: ArrayLike) -> Float[Array, "node column"]:
         """What changes of the slow signals, at places counted in steps from a time [s]."""
-        return jax.vmap(lambda place: self._split(start + place * self.oscillator.step))(
-            jnp.asarray(places, start.dtype)
-        )
 
-    def _changes(self, time: Scalar) -> list[bool]:
-        return depends(self.oscillator.slow, time)
+        def moving(place: Scalar) -> Float[Array, " column"]:
+            parts = self._changing(self.oscillator.slow(start + place * self.oscillator.step))
+            return jnp.concatenate([jnp.zeros((0,), start.dtype), *(part.ravel() for part in parts)])
 
-    def _split(self, time: Scalar) -> Float[Array, " column"]:
-        leaves = jax.tree.leaves(self.oscillator.slow(time))
-        moving = [leaf.ravel() for leaf, new in zip(leaves, self._changes(time), strict=True) if new]
-        return jnp.concatenate([jnp.zeros((0,), time.dtype), *moving])
+        return jax.vmap(moving)(jnp.asarray(places, start.dtype))
+
+    def _changing(self, slow: Slow) -> list[Array]:
+        return [leaf for leaf, new in zip(jax.tree.leaves(slow), self.changing, strict=True) if new]
 
     def slow(self, time: Scalar) -> Callable[[Array], Slow]:
         """From what changes, shape (column,), to the slow signals; the others are those of a time [s]."""
-        leaves, tree = jax.tree.flatten(self.oscillator.slow(time))
-        changes = self._changes(time)
-        unravel = ravel_pytree([leaf for leaf, new in zip(leaves, changes, strict=True) if new])[1]
+        held = self.oscillator.slow(time)
+        leaves, tree = jax.tree.flatten(held)
+        unravel = ravel_pytree(self._changing(held))[1]
 
         def unpack(columns: Array) -> Slow:
             moving = iter(unravel(columns))
-            return jax.tree.unflatten(
-                tree, [next(moving) if new else leaf for leaf, new in zip(leaves, changes, strict=True)]
-            )
+            both = zip(leaves, self.changing, strict=True)
+            return jax.tree.unflatten(tree, [next(moving) if new else leaf for leaf, new in both])
 
         return unpack
-
-    def waves(self, steps: int) -> tuple[Float[Array, "step harmonic"], Float[Array, "step harmonic"]]:
-        """Cosines and sines of the mesh harmonics over the steps of a block, from its start."""
-        rate = mesh_rate(self.oscillator.equation) * self.oscillator.step
-        if self.harmonics.cosine.shape[0] == 0:
-            return jnp.zeros((steps, 0), rate.dtype), jnp.zeros((steps, 0), rate.dtype)
-        angle = jnp.arange(steps).astype(rate.dtype) * rate
-        order = jnp.arange(1, self.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
-        return jnp.cos(angle[:, None] * order[None, :]), jnp.sin(angle[:, None] * order[None, :])
 
     def turned(self, time: Scalar) -> Harmonics:
         """Stiffness harmonics counted from a time [s]."""
@@ -126,9 +116,30 @@ class Drive(eqx.Module):
             jnp.arange(steps).astype(time.dtype)
         )
 
-    def state(self, slow: Slow, stiffness: Array, load: Array, position: Array) -> State:
-        """The oscillator at a position."""
-        return self.oscillator.state(slow, Fast(stiffness, load), position)
+
+class Basis(NamedTuple):
+    """What the tables of all blocks of a length share.
+
+    Args:
+        places: of the nodes of a block, in steps, shape (node,).
+        weights: of the nodes at each step, shape (step, node).
+        cosine, sine: of the mesh harmonics at each step from the start of a block, shape (step, harmonic).
+    """
+
+    places: np.ndarray
+    weights: Array
+    cosine: Array
+    sine: Array
+
+    @classmethod
+    def of(cls, drive: Drive, steps: int, nodes: int, beyond: int = 0) -> "Basis":
+        """The basis of blocks of some steps, their tables going so many steps beyond."""
+        places, weights = interpolation(steps, nodes, beyond)
+        rate = mesh_rate(drive.oscillator.equation) * drive.oscillator.step
+        order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
+        angle = jnp.arange(steps + beyond).astype(rate.dtype)[:, None] * (rate * order)[None, :]
+        cosine, sine = (jnp.cos(angle), jnp.sin(angle)) if angle.size else (angle, angle)
+        return cls(places, jnp.asarray(weights, rate.dtype), cosine, sine)
 
 
 def _spread(weights: Float[Array, "step node"], values: Float[Array, "node column"]) -> Float[Array, "step column"]:
@@ -151,71 +162,45 @@ def march(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: Spacin
     longest = spacing.block.steps
     pieces = next(n for n in range(1, spacing.each + 1) if spacing.each % n == 0 and spacing.each // n <= longest)
     every = spacing.each // pieces  # steps of a piece of an interval between samples
-    rows = max(1, longest // every) if pieces == 1 else 1
-    steps, blocks = rows * every, math.ceil(spacing.samples * pieces / rows)
-    step, dtype = drive.oscillator.step, start.dtype
-    places, weights = interpolation(steps, spacing.block.nodes, beyond=1)
-    unpack, weights = drive.slow(start), jnp.asarray(weights, dtype)
-    cosine, sine = drive.waves(steps + 1)
-    origins = start + (steps * jnp.arange(blocks)).astype(dtype) * step
-    nodes = drive.nodes(start, (steps * np.arange(blocks)[:, None] + places[None, :]).ravel())
-    nodes = nodes.reshape(blocks, spacing.block.nodes, nodes.shape[-1])
+    steps = every * (max(1, longest // every) if pieces == 1 else 1)
+    blocks = math.ceil(spacing.samples * spacing.each / steps)
+    basis, unpack = Basis.of(drive, steps, spacing.block.nodes, beyond=1), drive.slow(start)
+    places = (steps * np.arange(blocks)[:, None] + basis.places[None, :]).ravel()
+    nodes = drive.nodes(start, places).reshape(blocks, spacing.block.nodes, -1)
+    origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
 
     def block(carry, given):
         columns, waves, origin = given
-        stiffness = waves.mean[None, :] + _spread(cosine, waves.cosine) + _spread(sine, waves.sine)
+        stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
         load = drive.loads(origin, steps + 1)
-        table = (_spread(weights, columns), stiffness, load if load.ndim else jnp.zeros((steps + 1, 0), dtype))
+        rows = _spread(basis.weights, columns), stiffness, (load,) if load.ndim else ()
 
-        def at(row, position):
-            return drive.state(unpack(row[0]), row[1], row[2] if load.ndim else load, position)
+        def drives(row: Any) -> tuple[Slow, Fast]:
+            return unpack(row[0]), Fast(row[1], row[2][0] if row[2] else load)
 
-        def step(position, change, row):
-            return advance(change, at(row, position))
+        ended, path = _steps(drive.oscillator, drives, carry, rows)
+        return ended, _measured(drive.oscillator, drives, rows, path, every)
 
-        before = carry[0] - carry[1]
-        carry, path = recur(step, carry[0], carry[1], _rows(table, slice(0, -1)))
-        path = jnp.concatenate([before[None], path, carry[0][None]])
-        now = path[1:-1:every]
-
-        def measured(row, following, x, dx):
-            state = at(row, x)
-            forces = drive.oscillator.forces(unpack(row[0]), Fast(row[1], load), x)
-            return velocity(dx, state, at(following, x).push - state.push), forces
-
-        rows = _rows(table, slice(0, -1, every)), _rows(table, slice(1, None, every))
-        speeds, forces = jax.vmap(measured)(*rows, now, path[2::every] - now)
-        high, low = (turning(sign, path).reshape(-1, every).max(axis=1) for sign in (1.0, -1.0))
-        ends = path[1 + every :: every]
-        return carry, (now, speeds, forces, jnp.maximum(high, ends), -jnp.maximum(low, -ends))
-
-    waves = jax.vmap(drive.turned)(origins)
-    columns = (nodes, waves, origins)
     carry = begin(drive, start, first)
-    _, found = jax.lax.scan(block, carry, columns)
-    x, speeds, forces, highest, lowest = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), found)
-    highest, lowest = (
-        (part.reshape(-1, pieces)[: spacing.samples].max(axis=1) for part in (highest, -lowest))
-        if pieces > 1
-        else (highest, -lowest)
-    )
+    _, found = jax.lax.scan(block, carry, (nodes, jax.vmap(drive.turned)(origins), origins))
+    x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), found)
     kept = slice(0, spacing.samples * pieces, pieces)
-    highest, lowest = (
-        jnp.concatenate([end[None], part[: spacing.samples - 1]]) for end, part in ((x[0], highest), (-x[0], lowest))
-    )
-    return March(x[kept], speeds[kept], forces[kept], highest, -lowest, jnp.zeros((), dtype))
+    highest, lowest = (part.reshape(-1, pieces)[: spacing.samples] for part in extremes)
+    bounds = _up_to(x[kept], top(highest), -top(-lowest))
+    return March(x[kept], speeds[kept], forces[kept], bounds[0], bounds[1], jnp.zeros((), start.dtype))
 
 
 def begin(drive: Drive, time: Scalar, state: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
     """Scaled position and its last change, from position and velocity times step at a time [s]."""
+    oscillator = drive.oscillator
 
     def at(time: Scalar) -> State:
-        stiffness, load = drive.turned(time), drive.oscillator.equation.load(time)
-        return drive.state(drive.oscillator.slow(time), stiffness.mean + stiffness.cosine.sum(axis=0), load, state[0])
+        stiffness, load = drive.turned(time), oscillator.equation.load(time)
+        fast = Fast(stiffness.mean + stiffness.cosine.sum(axis=0), load)
+        return oscillator.state(oscillator.slow(time), fast, state[0])
 
     now = at(time)
-    rise = at(time + drive.oscillator.step).push - now.push
-    return state[0], change_before(state[1], now, rise)
+    return state[0], change_before(state[1], now, at(time + oscillator.step).push - now.push)
 
 
 def _rows(table: Any, chosen: slice) -> Any:
@@ -223,9 +208,77 @@ def _rows(table: Any, chosen: slice) -> Any:
     return jax.tree.map(lambda column: column[chosen], table)
 
 
-def turning(sign: float, path: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+def _steps(oscillator: Oscillator, drives: Callable, carry: tuple, rows: Any) -> tuple[tuple, Array]:
+    """The steps of a table but its last row, of one motion or of lanes side by side.
+
+    Args:
+        oscillator: whose steps they are.
+        drives: from a row to what drives a step.
+        carry: position and last change.
+        rows: the table.
+
+    Returns:
+        Position and last change after them, and the path: a position before, those of all rows.
+    """
+
+    def step(position: Array, change: Array, row: Any) -> Array:
+        slow, fast = drives(row)
+        return advance(change, oscillator.state(slow, fast, position))
+
+    ended, path = recur(step if carry[0].ndim == 0 else jax.vmap(step), carry[0], carry[1], _rows(rows, slice(0, -1)))
+    return ended, jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
+
+
+def _measured(oscillator: Oscillator, drives: Callable, rows: Any, path: Array, each: int) -> tuple:
+    """Positions, speeds and forces at the samples, and highest and lowest position up to the next sample.
+
+    Args:
+        oscillator, drives, rows: as for `_steps`.
+        path: its path.
+        each: steps between samples.
+    """
+    now, following = path[1:-1:each], path[2::each]
+
+    def sample(row: Any, after: Any, x: Array, dx: Array) -> tuple[Array, Array]:
+        slow, fast = drives(row)
+        state = oscillator.state(slow, fast, x)
+        later, sooner = drives(after)
+        rise = oscillator.state(later, sooner, x).push - state.push
+        return velocity(dx, state, rise), oscillator.forces(slow, fast, x)
+
+    def highest(path: Array) -> Array:
+        between = turning(path).reshape(-1, each, *path.shape[1:])
+        return jnp.maximum(top(between), path[1 + each :: each])
+
+    both = _rows(rows, slice(0, -1, each)), _rows(rows, slice(1, None, each))
+    over_lanes = sample if path.ndim == 1 else jax.vmap(sample)
+    speeds, forces = jax.vmap(over_lanes)(*both, now, following - now)
+    return now, speeds, forces, highest(path), -highest(-path)
+
+
+def _up_to(positions: Array, highest: Array, lowest: Array) -> tuple[Array, Array]:
+    """Extremes up to each sample from those up to the next one."""
+    first = positions[:1]
+    return jnp.concatenate([first, highest[:-1]]), jnp.concatenate([first, lowest[:-1]])
+
+
+@jax.custom_jvp
+def top(values: Float[Array, "n m ..."]) -> Float[Array, "n ..."]:
+    """Highest value along the second axis, with the derivative of the one that is highest: the built-in derivative
+    compares values with their maximum, which fused code may round differently."""
+    return values.max(axis=1)
+
+
+@top.defjvp
+def _top_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (values,), (slopes,) = primals, tangents
+    where = jnp.argmax(values, axis=1, keepdims=True)
+    return top(values), jnp.take_along_axis(slopes, where, axis=1)[:, 0]
+
+
+def turning(path: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
     """Highest value near each point but the first and last: the vertex of the parabola where the path turns down."""
-    before, now, after = (sign * path[i : path.shape[0] - 2 + i] for i in range(3))
+    before, now, after = (path[i : path.shape[0] - 2 + i] for i in range(3))
     bend = 2 * now - before - after
     peak = (now >= before) & (now >= after) & (bend > 0)
     rise = 0.125 * (after - before) ** 2 / jnp.where(peak, bend, 1.0)
@@ -269,87 +322,55 @@ def march_windows(
     lanes = math.ceil(windows.number / groups)
     samples = math.ceil(spacing.samples / (groups * lanes))
     warm, steps = windows.warm_up, windows.warm_up + samples * spacing.each + 1
-    places, weights = interpolation(steps, windows.nodes)
-    table = _Tables(drive, start, steps, jnp.asarray(places, start.dtype), jnp.asarray(weights, start.dtype))
-    real, unpack, load = begin(drive, start, first), drive.slow(start), drive.oscillator.equation.load(start)
+    basis, unpack = Basis.of(drive, steps, windows.nodes), drive.slow(start)
+    load = drive.oscillator.equation.load(start)
+    real = begin(drive, start, first)
 
     def drives(row: Any) -> tuple[Slow, Fast]:
         return unpack(jnp.stack(row[0])), Fast(jnp.stack(row[1]), row[2][0] if row[2] else load)
 
-    def step(position: Scalar, change: Scalar, row: Any) -> Scalar:
-        slow, fast = drives(row)
-        return advance(change, drive.oscillator.state(slow, fast, position))
-
     def group(window: Array) -> tuple:
         offsets = ((window + jnp.arange(lanes)) * (samples * spacing.each) - warm).astype(start.dtype)
         origins = start + offsets * drive.oscillator.step
-        rows = table.rows(origins, offsets)
+        rows = _lanes(drive, basis, start, offsets)
         begins = window + jnp.arange(lanes) == 0
 
         carry = jax.vmap(lambda origin: begin(drive, origin, rest(origin)))(origins)
-        carry, _ = recur(jax.vmap(step), carry[0], carry[1], _rows(rows, slice(0, warm)))
+        carry, _ = _steps(drive.oscillator, drives, carry, _rows(rows, slice(0, warm + 1)))
         carry = tuple(jnp.where(begins, own, lane) for own, lane in zip(real, carry, strict=True))
         rows = _rows(rows, slice(warm, None))
-        ended, path = recur(jax.vmap(step), carry[0], carry[1], _rows(rows, slice(0, -1)))
-        path = jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
+        ended, path = _steps(drive.oscillator, drives, carry, rows)
         return _measured(drive.oscillator, drives, rows, path, spacing.each), carry, ended
 
     if groups == 1:
         found, begun, ended = jax.tree.map(lambda part: part[None], group(jnp.asarray(0)))
     else:
         found, begun, ended = jax.lax.map(group, lanes * jnp.arange(groups))
-    x, speeds, forces, high, low = (
+    x, speeds, forces, *extremes = (
         jnp.swapaxes(part, 1, 2).reshape(groups * lanes * samples, *part.shape[3:])[: spacing.samples] for part in found
     )
     apart, faster = (jnp.abs(end.ravel()[:-1] - own.ravel()[1:]) for end, own in zip(ended, begun, strict=True))
     defect = jnp.maximum(apart.max(), faster.max() / (drive.oscillator.step * drive.oscillator.equation.frequency))
-    highest, lowest = (jnp.concatenate([end[None], part[:-1]]) for end, part in ((x[0], high), (-x[0], low)))
-    return March(x, speeds, forces, highest, -lowest, defect)
+    return March(x, speeds, forces, *_up_to(x, *extremes), defect)
 
 
-def _measured(oscillator: Oscillator, drives: Callable, rows: Any, path: Array, each: int) -> tuple:
-    """Positions, speeds and forces at the samples of all lanes, and extremes up to the next sample."""
-    now, following = path[1:-1:each], path[2::each]
+def _lanes(drive: Drive, basis: Basis, start: Scalar, offsets: Float[Array, " lane"]) -> tuple:
+    """One array for each signal, steps by lanes, so that a step reads whole vectors.
 
-    def sample(row, after, x, dx):
-        slow, fast = drives(row)
-        state = oscillator.state(slow, fast, x)
-        later, sooner = drives(after)
-        rise = oscillator.state(later, sooner, x).push - state.push
-        return velocity(dx, state, rise), oscillator.forces(slow, fast, x)
-
-    both = _rows(rows, slice(0, -1, each)), _rows(rows, slice(1, None, each))
-    speeds, forces = jax.vmap(jax.vmap(sample))(*both, now, following - now)
-    ends = path[1 + each :: each]
-    high, low = (turning(sign, path).reshape(-1, each, path.shape[1]).max(axis=1) for sign in (1.0, -1.0))
-    return now, speeds, forces, jnp.maximum(high, ends), jnp.maximum(low, -ends)
-
-
-class _Tables(NamedTuple):
-    """What drives all steps of a group of windows."""
-
-    drive: Drive
-    start: Scalar
-    steps: int
-    places: Array
-    weights: Array
-
-    def rows(self, origins: Float[Array, " lane"], offsets: Float[Array, " lane"]) -> tuple:
-        """One array for each signal, steps by lanes, so that a step reads whole vectors.
-
-        Args:
-            origins: time of the first step of each lane [s].
-            offsets: the same in steps from the start of the record.
-        """
-        drive = self.drive
-        nodes = drive.nodes(self.start, (offsets[:, None] + self.places[None, :]).ravel())
-        nodes = nodes.reshape(origins.shape[0], -1, nodes.shape[-1])
-        slow = tuple(self.weights @ nodes[:, :, column].T for column in range(nodes.shape[-1]))
-        cosine, sine = drive.waves(self.steps)
-        waves = jax.vmap(drive.turned, out_axes=-1)(origins)
-        stiffness = tuple(
-            waves.mean[pair][None, :] + cosine @ waves.cosine[:, pair] + sine @ waves.sine[:, pair]
-            for pair in range(waves.mean.shape[0])
-        )
-        load = jax.vmap(lambda origin: drive.loads(origin, self.steps), out_axes=-1)(origins)
-        return slow, stiffness, (load,) if load.ndim == 2 else ()
+    Args:
+        drive: of the oscillator.
+        basis: of a lane.
+        start: time of the first sample [s].
+        offsets: of the first step of each lane, in steps from there.
+    """
+    origins = start + offsets * drive.oscillator.step
+    nodes = drive.nodes(start, (offsets[:, None] + jnp.asarray(basis.places, start.dtype)[None, :]).ravel())
+    nodes = nodes.reshape(offsets.shape[0], -1, nodes.shape[-1])
+    slow = tuple(basis.weights @ nodes[:, :, column].T for column in range(nodes.shape[-1]))
+    waves = jax.vmap(drive.turned, out_axes=-1)(origins)
+    stiffness = tuple(
+        waves.mean[pair][None, :] + basis.cosine @ waves.cosine[:, pair] + basis.sine @ waves.sine[:, pair]
+        for pair in range(waves.mean.shape[0])
+    )
+    load = jax.vmap(lambda origin: drive.loads(origin, basis.weights.shape[0]), out_axes=-1)(origins)
+    return slow, stiffness, (load,) if load.ndim == 2 else ()

@@ -81,12 +81,9 @@ def shooting(
     Raises:
         SceneError: the scene lacks a part, or steps is no multiple of 8.
     """
-    require(scene, "dynamic", "compliance", "load", "inertia")
     if steps < 8 or steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
-    dtype = scene.dtype
-    torque, period = jnp.asarray(torque, dtype), jnp.asarray(period, dtype)
-    return _shooting(scene.physics(*MODELLED), torque, period, steps, guess, max_steps)
+    return _shooting(_problem(scene, torque, period), steps, guess, max_steps)
 
 
 class _Problem(NamedTuple):
@@ -97,17 +94,24 @@ class _Problem(NamedTuple):
     period: Scalar
 
 
+def _problem(scene: Scene, torque: ArrayLike, period: ArrayLike) -> _Problem:
+    """The arguments of a user, checked."""
+    require(scene, "dynamic", "compliance", "load", "inertia")
+    physics, dtype = scene.physics(*MODELLED), scene.dtype
+    return _Problem(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
+
+
 def _over_a_period(state: Float[Array, "2"], problem: _Problem, steps: int) -> march.March:
     """The march over one period, from a scaled position and a velocity times step."""
     equation = Equation.of(problem.scene, problem.torque)
-    drive = march.Drive.of(Oscillator(equation, problem.period / steps))
+    drive = march.Drive.of(Oscillator(equation, problem.period / steps), jnp.zeros_like(problem.period))
     block = march.Block(max(steps // 8, 8), MOST_NODES)
     return march.march(drive, jnp.zeros_like(problem.period), state, march.Spacing(steps + 1, 1, block))
 
 
 @eqx.filter_jit
-def _shooting(scene: Scene, torque: Scalar, period: Scalar, steps: int, guess: Array | None, max_steps: int):
-    equation = Equation.of(scene, torque)
+def _shooting(problem: _Problem, steps: int, guess: Array | None, max_steps: int) -> Periodic:
+    equation, period = Equation.of(problem.scene, problem.torque), problem.period
     step = period / steps
     if guess is None:
         first = equation.initial(jnp.zeros_like(period), "equilibrium")
@@ -119,7 +123,6 @@ def _shooting(scene: Scene, torque: Scalar, period: Scalar, steps: int, guess: A
         found = _over_a_period(state, problem, steps)
         return jnp.stack([found.positions[-1], found.speeds[-1]])
 
-    problem = _Problem(scene, torque, period)
     solver = optimistix.Newton(rtol=1e-10, atol=1e-10)
     solution = optimistix.root_find(
         lambda state, problem: end(state, problem) - state, solver, start, problem, max_steps=max_steps, throw=False
@@ -172,19 +175,15 @@ def harmonic_balance(
     Raises:
         SceneError: the scene lacks a part, or there are too few samples.
     """
-    require(scene, "dynamic", "compliance", "load", "inertia")
     samples = 16 * harmonics if samples is None else samples
     if harmonics < 1 or samples < 2 * harmonics + 1:
         raise SceneError(f"harmonics = {harmonics}, samples = {samples}: needs at least 2 harmonics + 1 samples")
-    dtype = scene.dtype
-    torque, period = jnp.asarray(torque, dtype), jnp.asarray(period, dtype)
-    return _harmonic_balance(scene.physics(*MODELLED), torque, period, harmonics, samples, guess, max_steps)
+    return _harmonic_balance(_problem(scene, torque, period), harmonics, samples, guess, max_steps)
 
 
 @eqx.filter_jit
-def _harmonic_balance(
-    scene: Scene, torque: Scalar, period: Scalar, harmonics: int, samples: int, guess: Array | None, max_steps: int
-):
+def _harmonic_balance(problem: _Problem, harmonics: int, samples: int, guess: Array | None, max_steps: int) -> Periodic:
+    period = problem.period
     places = np.arange(samples) / samples
     order = np.arange(1, harmonics + 1)
     angle = 2 * np.pi * order[:, None] * places[None, :]
@@ -206,8 +205,7 @@ def _harmonic_balance(
         )(times, place, speed)
         return weights * (basis @ (forced / equation.scale - acceleration)) / equation.frequency**2
 
-    equation = Equation.of(scene, torque)
-    problem = _Problem(scene, torque, period)
+    equation = Equation.of(problem.scene, problem.torque)
     if guess is None:
         curve = jnp.broadcast_to(equation.initial(jnp.zeros_like(period), "equilibrium")[0], (samples,))
     else:
