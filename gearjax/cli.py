@@ -1,7 +1,10 @@
 """Command line. Tables and JSON go to stdout, progress and one-line errors to stderr; a mistake ends with code 2."""
 
+import hashlib
 import json
 import math
+import os
+import platform
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -81,7 +84,7 @@ def run(
     for remark in remarks(scene):
         _progress.print(f"note: {remark}", soft_wrap=True)
     cases = []
-    for case in run_cases(scene, stepper):
+    for case in run_cases(scene, stepper, workers=os.cpu_count() or 1):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
         cases.append(case)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
@@ -309,9 +312,29 @@ def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
         (folder / "published.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def keep_programs() -> None:
+    """Keep compiled programs between runs, apart for each kind of processor, unless JAX was told where to."""
+    told = jax.config.values
+    if told["jax_compilation_cache_dir"] is not None or not told["jax_enable_compilation_cache"]:
+        return
+    try:
+        processor = [line for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines() if "flags" in line]
+    except OSError:
+        processor = [platform.processor()]
+    kind = hashlib.sha256("".join([platform.machine(), *processor[:1]]).encode()).hexdigest()[:12]
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gearjax" / kind
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the command ``gearjax``."""
     jax.config.update("jax_enable_x64", True)
+    keep_programs()
     try:
         given = sys.argv[1:] if arguments is None else arguments
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)

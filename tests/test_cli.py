@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 
@@ -172,6 +173,26 @@ def test_as_a_module_in_a_fresh_process(fast):
     cases = json.loads(done.stdout)["cases"]
     assert cases[0]["metrics"]["peak_to_peak_arcmin"] > 1.0
     assert "Warning" not in done.stderr
+
+
+def test_programs_are_kept_between_runs(fast, tmp_path):
+    """Under the user's cache; a folder that cannot be made is no error; JAX's own switch turns it off."""
+
+    def run(**environment):
+        command = [sys.executable, "-m", "gearjax", "run", str(fast), "--json"]
+        environment = {**os.environ, **environment}
+        return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+
+    fast.write_text(FAST.replace(', "static", "dynamic"]', "]"), encoding="utf-8")
+    first = run(XDG_CACHE_HOME=str(tmp_path / "cache"))
+    kept = {path.name for path in (tmp_path / "cache" / "gearjax").rglob("*-cache")}
+    assert any("transmission_error" in name for name in kept)
+    assert run(XDG_CACHE_HOME=str(tmp_path / "cache")).stdout == first.stdout
+    assert {path.name for path in (tmp_path / "cache" / "gearjax").rglob("*-cache")} == kept
+    (tmp_path / "file").write_text("")
+    assert run(XDG_CACHE_HOME=str(tmp_path / "file")).stdout == first.stdout
+    run(XDG_CACHE_HOME=str(tmp_path / "off"), JAX_ENABLE_COMPILATION_CACHE="0")
+    assert not (tmp_path / "off").exists()
 
 
 def test_alternating_loads_run(capsys, fast):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import march, tables
-from gearjax.analysis.equation import Equation, fastest_order, fastest_rate, scene_pairs, slowest_decay, turning_rate
+from gearjax.analysis.equation import Equation, fastest_order, fastest_rate, slowest_decay, turning_rate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic, follow
 from gearjax.analysis.integrate import adaptive_steps, even_steps
@@ -145,8 +145,8 @@ class Limits(NamedTuple):
 
 @eqx.filter_jit
 def _limits(physics: Scene) -> Limits:
-    scale = Equation.of(physics, jnp.zeros((), physics.dtype)).scale
-    return Limits(fastest_rate(physics), turning_rate(physics), slowest_decay(physics), scale)
+    equation = Equation.of(physics, jnp.zeros((), physics.dtype))
+    return Limits(fastest_rate(equation), turning_rate(physics), slowest_decay(equation), equation.scale)
 
 
 def suitable_step(scene: Scene, duration: float) -> FixedStep:
@@ -291,14 +291,14 @@ def _integrated(
         states, highest, lowest, failed = adaptive_steps(equation, ts, state, method)
     else:
         states, highest, lowest = even_steps(equation, ts, state, method.solver, method.steps)
-        too_long = (ts[1:] - ts[:-1]).max() / method.steps * fastest_rate(equation.scene) > LONGEST_STEP
+        too_long = (ts[1:] - ts[:-1]).max() / method.steps * fastest_rate(equation) > LONGEST_STEP
         failed = jnp.where(too_long, 2, 0)
     scale = equation.scale
     te = states[:, 0] * scale
     forces = jax.vmap(equation.forces)(ts, te)
     velocity = states[:, 1] * (scale * equation.frequency)
-    nothing, pairs = jnp.zeros_like(scale), scene_pairs(equation.scene)
-    return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, nothing, pairs)
+    whole, pairs = jnp.zeros_like(scale), equation.pairs
+    return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, whole, pairs)
 
 
 def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: Fitted) -> Motion:
@@ -329,7 +329,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
         steps = method.windows.steps(method.spacing)
         nodes = method.windows.nodes
     unresolved = step * turning_rate(equation.scene) * steps > 1.01 * tables.reach(nodes)
-    fast = unresolved | (step * fastest_rate(equation.scene) > LONGEST_STEP)
+    fast = unresolved | (step * fastest_rate(equation) > LONGEST_STEP)
     failed = jnp.where(uneven, 5, jnp.where(fast, 2, 0))
     return Motion(
         ts,
@@ -341,5 +341,5 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
         settle,
         failed,
         found.defect * scale,
-        scene_pairs(equation.scene),
+        equation.pairs,
     )

@@ -19,60 +19,6 @@ from gearjax.typing import Array, Float, Scalar
 LENGTH_SCALE = 1e-5  # m on the line of action
 
 
-def natural_frequency(scene: Scene) -> Scalar:
-    """Highest natural frequency, all pairs in contact at their peak stiffness [rad/s]."""
-    contacts = scene.contacts(jnp.zeros_like(scene.system.input_speed))
-    assert scene.inertia is not None
-    assert scene.compliance is not None
-    lever = contacts.lever[: contacts.pairs]
-    stiffness = (lever * lever).sum() * scene.compliance.peak_stiffness()
-    return jnp.sqrt(stiffness / scene.inertia.moment(lever))
-
-
-def fastest_rate(scene: Scene) -> Scalar:
-    """Fastest rate of a scene, which a step has to resolve [rad/s].
-
-    The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of the
-    stiffness, the load and the bodies.
-    """
-    assert scene.inertia is not None
-    assert scene.compliance is not None
-    assert scene.load is not None
-    system, pairs = scene.system, scene_pairs(scene)
-    orders = system.orders
-    rates = [
-        natural_frequency(scene),
-        scene.compliance.harmonics * orders["mesh"] * system.input_speed,
-        scene.load.rate(system.input_speed, orders),
-        turning_rate(scene),
-    ]
-    if scene.damping is not None:
-        mass = scene.inertia.mass
-        rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), mass).sum() / mass)
-    return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
-
-
-def turning_rate(scene: Scene) -> Scalar:
-    """Fastest rate of the turning bodies, which the gaps follow [rad/s]."""
-    return jnp.asarray(fastest_order(scene), scene.dtype) * scene.system.input_speed
-
-
-def fastest_order(scene: Scene) -> float:
-    """Turns of the fastest body per turn of the input."""
-    return max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
-
-
-def slowest_decay(scene: Scene) -> Scalar:
-    """Rate at which a motion forgets its start while one pair is in contact [1/s]; 0 undamped."""
-    if scene.damping is None or scene.inertia is None or scene.compliance is None:
-        return jnp.zeros((), scene.dtype)
-    mass = scene.inertia.mass
-    stiffness = scene.compliance.mean_stiffness(scene_pairs(scene))
-    decay = 0.5 * scene.damping.coefficient(stiffness, mass).min() / mass
-    overdamped = decay > jnp.sqrt(stiffness.min() / mass)
-    return jnp.where(overdamped, stiffness.min() / mass / jnp.maximum(2 * decay, 1e-30), decay)
-
-
 class Gaps(eqx.Module):
     """Levers and gaps of the contacts at one time, and their rates; ``None`` where they do not count."""
 
@@ -96,8 +42,9 @@ class Equation(eqx.Module):
     Args:
         scene: with its start worked out.
         torque: size of the load [N m].
-        frequency: scaled time per time [1/s].
+        frequency: highest natural frequency, all pairs in contact at their peak stiffness [rad/s]; scales time.
         scale: position per scaled position [rad].
+        pairs: number of driving contacts.
         levers_turn: whether the levers change over time.
     """
 
@@ -105,15 +52,21 @@ class Equation(eqx.Module):
     torque: Scalar
     frequency: Scalar
     scale: Scalar
+    pairs: int = eqx.field(static=True)
     levers_turn: bool = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "Equation":
         """The equation, scaled for the scene."""
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
-        lever = jnp.mean(jnp.abs(scene.contacts(start).lever))
+        assert scene.inertia is not None
+        assert scene.compliance is not None
+        contacts = scene.contacts(start)
+        arm = contacts.lever[: contacts.pairs]
+        stiffness = (arm * arm).sum() * scene.compliance.peak_stiffness()
+        frequency = jnp.sqrt(stiffness / scene.inertia.moment(arm))
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
-        return cls(scene, torque, natural_frequency(scene), LENGTH_SCALE / lever, turn)
+        return cls(scene, torque, frequency, LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), contacts.pairs, turn)
 
     def load(self, time: Scalar) -> Scalar:
         """Load torque [N m]."""
@@ -157,7 +110,7 @@ class Equation(eqx.Module):
         scene, gaps = self.scene, now.gaps
         assert scene.inertia is not None
         assert scene.compliance is not None
-        pairs = scene_pairs(scene)
+        pairs = self.pairs
         overlap = gaps.lever * position - gaps.gap
         moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
         if scene.damping is not None and gaps.gap_rate is not None:
@@ -191,6 +144,46 @@ class Equation(eqx.Module):
         return jnp.stack([position, velocity / self.frequency]) / self.scale
 
 
-def scene_pairs(scene: Scene) -> int:
-    """Number of driving contacts of a scene."""
-    return jax.eval_shape(scene.contacts, scene.system.input_speed).pairs
+def fastest_rate(equation: Equation) -> Scalar:
+    """Fastest rate of a scene, which a step has to resolve [rad/s].
+
+    The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of the
+    stiffness, the load and the bodies.
+    """
+    scene = equation.scene
+    assert scene.inertia is not None
+    assert scene.compliance is not None
+    assert scene.load is not None
+    system, orders = scene.system, scene.system.orders
+    rates = [
+        equation.frequency,
+        scene.compliance.harmonics * orders["mesh"] * system.input_speed,
+        scene.load.rate(system.input_speed, orders),
+        turning_rate(scene),
+    ]
+    if scene.damping is not None:
+        mass = scene.inertia.mass
+        rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(equation.pairs), mass).sum() / mass)
+    return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+
+def turning_rate(scene: Scene) -> Scalar:
+    """Fastest rate of the turning bodies, which the gaps follow [rad/s]."""
+    return jnp.asarray(fastest_order(scene), scene.dtype) * scene.system.input_speed
+
+
+def fastest_order(scene: Scene) -> float:
+    """Turns of the fastest body per turn of the input."""
+    return max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
+
+
+def slowest_decay(equation: Equation) -> Scalar:
+    """Rate at which a motion forgets its start while one pair is in contact [1/s]; 0 undamped."""
+    scene = equation.scene
+    if scene.damping is None or scene.inertia is None or scene.compliance is None:
+        return jnp.zeros((), scene.dtype)
+    mass = scene.inertia.mass
+    stiffness = scene.compliance.mean_stiffness(equation.pairs)
+    decay = 0.5 * scene.damping.coefficient(stiffness, mass).min() / mass
+    overdamped = decay > jnp.sqrt(stiffness.min() / mass)
+    return jnp.where(overdamped, stiffness.min() / mass / jnp.maximum(2 * decay, 1e-30), decay)

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.analysis.equation import Equation, scene_pairs
+from gearjax.analysis.equation import Equation
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -38,7 +38,7 @@ def follow(equation: Equation, ts: Float[Array, " n"], method: QuasiStatic) -> t
         assert equation.scene.inertia is not None
         closed = equation.scene.contact.closed(now.gaps.lever * place - now.gaps.gap)
         stiffness = (closed * now.stiffness * now.gaps.lever**2).sum()
-        moment = equation.scene.inertia.moment(now.gaps.lever[: scene_pairs(equation.scene)])
+        moment = equation.scene.inertia.moment(now.gaps.lever[: equation.pairs])
         step = jnp.where(stiffness > 0, moment * missing / jnp.where(stiffness > 0, stiffness, 1.0), 0.0)
         return place - step, velocity
 

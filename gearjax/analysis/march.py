@@ -199,8 +199,9 @@ def begin(drive: Drive, time: Scalar, state: Float[Array, "2"]) -> tuple[Scalar,
         fast = Fast(stiffness.mean + stiffness.cosine.sum(axis=0), load)
         return oscillator.state(oscillator.slow(time), fast, state[0])
 
-    now = at(time)
-    return state[0], change_before(state[1], now, at(time + oscillator.step).push - now.push)
+    both = jax.vmap(at)(jnp.stack([time, time + oscillator.step]))
+    now, later = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in range(2))
+    return state[0], change_before(state[1], now, later.push - now.push)
 
 
 def _rows(table: Any, chosen: slice) -> Any:
@@ -324,7 +325,6 @@ def march_windows(
     warm, steps = windows.warm_up, windows.warm_up + samples * spacing.each + 1
     basis, unpack = Basis.of(drive, steps, windows.nodes), drive.slow(start)
     load = drive.oscillator.equation.load(start)
-    real = begin(drive, start, first)
 
     def drives(row: Any) -> tuple[Slow, Fast]:
         return unpack(jnp.stack(row[0])), Fast(jnp.stack(row[1]), row[2][0] if row[2] else load)
@@ -334,8 +334,10 @@ def march_windows(
         origins = start + offsets * drive.oscillator.step
         rows = _lanes(drive, basis, start, offsets)
         begins = window + jnp.arange(lanes) == 0
-
-        carry = jax.vmap(lambda origin: begin(drive, origin, rest(origin)))(origins)
+        # the last of these is the real start, for the first window
+        states = jnp.concatenate([jax.vmap(rest)(origins), first[None]])
+        starts = jax.vmap(lambda time, state: begin(drive, time, state))(jnp.append(origins, start), states)
+        carry, real = (tuple(part[chosen] for part in starts) for chosen in (slice(0, -1), -1))
         carry, _ = _steps(drive.oscillator, drives, carry, _rows(rows, slice(0, warm + 1)))
         carry = tuple(jnp.where(begins, own, lane) for own, lane in zip(real, carry, strict=True))
         rows = _rows(rows, slice(warm, None))

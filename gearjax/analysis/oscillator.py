@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.equation import Equation, scene_pairs
+from gearjax.analysis.equation import Equation
 from gearjax.analysis.fitted import State
 from gearjax.contact import HardContact
 from gearjax.typing import Array, Float, Scalar
@@ -59,7 +59,7 @@ class Oscillator(eqx.Module):
         """Slow numbers of the step at a time [s]."""
         scene, now, scale = self.equation.scene, self.equation.gaps(time), self.equation.scale
         assert scene.inertia is not None
-        pairs = scene_pairs(scene)
+        pairs = self.equation.pairs
         arm = now.lever[:pairs]
         moment = scene.inertia.moment(arm)
         inverse = self.step * self.step / (moment * scale * scale)
@@ -149,7 +149,7 @@ class Harmonics(NamedTuple):
     @classmethod
     def of(cls, equation: Equation) -> "Harmonics":
         """The series of a scene, from as many samples of a mesh period as it has terms."""
-        compliance, pairs = equation.scene.compliance, scene_pairs(equation.scene)
+        compliance, pairs = equation.scene.compliance, equation.pairs
         assert compliance is not None
         number = 2 * compliance.harmonics + 1
         angles = 2 * np.pi * np.arange(number) / number

@@ -61,6 +61,12 @@ def order_spectrum(
         steps = np.diff(np.asarray(theta, dtype=float))
         if not np.allclose(steps, steps.mean(), rtol=1e-3, atol=0):
             raise SceneError("theta is unevenly spaced: an order spectrum needs even angles")
+    return _spectrum(values, theta, jnp.asarray(turn, values.dtype), window)
+
+
+@eqx.filter_jit
+def _spectrum(values: Array, theta: Array, turn: Scalar, window: str) -> Spectrum:
+    size = values.shape[0]
     weights = jnp.ones(size, values.dtype)
     if window == "hann":
         weights = 0.5 * (1 - jnp.cos(2 * jnp.pi * jnp.arange(size, dtype=values.dtype) / size))
@@ -69,7 +75,7 @@ def order_spectrum(
     if size % 2 == 0:
         amplitude = amplitude.at[-1].divide(2.0)  # the line at half the sampling rate stands for itself alone
     spacing = (theta[-1] - theta[0]) / (size - 1)
-    order = jnp.arange(amplitude.shape[0], dtype=values.dtype) * (jnp.asarray(turn, values.dtype) / (size * spacing))
+    order = jnp.arange(amplitude.shape[0], dtype=values.dtype) * (turn / (size * spacing))
     return Spectrum(order, amplitude)
 
 

@@ -2,9 +2,11 @@
 
 import dataclasses
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,6 +14,7 @@ from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, bac
 from gearjax.analysis.dynamics import suitable_step
 from gearjax.checks import GearjaxError, SceneError, writing
 from gearjax.scene import METRICS, Published, Run, Scene
+from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin
 
 if TYPE_CHECKING:
@@ -83,12 +86,14 @@ def remarks(scene: Scene) -> list[str]:
     return found
 
 
-def run_cases(scene: Scene, stepper: FixedStep | None = None) -> Iterator[Case]:
+def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 1) -> Iterator[Case]:
     """Every analysis that the run section lists, one after the other.
 
     Args:
         scene: the scene.
         stepper: of the dynamic TE, in place of `suitable_step`.
+        workers: analyses whose programs are compiled side by side, in threads, which see what is set for the whole
+            process and not for the calling thread alone.
 
     Raises:
         SceneError: no run section, or an analysis that cannot be done.
@@ -97,19 +102,29 @@ def run_cases(scene: Scene, stepper: FixedStep | None = None) -> Iterator[Case]:
     if "dynamic" in run.analyses:
         suitable_step(scene, run.duration)  # refuses before anything is computed
     ts = jnp.asarray(run.times)
+    torques = {name: run.torques if name in ("static", "dynamic") else (0.0,) for name in run.analyses}
+    if workers == 1:
+        for analysis in run.analyses:
+            yield from (_computed(scene, run, analysis, torque, ts, stepper) for torque in torques[analysis])
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        # the first torque compiles for all; the last analysis, the dynamic one, takes longest
+        begun = {
+            analysis: pool.submit(_computed, scene, run, analysis, torques[analysis][0], ts, stepper)
+            for analysis in reversed(run.analyses)
+        }
+        for analysis in run.analyses:
+            yield begun[analysis].result()
+            yield from (_computed(scene, run, analysis, torque, ts, stepper) for torque in torques[analysis][1:])
+
+
+def _computed(scene: Scene, run: Run, analysis: str, torque: float, ts: Array, stepper: FixedStep | None) -> Case:
     theta = scene.system.input_speed * ts
-    for analysis in run.analyses:
-        if analysis == "no_load":
-            yield _case(run, analysis, 0.0, transmission_error(scene, theta))
-        elif analysis == "backlash":
-            yield _case(run, analysis, 0.0, backlash(scene, theta))
-        for torque in run.torques if analysis in ("static", "dynamic") else ():
-            yield _loaded(scene, run, analysis, torque, ts, stepper)
-
-
-def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts, stepper: FixedStep | None) -> Case:
+    if analysis == "no_load":
+        return _case(run, analysis, torque, transmission_error(scene, theta))
+    if analysis == "backlash":
+        return _case(run, analysis, torque, backlash(scene, theta))
     if analysis == "static":
-        theta = scene.system.input_speed * ts
         result = transmission_error(scene, theta, torque_history(scene, ts, torque))
         if bool((result.result != 0).any()):
             raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
@@ -118,7 +133,7 @@ def _loaded(scene: Scene, run: Run, analysis: str, torque: float, ts, stepper: F
     return _case(run, analysis, torque, motion)
 
 
-def torque_history(scene: Scene, ts, torque: float):
+def torque_history(scene: Scene, ts: Array, torque: float) -> Array | float:
     """Load torque of a scene over time [N m]: shape (n,) where it alternates, else one number."""
     if scene.load is None or not scene.load.alternates:
         return torque
@@ -126,8 +141,14 @@ def torque_history(scene: Scene, ts, torque: float):
     return torque * scene.load.shape(turns, ts, scene.system.orders)
 
 
+@eqx.filter_jit
+def _metrics_of(result: TransmissionError | Backlash | Motion) -> dict[str, Scalar]:
+    """All metrics in one program: each operation by itself would be compiled by itself."""
+    return {name: getattr(result, name) for name in METRICS}
+
+
 def _case(run: Run, analysis: str, torque: float, result: TransmissionError | Backlash | Motion) -> Case:
-    metrics = {name: float(getattr(result, name)) for name in METRICS}
+    metrics = {name: float(value) for name, value in _metrics_of(result).items()}
     if not np.isfinite(list(metrics.values())).all():
         raise SceneError(f"{analysis} at {torque:g} N*m: the result is not finite, a value of the scene is too extreme")
     window = run.duration - (run.settle if analysis == "dynamic" else 0.0)
@@ -240,11 +261,17 @@ def _metrics(cases: list[Case]) -> str:
     return _table(header, rows)
 
 
+@eqx.filter_jit
+def _sharing(result: TransmissionError | Motion) -> Array:
+    """Load-sharing factor where it counts, not a number elsewhere."""
+    return (
+        jnp.where(result.settled, result.load_sharing, jnp.nan) if isinstance(result, Motion) else result.load_sharing
+    )
+
+
 def highest_load_sharing(case: Case) -> float | None:
     """Highest load-sharing factor of a case, after settling; ``None`` without forces."""
     if isinstance(case.result, Backlash) or case.result.forces is None:
         return None
-    sharing = np.asarray(case.result.load_sharing)
-    if isinstance(case.result, Motion):
-        sharing = sharing[np.asarray(case.result.settled)]
+    sharing = np.asarray(_sharing(case.result))
     return float(np.nanmax(sharing)) if np.isfinite(sharing).any() else None
