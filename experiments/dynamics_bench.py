@@ -180,7 +180,7 @@ def ours(ts, torque, stepper):
     """A jitted solve that returns the transmission error at the samples, with the scene's numbers as arguments."""
     physics = SCENE.physics("backlash", "compliance", "load", "inertia", "damping")
     limit = gj.analysis.dynamics._limits(physics)
-    method = gj.analysis.dynamics._method(SCENE, ts, stepper, limit)
+    method = gj.analysis.dynamics._method(SCENE, ts, jnp.asarray(torque), stepper, limit)
     run = jax.jit(
         lambda scene, torque: gj.analysis.dynamics._simulate(scene, ts, torque, jnp.zeros(()), "equilibrium", method).te
     )

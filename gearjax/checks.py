@@ -89,3 +89,14 @@ MISSING = Missing()
 def is_concrete(value: object) -> bool:
     """Whether the numbers of ``value`` are known now (not while tracing)."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+
+
+def is_batched(value: object) -> bool:
+    """Whether ``value`` is being traced for a batch by ``jax.vmap``, as far as its tracers tell: a hint of what is
+    fast, since JAX has no public word for it and a ``jit`` in between hides it."""
+
+    def batched(leaf: object) -> bool:
+        inner = getattr(leaf, "primal", None)  # of what is differentiated
+        return type(leaf).__name__ == "BatchTracer" or (inner is not None and batched(inner))
+
+    return any(batched(leaf) for leaf in jax.tree.leaves(value))

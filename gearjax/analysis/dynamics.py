@@ -21,7 +21,7 @@ from gearjax.analysis.integrate import adaptive_steps, even_steps
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.oscillator import Oscillator
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
-from gearjax.checks import SceneError, is_concrete
+from gearjax.checks import SceneError, is_batched, is_concrete
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Scalar
 
@@ -36,7 +36,7 @@ FAULTS = {
     4: "there is no equilibrium to start from",
     5: "the samples are not evenly spaced, as the fitted solver needs",
 }
-MOST_WINDOWED = 1_000_000  # steps of a record in windows
+LANE_NODES = 6, 4  # of a block of motions side by side, in float64 and less
 WINDOW = 3000  # steps of a window after its warm-up
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
@@ -116,7 +116,7 @@ def simulate(
         raise SceneError(f"settle = {float(settle):g} s: must be at least 0 and less than the record")
     physics = scene.physics(*MODELLED)
     limits = _limits(physics) if is_concrete(physics) else None
-    method = _method(scene, ts, stepper, limits)
+    method = _method(scene, ts, torque, stepper, limits)
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
         raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(limits, int(motion.result))}")
@@ -138,7 +138,6 @@ class Limits(NamedTuple):
     """What a step depends on: rates of the scene [rad/s] and its position per scaled position [rad]."""
 
     fastest: Array
-    turning: Array
     decay: Array
     scale: Array
 
@@ -146,7 +145,7 @@ class Limits(NamedTuple):
 @eqx.filter_jit
 def _limits(physics: Scene) -> Limits:
     equation = Equation.of(physics, jnp.zeros((), physics.dtype))
-    return Limits(fastest_rate(equation), turning_rate(physics), slowest_decay(equation), equation.scale)
+    return Limits(fastest_rate(equation), slowest_decay(equation), equation.scale)
 
 
 def suitable_step(scene: Scene, duration: float) -> FixedStep:
@@ -169,21 +168,19 @@ def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
 
 
 def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
-    """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly, or
-    so long that their tables would fill the memory, or its bodies turn too far in a window to be tabulated."""
+    """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly."""
     decay = float(limits.decay)
-    if decay <= 0 or duration / step > MOST_WINDOWED or (scene.load is not None and scene.load.alternates):
+    if decay <= 0 or (scene.load is not None and scene.load.alternates):
         return None
     warm_up = FORGOTTEN / decay
     number = int(duration / max(WINDOW * step, warm_up))
     number = number // march.LANES * march.LANES if number > march.LANES else number
-    if number < march.LANES // 2:
-        return None
-    turned = float(limits.turning) * (warm_up + duration / number)
-    return Windows(number, warm_up) if turned <= 0.9 * tables.reach(tables.MOST_NODES) else None
+    return Windows(number, warm_up) if number >= march.LANES // 2 else None
 
 
-def _method(scene: Scene, ts: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None) -> Method:
+def _method(
+    scene: Scene, ts: Array, torque: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None
+) -> Method:
     """What a stepper means for a scene and its sample times; whatever is known now is made static."""
     limits = limits if is_concrete(ts) else None
     even = not is_concrete(ts) or _are_even(np.asarray(ts))
@@ -201,17 +198,16 @@ def _method(scene: Scene, ts: Array, stepper: Stepper | QuasiStatic | None, limi
             "stepper=FixedStep(step=..., solver=RungeKutta4())"
         )
     samples = ts.shape[0]
-    phase = windows = None
-    spacing = float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
+    phase, spacing = UNKNOWN, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
         phase = fastest_order(scene) * float(np.asarray(scene.system.input_speed)) * spacing / steps
-    if stepper.windows is not None:
-        if spacing is None:
-            raise SceneError(
-                "ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)"
-            )
-        windows = _windows(stepper.windows, samples, steps, spacing, phase)
-    return Fitted(march.Spacing(samples, steps, _block(phase or UNKNOWN)), windows, fall_back=limits is None)
+    if stepper.windows is not None and spacing is None:
+        raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
+    alone, beside = (_block(phase, ts.dtype, lanes) for lanes in (False, True))
+    windows = _windows(stepper.windows, samples, spacing, beside) if stepper.windows and spacing else None
+    batched = is_batched((scene, ts, torque))
+    lanes, block = (march.Lanes.BATCH, beside) if batched else (march.Lanes.NONE, alone)
+    return Fitted(march.Spacing(samples, steps, block, lanes), windows, fall_back=limits is None)
 
 
 def _are_even(ts: np.ndarray) -> bool:
@@ -220,34 +216,22 @@ def _are_even(ts: np.ndarray) -> bool:
     return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
 
 
-def _block(phase: float) -> march.Block:
-    """Steps of a block and its nodes, for a phase of the bodies per step [rad]."""
-    steps = max(march.SHORTEST_BLOCK, min(march.LONGEST_BLOCK, int(tables.reach(tables.MOST_NODES) / max(phase, 1e-9))))
-    return march.Block(steps, tables.nodes_for(phase * steps))
+def _block(phase: float, dtype: Any, lanes: bool) -> march.Block:
+    """Steps of a block and its nodes, for a phase of the bodies per step [rad], rounded up so that scenes of other
+    speeds mostly share a program."""
+    base = 2 if lanes else 4
+    phase = base ** math.ceil(math.log(max(phase, 1e-12), base))
+    most = LANE_NODES[jnp.finfo(dtype).bits <= 32] if lanes else tables.MOST_NODES
+    steps = int(tables.reach(most, dtype) / max(phase, 1e-9))
+    steps = max(march.SHORTEST_BLOCK, min(march.LONGEST_BLOCK, steps))
+    return march.Block(steps, tables.nodes_for(phase * steps, dtype))
 
 
-def _windows(windows: Windows, samples: int, each: int, spacing: float, phase: float | None) -> march.Windows | None:
-    """Windows in steps; ``None`` where fewer than two would be left.
-
-    Where the phase of the bodies per step [rad] is not known the program checks that the tables resolve it.
-
-    Raises:
-        SceneError: the tables of so long a window would not resolve the bodies.
-    """
+def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:
+    """Windows in samples; ``None`` where fewer than two would be left."""
     number = max(1, min(windows.number, samples // 2))
-    if number < 2:
-        return None
-    warm_up = each * max(1, math.ceil(windows.warm_up / spacing - 1e-9))
-    found = march.Windows(number, warm_up, tables.MOST_NODES)
-    if phase is None:
-        return found
-    turned = phase * found.steps(march.Spacing(samples, each, _block(phase)))
-    if turned > tables.reach(tables.MOST_NODES):
-        raise SceneError(
-            f"windows: the bodies turn {turned:.3g} rad in each of {number} windows, warm-up included, at most "
-            f"{tables.reach(tables.MOST_NODES):.3g} can be tabulated: give more windows or a shorter warm_up"
-        )
-    return found._replace(nodes=tables.nodes_for(turned))
+    warm_up = max(1, math.ceil(windows.warm_up / spacing - 1e-9))
+    return march.Windows(number, warm_up, block) if number > 1 else None
 
 
 def _allowed(dtype: Any) -> float:
@@ -324,11 +308,8 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
-    steps, nodes = method.spacing.block
-    if method.windows is not None:
-        steps = method.windows.steps(method.spacing)
-        nodes = method.windows.nodes
-    unresolved = step * turning_rate(equation.scene) * steps > 1.01 * tables.reach(nodes)
+    steps, nodes = method.spacing.block if method.windows is None else method.windows.block
+    unresolved = step * turning_rate(equation.scene) * steps > 1.01 * tables.reach(nodes, ts.dtype)
     fast = unresolved | (step * fastest_rate(equation) > LONGEST_STEP)
     failed = jnp.where(uneven, 5, jnp.where(fast, 2, 0))
     return Motion(

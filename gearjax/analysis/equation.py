@@ -6,6 +6,8 @@
 the line of action, time by the highest natural frequency.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,10 +15,18 @@ import jax.numpy as jnp
 from gearjax.analysis.quasi_static import rest
 from gearjax.analysis.tables import depends
 from gearjax.contact import ContactSet
+from gearjax.contact.frame import Pose
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Scalar
 
 LENGTH_SCALE = 1e-5  # m on the line of action
+
+
+class Moment(NamedTuple):
+    """What the system shows at one time, and its rate where it counts; errors change neither."""
+
+    pose: Pose
+    rate: Pose | None
 
 
 class Gaps(eqx.Module):
@@ -80,22 +90,32 @@ class Equation(eqx.Module):
         assert contacts.stiffness is not None
         return contacts.lever, contacts.stiffness
 
-    def gaps(self, time: Scalar) -> Gaps:
-        """Levers and gaps at a time [s]."""
+    def moment(self, time: Scalar) -> Moment:
+        """What the system shows at a time [s]."""
 
-        def both(time):
-            contacts = self.scene.contacts(self.scene.system.input_speed * time)
-            return contacts.lever, contacts.gap
+        def pose(time: Scalar) -> Pose:
+            return self.scene.pose(self.scene.system.input_speed * time)
 
         if self.scene.damping is None:
-            lever, gap = both(time)
+            return Moment(pose(time), None)
+        return Moment(*jax.jvp(pose, (time,), (jnp.ones_like(time),)))
+
+    def gaps(self, moment: Moment) -> Gaps:
+        """Levers and gaps at a moment."""
+
+        def both(pose: Pose) -> tuple[Array, Array]:
+            contacts = self.scene.contacts(pose)
+            return contacts.lever, contacts.gap
+
+        if moment.rate is None:
+            lever, gap = both(moment.pose)
             return Gaps(lever, gap, None, None)
-        (lever, gap), (lever_rate, gap_rate) = jax.jvp(both, (time,), (jnp.ones_like(time),))
+        (lever, gap), (lever_rate, gap_rate) = jax.jvp(both, (moment.pose,), (moment.rate,))
         return Gaps(lever, gap, lever_rate if self.levers_turn else None, gap_rate)
 
     def excitation(self, time: Scalar) -> Excitation:
         """Contacts and load at a time [s]."""
-        return Excitation(self.gaps(time), self.springs(time)[1], self.load(time))
+        return Excitation(self.gaps(self.moment(time)), self.springs(time)[1], self.load(time))
 
     def _contacts(self, time: Scalar) -> ContactSet:
         return self.scene.contacts(self.scene.system.input_speed * time, "varying")

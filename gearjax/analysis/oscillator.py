@@ -7,12 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.equation import Equation
+from gearjax.analysis.equation import Equation, Moment
 from gearjax.analysis.fitted import State
 from gearjax.contact import HardContact
 from gearjax.typing import Array, Float, Scalar
 
 FEW = 8  # pairs that are written out
+
+
+Numbers = Array | tuple[Array, ...]  # apart where motions run side by side
 
 
 class Slow(NamedTuple):
@@ -28,19 +31,19 @@ class Slow(NamedTuple):
         turning: drag per scaled position, where the levers change, shape (pair,).
     """
 
-    lever: Array
-    gap: Array
+    lever: Numbers
+    gap: Numbers
     inverse: Array
-    damping: Array
-    decay: Array
-    drag: Array
-    turning: Array | None
+    damping: Numbers
+    decay: Numbers
+    drag: Numbers
+    turning: Numbers | None
 
 
 class Fast(NamedTuple):
     """What drives a step and follows the teeth or the load: stiffness of each pair [N/m], load torque [N m]."""
 
-    stiffness: Array
+    stiffness: Numbers
     load: Array
 
 
@@ -55,14 +58,14 @@ class Oscillator(eqx.Module):
     equation: Equation
     step: Scalar
 
-    def slow(self, time: Scalar) -> Slow:
-        """Slow numbers of the step at a time [s]."""
-        scene, now, scale = self.equation.scene, self.equation.gaps(time), self.equation.scale
+    def slow(self, moment: Moment) -> Slow:
+        """Slow numbers of the step at a moment."""
+        scene, now, scale = self.equation.scene, self.equation.gaps(moment), self.equation.scale
         assert scene.inertia is not None
         pairs = self.equation.pairs
         arm = now.lever[:pairs]
-        moment = scene.inertia.moment(arm)
-        inverse = self.step * self.step / (moment * scale * scale)
+        inertia = scene.inertia.moment(arm)
+        inverse = self.step * self.step / (inertia * scale * scale)
         damping = drag = jnp.zeros((pairs,), now.gap.dtype)
         turning = None
         if scene.damping is not None:
@@ -70,7 +73,7 @@ class Oscillator(eqx.Module):
             assert now.gap_rate is not None
             mean = scene.compliance.mean_stiffness(pairs)
             coefficient = scene.damping.coefficient(mean, scene.inertia.mass) * arm
-            damping = 0.5 * self.step * coefficient * arm / moment
+            damping = 0.5 * self.step * coefficient * arm / inertia
             drag = inverse * scale * coefficient * now.gap_rate[:pairs]
             if now.lever_rate is not None:
                 turning = -inverse * scale * scale * coefficient * now.lever_rate[:pairs]
@@ -84,10 +87,10 @@ class Oscillator(eqx.Module):
         force, stiffness, drag, damping, decay = [], [], [], [], []
         for pair in list(range(pairs)) if pairs <= FEW else [slice(0, pairs)]:
             engaged = None
-            for flank in range(len(slow.gap) // pairs):
-                lever, gap = slow.lever[flank * pairs :][pair], slow.gap[flank * pairs :][pair]
+            for flank in range(0, len(slow.gap), pairs):
+                lever, gap = _part(slow.lever, pair, flank), _part(slow.gap, pair, flank)
                 overlap = lever * position - gap
-                spring = lever * (slow.inverse * fast.stiffness[pair])
+                spring = lever * (slow.inverse * _part(fast.stiffness, pair))
                 # hard contacts by selection: a batch takes half the time of products with zeros and ones
                 closed = overlap > 0 if hard else scene.contact.closed(overlap)
                 force.append(_gate(closed, spring * overlap) if hard else spring * scene.contact.penetration(overlap))
@@ -97,11 +100,12 @@ class Oscillator(eqx.Module):
                 continue
             if scene.damping.acting == "always":
                 engaged = jnp.ones_like(engaged)
-            pull = slow.drag[pair] if slow.turning is None else slow.drag[pair] + slow.turning[pair] * position
+            pull = _part(slow.drag, pair)
+            pull = pull if slow.turning is None else pull + _part(slow.turning, pair) * position
             drag.append(_gate(engaged, pull))
-            damping.append(_gate(engaged, slow.damping[pair]))
+            damping.append(_gate(engaged, _part(slow.damping, pair)))
             if hard:
-                decay.append(jnp.where(engaged, slow.decay[pair], 1.0).prod())
+                decay.append(jnp.where(engaged, _part(slow.decay, pair), 1.0).prod())
         load = slow.inverse * self.equation.scale * fast.load
         push = _total(drag, nothing) - _total(force, nothing) - load
         damped = _total(damping, nothing)
@@ -112,9 +116,17 @@ class Oscillator(eqx.Module):
 
     def forces(self, slow: Slow, fast: Fast, position: Array) -> Float[Array, " contact"]:
         """Elastic force of each contact [N]."""
-        flanks = slow.gap.shape[0] // len(fast.stiffness)
-        penetration = self.equation.scene.contact.penetration(slow.lever * position - slow.gap)
-        return jnp.concatenate([fast.stiffness] * flanks) * penetration
+        flanks = len(slow.gap) // len(fast.stiffness)
+        lever, gap, stiffness = (jnp.stack(part) for part in (slow.lever, slow.gap, tuple(fast.stiffness) * flanks))
+        penetration = self.equation.scene.contact.penetration(lever * position - gap)
+        return stiffness * penetration
+
+
+def _part(numbers: Numbers, pair: int | slice, first: int = 0) -> Array:
+    """Numbers of one pair or of all, counted from a first one."""
+    place = pair + first if isinstance(pair, int) else slice(pair.start + first, pair.stop + first)
+    part = numbers[place]
+    return jnp.stack(part) if isinstance(part, tuple) else part
 
 
 def _gate(closed: Array, value: Array) -> Array:

@@ -106,7 +106,9 @@ def _over_a_period(state: Float[Array, "2"], problem: _Problem, steps: int) -> m
     equation = Equation.of(problem.scene, problem.torque)
     drive = march.Drive.of(Oscillator(equation, problem.period / steps), jnp.zeros_like(problem.period))
     block = march.Block(max(steps // 8, 8), MOST_NODES)
-    return march.march(drive, jnp.zeros_like(problem.period), state, march.Spacing(steps + 1, 1, block))
+    return march.march(
+        drive, jnp.zeros_like(problem.period), state, march.Spacing(steps + 1, 1, block, march.Lanes.NONE)
+    )
 
 
 @eqx.filter_jit

@@ -34,12 +34,43 @@ def recur(step: Step, position: Array, change: Array, rows: Any) -> tuple[tuple[
 
 
 def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
-    def one(carry, row):
-        position, change = carry
-        change = step(position, change, row, *constants)
-        return (position + change, change), position  # an output that takes no work is not worked out twice
+    @jax.custom_batching.custom_vmap
+    def run(position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
+        def one(carry, row):
+            position, change = carry
+            change = step(position, change, row, *constants)
+            return (position + change, change), position  # an output that takes no work is not worked out twice
 
-    return jax.lax.scan(one, (position, change), rows)
+        return jax.lax.scan(one, (position, change), rows)
+
+    @run.def_vmap
+    def side_by_side(size: int, batched: Any, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
+        """Lanes last, so that every number of a step is one vector."""
+
+        def laid(value: Array, batched: bool) -> Array:
+            return jnp.moveaxis(value, 0, -1) if batched else value
+
+        def lane(batched: Any) -> Any:
+            return jax.tree.map(lambda one: -1 if one else None, batched)
+
+        position, change = (
+            value if one else jnp.broadcast_to(value, (size, *value.shape))
+            for value, one in zip((position, change), batched[:2], strict=True)
+        )
+        rows, constants = (
+            jax.tree.map(laid, value, one) for value, one in zip((rows, constants), batched[2:], strict=True)
+        )
+        over = jax.vmap(step, (0, 0, lane(batched[2]), *lane(batched[3])))
+
+        def one(carry, row):
+            position, change = carry
+            change = over(position, change, row, *constants)
+            return (position + change, change), position
+
+        ended, path = jax.lax.scan(one, (position, change), rows)
+        return (ended, path.T), ((True, True), True)
+
+    return run(position, change, rows, constants)
 
 
 _recur = jax.custom_jvp(_scan, nondiff_argnums=(0,))

@@ -12,18 +12,22 @@ import jax
 import numpy as np
 from jax.extend.core import Literal
 
-ACCURACY = 1e-10  # of the interpolation, relative to a sine of the fastest rate
 MOST_NODES = 24
 
 
-def nodes_for(phase: float) -> int:
+def accuracy(dtype: Any) -> float:
+    """Of the interpolation, relative to a sine of the fastest rate: little more than what the dtype rounds."""
+    return 1e-13 if np.finfo(dtype).bits > 32 else 1e-8
+
+
+def nodes_for(phase: float, dtype: Any) -> int:
     """How many nodes resolve a phase per block [rad], at most `MOST_NODES`."""
-    return next((number for number in range(3, MOST_NODES) if phase <= reach(number)), MOST_NODES)
+    return next((number for number in range(3, MOST_NODES) if phase <= reach(number, dtype)), MOST_NODES)
 
 
-def reach(number: int) -> float:
+def reach(number: int, dtype: Any) -> float:
     """Largest phase per block that a number of nodes resolves [rad]."""
-    return 4 * (0.5 * ACCURACY * math.factorial(number)) ** (1 / number)
+    return 4 * (0.5 * accuracy(dtype) * math.factorial(number)) ** (1 / number)
 
 
 def interpolation(steps: int, number: int, beyond: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,178 @@
+"""What drives the steps of an oscillator, block by block: tables, or polynomials worked out within a step.
+
+A block of steps is covered by a few Chebyshev nodes. One motion reads rows of one table, tabulated a block at a time.
+Lanes side by side (a batch under vmap, windows of time) keep each number of each node apart and sum the polynomial
+within the step: a table for each lane would have to be written and read again.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis.equation import Moment
+from gearjax.analysis.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
+from gearjax.analysis.tables import depends, interpolation
+from gearjax.typing import Array, Float, Scalar
+
+Drives = Callable[[Any], tuple[Slow, Fast]]
+
+
+class Drive(eqx.Module):
+    """The signals that drive an oscillator.
+
+    Args:
+        oscillator: what is driven.
+        harmonics: of its stiffness.
+        changing: which leaves of its slow signals change over time.
+    """
+
+    oscillator: Oscillator
+    harmonics: Harmonics
+    changing: tuple[bool, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
+        """The signals of an oscillator; the time [s] is that of any sample."""
+
+        def at(time: Scalar) -> Slow:
+            return oscillator.slow(oscillator.equation.moment(time))
+
+        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(depends(at, time)))
+
+    def slow_at(self, time: Scalar) -> Slow:
+        """The slow signals at a time [s]."""
+        return self.oscillator.slow(self.oscillator.equation.moment(time))
+
+    def columns(self, moment: Moment) -> Float[Array, " column"]:
+        """What changes of the slow signals, at a moment."""
+        leaves = jax.tree.leaves(self.oscillator.slow(moment))
+        parts = [leaf.ravel() for leaf, new in zip(leaves, self.changing, strict=True) if new]
+        return jnp.concatenate([jnp.zeros((0,), self.oscillator.step.dtype), *parts])
+
+    def slow(self, held: Slow, columns: Sequence[Array] | Array) -> Slow:
+        """The slow signals with what changes put in.
+
+        Args:
+            held: at any time; its leaves may be tuples of numbers in place of arrays.
+            columns: what changes, shape (column,); a list of numbers where the leaves are tuples.
+        """
+        leaves, tree = jax.tree.flatten(held, is_leaf=_is_apart)
+        taken, found = 0, []
+        for leaf, new in zip(leaves, self.changing, strict=True):
+            number = len(leaf) if _is_apart(leaf) else jnp.size(leaf)
+            part = columns[taken : taken + number] if new else []
+            taken += len(part)
+            put = tuple(part) if _is_apart(leaf) else part[0] if new and jnp.ndim(leaf) == 0 else part
+            found.append(put if new else leaf)
+        return jax.tree.unflatten(tree, found)
+
+    def turned(self, time: Scalar) -> Harmonics:
+        """Stiffness harmonics counted from a time [s]."""
+        return self.harmonics.turned(mesh_phases(self.oscillator.equation, time))
+
+    def loads(self, time: Scalar, steps: int) -> Array:
+        """Load of every step of a block [N m]; one number where it does not alternate."""
+        load = self.oscillator.equation.scene.load
+        assert load is not None
+        if not load.alternates:
+            return self.oscillator.equation.load(time)
+        return jax.vmap(lambda step: self.oscillator.equation.load(time + step * self.oscillator.step))(
+            jnp.arange(steps).astype(time.dtype)
+        )
+
+
+class Basis(NamedTuple):
+    """What all blocks of a length share.
+
+    Args:
+        places: of the nodes of a block, in steps, shape (node,).
+        weights: of the nodes at each step, the last one that of the next block, shape (step, node).
+        cosine, sine: of the mesh harmonics at each step from the start of a block, shape (step, harmonic).
+    """
+
+    places: np.ndarray
+    weights: Array
+    cosine: Array
+    sine: Array
+
+    @classmethod
+    def of(cls, drive: Drive, steps: int, nodes: int) -> "Basis":
+        """The basis of blocks of some steps and nodes."""
+        places, weights = interpolation(steps, nodes, beyond=1)
+        rate = mesh_rate(drive.oscillator.equation) * drive.oscillator.step
+        order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
+        angle = jnp.arange(steps + 1).astype(rate.dtype)[:, None] * (rate * order)[None, :]
+        cosine, sine = (jnp.cos(angle), jnp.sin(angle)) if angle.size else (angle, angle)
+        return cls(places, jnp.asarray(weights, rate.dtype), cosine, sine)
+
+
+class Given(NamedTuple):
+    """What one block is made from.
+
+    Args:
+        columns: what changes of the slow signals at its nodes, shape (node, column).
+        waves: stiffness harmonics, counted from its start.
+        load: of each of its steps, or one number [N m].
+    """
+
+    columns: Array
+    waves: Harmonics
+    load: Array
+
+
+def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:
+    """Rows of one table for the steps of a block, and what they mean."""
+    waves, load = given.waves, given.load
+    stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
+    rows = _spread(basis.weights, given.columns), stiffness, (load,) if load.ndim else ()
+
+    def drives(row: Any) -> tuple[Slow, Fast]:
+        return drive.slow(held, row[0]), Fast(row[1], row[2][0] if row[2] else load)
+
+    return rows, drives
+
+
+def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:
+    """Weights for the steps of a block, and the sums over its nodes that they mean."""
+    waves, load = given.waves, given.load
+    rows = basis.weights, basis.cosine, basis.sine, (load,) if load.ndim else ()
+
+    def drives(row: Any) -> tuple[Slow, Fast]:
+        # whole arrays are taken into the step, so that lanes can be laid out side by side there
+        weights, cosine, sine = (_numbers(part) for part in row[:3])
+        nothing = jnp.zeros((), given.columns.dtype)
+        columns = [_product(weights, _numbers(column), nothing) for column in given.columns.T]
+
+        apart = jax.tree.map(lambda leaf: tuple(_numbers(leaf)) if leaf.ndim else leaf, held)
+        series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
+        stiffness = [_product(sine, _numbers(s), _product(cosine, _numbers(c), mean)) for mean, c, s in series]
+        return drive.slow(apart, columns), Fast(tuple(stiffness), row[3][0] if row[3] else load)
+
+    return rows, drives
+
+
+def _numbers(values: Array) -> list[Array]:
+    return [jax.lax.index_in_dim(values, index, keepdims=False) for index in range(values.shape[0])]
+
+
+def _is_apart(leaf: Any) -> bool:
+    return type(leaf) is tuple  # not one of the named ones
+
+
+def _product(weights: list[Array], numbers: list[Array], total: Array) -> Array:
+    """Sum of products, added to a number."""
+    for weight, number in zip(weights, numbers, strict=True):
+        total = total + weight * number
+    return total
+
+
+def _spread(weights: Float[Array, "step node"], values: Float[Array, "node column"]) -> Float[Array, "step column"]:
+    """A small matrix product, written out: in a loop it takes a quarter of a library call's time."""
+    total = jnp.zeros((weights.shape[0], values.shape[1]), weights.dtype)
+    for node in range(values.shape[0]):
+        total = total + weights[:, node, None] * values[node][None, :]
+    return total
