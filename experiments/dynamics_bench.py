@@ -20,7 +20,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numba
 import numpy as np
-from peers import compiled_c, interleaved, pointer
+from peers import compiled_c, interleaved, pointer, reducer
 from scipy.integrate import solve_ivp
 
 import gearjax as gj
@@ -108,28 +108,6 @@ void runge_kutta(const double *g, const P *p, double h, long samples, long each,
 """
 
 
-class Constants(ctypes.Structure):
-    """What the peers know of the reducer."""
-
-    _fields_ = [(name, ctypes.c_double) for name in ("k", "ka", "kphi", "c", "m", "pull", "w0", "w1", "w2")]
-
-
-def reducer(torque: float) -> tuple[np.ndarray, Constants]:
-    """Gaps as sines, shape (4, 5), fitted to the scene exactly, and the other numbers."""
-    system, speed = SCENE.system, float(SCENE.system.input_speed)
-    w = [speed * system.orders[name] for name in ("planet", "crank", "mesh")]
-    ts = np.linspace(0.0, 20.0, 400)
-    gaps = np.asarray(jax.vmap(lambda t: SCENE.contacts(speed * t).gap)(jnp.asarray(ts)))
-    basis = np.stack([np.ones_like(ts), *(f(w[i] * ts) for i in range(2) for f in (np.sin, np.cos))], axis=1)
-    fitted, *_ = np.linalg.lstsq(basis, gaps, rcond=None)
-    assert np.abs(basis @ fitted - gaps).max() < 1e-15
-    k, mass = float(SCENE.compliance.mean), float(SCENE.inertia.mass)
-    amplitude, phase = (float(x[0]) for x in (SCENE.compliance.relative_amplitudes, SCENE.compliance.phases))
-    damping = float(SCENE.damping.ratio) * np.sqrt(2 * k * mass)
-    pull = torque / float(system.radius)
-    return np.ascontiguousarray(fitted.T), Constants(k, amplitude, phase, damping, mass, pull, *w)
-
-
 def by_c(function, gaps, constants, spacing, samples, each, first):
     out = np.empty(samples)
     x, v, h = (ctypes.c_double(value) for value in (*first, spacing / each))
@@ -196,8 +174,8 @@ def main() -> None:
     ts = jnp.linspace(0.0, 3.0, 3001)
     begun = gj.simulate(SCENE, ts[:2], torque, stepper=gj.FixedStep(per_sample=1024, solver=gj.RungeKutta4()))
     first = float(begun.te[0]) * radius, float(begun.velocity[0]) * radius
-    gaps, constants = reducer(torque)
-    numbers = np.array([getattr(constants, name) for name, _ in Constants._fields_])
+    gaps, constants = reducer(SCENE, torque)
+    numbers = constants.array()
     library = compiled_c(C)
     truth = by_c(library.runge_kutta, gaps, constants, 1e-3, 3001, 4096, first)
     windows = suitable_step(SCENE, 3.0).windows

@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+
+import gearjax as gj
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC")
 
@@ -26,6 +29,32 @@ def compiled_c(source: str, *flags: str) -> ctypes.CDLL:
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
     """The numbers of an array, for C."""
     return array.ctypes.data_as(ctypes.c_void_p)
+
+
+class Constants(ctypes.Structure):
+    """What the peers know of the reducer."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ("k", "ka", "kphi", "c", "m", "pull", "w0", "w1", "w2")]
+
+    def array(self) -> np.ndarray:
+        """The same as an array."""
+        return np.array([getattr(self, name) for name, _ in self._fields_])
+
+
+def reducer(scene: gj.Scene, torque: float) -> tuple[np.ndarray, Constants]:
+    """Gaps of a 2K-V reducer as sines, shape (4, 5), fitted to the scene exactly, and the other numbers."""
+    system, speed = scene.system, float(scene.system.input_speed)
+    w = [speed * system.orders[name] for name in ("planet", "crank", "mesh")]
+    ts = np.linspace(0.0, 20.0, 400)
+    gaps = np.asarray(jax.vmap(lambda t: scene.contacts(speed * t).gap)(jnp.asarray(ts)))
+    basis = np.stack([np.ones_like(ts), *(f(w[i] * ts) for i in range(2) for f in (np.sin, np.cos))], axis=1)
+    fitted, *_ = np.linalg.lstsq(basis, gaps, rcond=None)
+    assert np.abs(basis @ fitted - gaps).max() < 1e-15
+    k, mass = float(scene.compliance.mean), float(scene.inertia.mass)
+    amplitude, phase = (float(x[0]) for x in (scene.compliance.relative_amplitudes, scene.compliance.phases))
+    damping = float(scene.damping.ratio) * np.sqrt(2 * k * mass)
+    pull = torque / float(system.radius)
+    return np.ascontiguousarray(fitted.T), Constants(k, amplitude, phase, damping, mass, pull, *w)
 
 
 def interleaved(

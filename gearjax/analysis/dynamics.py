@@ -106,17 +106,18 @@ def simulate(
     require(scene, "dynamic", "compliance", "load", "inertia")
     if start not in ("equilibrium", "zero"):
         raise SceneError(f'start = "{start}": valid: equilibrium, zero')
-    ts = jnp.asarray(ts, dtype=scene.dtype)
+    # what is known stays known: inside a trace an array of JAX would not
+    ts = np.asarray(ts, scene.dtype) if is_concrete(ts) else jnp.asarray(ts, scene.dtype)
     if ts.ndim != 1 or ts.shape[0] < 2:
         raise SceneError(f"ts has shape {ts.shape}: give at least two sample times")
-    if is_concrete(ts) and not bool((np.diff(np.asarray(ts)) > 0).all()):
+    if isinstance(ts, np.ndarray) and not bool((np.diff(ts) > 0).all()):
         raise SceneError("ts must increase")
+    if is_concrete((ts, settle)) and not 0 <= float(np.asarray(settle)) < float(ts[-1] - ts[0]):
+        raise SceneError(f"settle = {float(np.asarray(settle)):g} s: must be at least 0 and less than the record")
     torque, settle = jnp.asarray(torque, ts.dtype), jnp.asarray(settle, ts.dtype)
-    if is_concrete((ts, settle)) and not 0 <= float(settle) < float(ts[-1] - ts[0]):
-        raise SceneError(f"settle = {float(settle):g} s: must be at least 0 and less than the record")
     physics = scene.physics(*MODELLED)
     limits = _limits(physics) if is_concrete(physics) else None
-    method = _method(scene, ts, torque, stepper, limits)
+    method, ts = _method(scene, ts, torque, stepper, limits), jnp.asarray(ts)
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
         raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{_advice(limits, int(motion.result))}")
@@ -179,7 +180,7 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
 
 
 def _method(
-    scene: Scene, ts: Array, torque: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None
+    scene: Scene, ts: Array | np.ndarray, torque: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None
 ) -> Method:
     """What a stepper means for a scene and its sample times; whatever is known now is made static."""
     limits = limits if is_concrete(ts) else None
@@ -198,7 +199,7 @@ def _method(
             "stepper=FixedStep(step=..., solver=RungeKutta4())"
         )
     samples = ts.shape[0]
-    phase, spacing = UNKNOWN, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
+    phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
         phase = fastest_order(scene) * float(np.asarray(scene.system.input_speed)) * spacing / steps
     if stepper.windows is not None and spacing is None:
@@ -216,15 +217,15 @@ def _are_even(ts: np.ndarray) -> bool:
     return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
 
 
-def _block(phase: float, dtype: Any, lanes: bool) -> march.Block:
-    """Steps of a block and its nodes, for a phase of the bodies per step [rad], rounded up so that scenes of other
-    speeds mostly share a program."""
+def _block(phase: float | None, dtype: Any, lanes: bool) -> march.Block:
+    """Steps of a block and its nodes, for a phase of the bodies per step [rad]: rounded up, so that scenes of other
+    speeds mostly share a program; `UNKNOWN` without."""
     base = 2 if lanes else 4
-    phase = base ** math.ceil(math.log(max(phase, 1e-12), base))
-    most = LANE_NODES[jnp.finfo(dtype).bits <= 32] if lanes else tables.MOST_NODES
-    steps = int(tables.reach(most, dtype) / max(phase, 1e-9))
+    turned = UNKNOWN if phase is None else base ** math.ceil(math.log(max(phase, 1e-12), base))
+    most = LANE_NODES[jnp.finfo(dtype).bits <= 32] if lanes and phase is not None else tables.MOST_NODES
+    steps = int(tables.reach(most, dtype) / turned)
     steps = max(march.SHORTEST_BLOCK, min(march.LONGEST_BLOCK, steps))
-    return march.Block(steps, tables.nodes_for(phase * steps, dtype))
+    return march.Block(steps, tables.nodes_for(turned * steps, dtype))
 
 
 def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:

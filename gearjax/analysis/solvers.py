@@ -80,7 +80,7 @@ class FixedStep(eqx.Module):
         if self.per_sample is not None and self.per_sample < 1:
             raise SceneError(f"per_sample = {self.per_sample}: must be at least 1")
 
-    def steps(self, ts: Array) -> int:
+    def steps(self, ts: Array | np.ndarray) -> int:
         """Number of steps between two samples."""
         if self.per_sample is not None:
             return self.per_sample
