@@ -21,7 +21,6 @@ import diffrax
 import jax
 
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_num_cpu_devices", 2)
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
@@ -112,9 +111,11 @@ class ClassicalRungeKutta(diffrax.AbstractERK):
 
 
 @functools.cache
-def reference():
+def reference(precision: str = "float64"):
     """The reducer; read when it is asked for, so that a process can be held to a core before its threads start."""
-    return gj.load(CONFIG).physics("backlash", "compliance", "load", "inertia", "damping")
+    with jax.ensure_compile_time_eval():
+        scene = gj.load(CONFIG).physics("backlash", "compliance", "load", "inertia", "damping")
+        return jax.tree.map(lambda leaf: leaf.astype(precision), scene)
 
 
 def scene_of(phases, scene=None):
@@ -124,16 +125,16 @@ def scene_of(phases, scene=None):
     return dataclasses.replace(scene, errors=errors)
 
 
-def by_gearjax(phases, *, chunk: int | None = CHUNK):
+def by_gearjax(phases):
     """Position at the end along the line of action [m], of many assemblies."""
-    scene = jax.tree.map(lambda leaf: leaf.astype(phases.dtype), reference())
+    scene = reference(str(phases.dtype))
     ts = SPACING * np.arange(SAMPLES)
 
     def end(row):
         motion = gj.simulate(scene_of(row, scene), ts, TORQUE, stepper=gj.FixedStep(per_sample=EACH))
         return motion.te[-1] * scene.system.radius
 
-    return jax.vmap(end)(phases) if chunk is None else jax.lax.map(end, phases, batch_size=chunk)
+    return jax.lax.map(end, phases, batch_size=CHUNK)
 
 
 def by_diffrax(phases):
@@ -215,7 +216,7 @@ def one_core(scenes: int, repeats: int) -> None:
 
 def two_devices(scenes: int, repeats: int) -> None:
     """The same program on one device and on two, each with its share of the scenes."""
-    reference()
+    jax.config.update("jax_num_cpu_devices", 2)
     phases = jnp.asarray(np.random.default_rng(0).uniform(-np.pi, np.pi, (scenes, len(BODIES))))
     mesh = jax.make_mesh((2,), ("scene",), axis_types=(jax.sharding.AxisType.Auto,))
     split = jax.device_put(phases, NamedSharding(mesh, PartitionSpec("scene")))

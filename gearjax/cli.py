@@ -22,6 +22,7 @@ from gearjax.reproduce import PAPERS, Row
 from gearjax.results import (
     Case,
     Optimisation,
+    growth_remark,
     highest_load_sharing,
     remarks,
     run_cases,
@@ -86,6 +87,9 @@ def run(
     cases = []
     for case in run_cases(scene, stepper, workers=os.cpu_count() or 1):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
+        remark = growth_remark(scene, case)
+        if remark is not None:
+            _progress.print(f"note: {remark}", soft_wrap=True)
         cases.append(case)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:

@@ -1,6 +1,6 @@
 """Analyses of a scene: quasi-static, dynamic, their metrics and order spectra."""
 
-from gearjax.analysis.dynamics import simulate
+from gearjax.analysis.dynamics import growth_rate, simulate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.motion import Motion
@@ -23,6 +23,7 @@ __all__ = [
     "TransmissionError",
     "Windows",
     "backlash",
+    "growth_rate",
     "harmonic_balance",
     "order_spectrum",
     "shooting",

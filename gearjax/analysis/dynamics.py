@@ -17,13 +17,15 @@ from gearjax.analysis import march, tables
 from gearjax.analysis.equation import Equation, fastest_order, fastest_rate, slowest_decay, turning_rate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic, follow
+from gearjax.analysis.growth import growth, watch
 from gearjax.analysis.integrate import adaptive_steps, even_steps
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.oscillator import Oscillator
+from gearjax.analysis.signals import Drive
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
 from gearjax.scene import Scene, require
-from gearjax.typing import Array, ArrayLike, Scalar
+from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
 LONGEST_STEP = 1.0  # rad of the fastest motion; Runge-Kutta is stable to 2.8
@@ -36,7 +38,7 @@ FAULTS = {
     4: "there is no equilibrium to start from",
     5: "the samples are not evenly spaced, as the fitted solver needs",
 }
-LANE_NODES = 6, 4  # of a block of motions side by side, in float64 and less
+LANE_NODES = (6, 12), (4, 8)  # of a block of motions side by side whose speed is known or not, in float64 and less
 WINDOW = 3000  # steps of a window after its warm-up
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
@@ -103,15 +105,7 @@ def simulate(
         >>> motion.te.shape, int(motion.result)
         ((101,), 0)
     """
-    require(scene, "dynamic", "compliance", "load", "inertia")
-    if start not in ("equilibrium", "zero"):
-        raise SceneError(f'start = "{start}": valid: equilibrium, zero')
-    # what is known stays known: inside a trace an array of JAX would not
-    ts = np.asarray(ts, scene.dtype) if is_concrete(ts) else jnp.asarray(ts, scene.dtype)
-    if ts.ndim != 1 or ts.shape[0] < 2:
-        raise SceneError(f"ts has shape {ts.shape}: give at least two sample times")
-    if isinstance(ts, np.ndarray) and not bool((np.diff(ts) > 0).all()):
-        raise SceneError("ts must increase")
+    ts = _checked(scene, ts, start)
     if is_concrete((ts, settle)) and not 0 <= float(np.asarray(settle)) < float(ts[-1] - ts[0]):
         raise SceneError(f"settle = {float(np.asarray(settle)):g} s: must be at least 0 and less than the record")
     torque, settle = jnp.asarray(torque, ts.dtype), jnp.asarray(settle, ts.dtype)
@@ -133,6 +127,65 @@ def simulate(
         assert isinstance(method, Fitted)
         motion = _simulate(physics, ts, torque, settle, start, method._replace(windows=None))
     return motion
+
+
+def _checked(scene: Scene, ts: ArrayLike, start: str) -> Array | np.ndarray:
+    """Sample times, of numpy where they are known: inside a trace an array of JAX would not stay known."""
+    require(scene, "dynamic", "compliance", "load", "inertia")
+    if start not in ("equilibrium", "zero"):
+        raise SceneError(f'start = "{start}": valid: equilibrium, zero')
+    times = np.asarray(ts, scene.dtype) if is_concrete(ts) else jnp.asarray(ts, scene.dtype)
+    if times.ndim != 1 or times.shape[0] < 2:
+        raise SceneError(f"ts has shape {times.shape}: give at least two sample times")
+    if isinstance(times, np.ndarray) and not bool((np.diff(times) > 0).all()):
+        raise SceneError("ts must increase")
+    return times
+
+
+def growth_rate(
+    scene: Scene, ts: ArrayLike, torque: ArrayLike, *, start: str = "equilibrium", stepper: FixedStep | None = None
+) -> Scalar:
+    """Mean rate at which a small disturbance of the motion grows over a record [1/s]; negative where it dies out.
+
+    The largest Lyapunov exponent, from the linearised steps of the exponentially fitted scheme (Benettin et al. 1980).
+    Where rate times duration is large the motion is chaotic for all purposes: its samples and their gradients mean
+    nothing, and its statistics scatter.
+
+    Args:
+        scene, ts, torque, start: as for `simulate`, ts evenly spaced.
+        stepper: steps of the fitted scheme; those of `suitable_step` without.
+
+    Raises:
+        SceneError: the scene lacks a part, or the step does not suit it.
+    """
+    ts = _checked(scene, ts, start)
+    physics, torque = scene.physics(*MODELLED), jnp.asarray(torque, ts.dtype)
+    limits = _limits(physics) if is_concrete(physics) else None
+    method = _method(scene, ts, torque, stepper, limits)
+    if not isinstance(method, Fitted):
+        raise SceneError(
+            "the growth rate needs evenly spaced ts and steps of the fitted scheme: stepper=FixedStep(...)"
+        )
+    return _growth_rate(physics, jnp.asarray(ts), torque, start, method.spacing)
+
+
+@eqx.filter_jit
+def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: march.Spacing) -> Scalar:
+    equation = Equation.of(scene, torque)
+    return growth(*_begin(equation, ts, equation.initial(ts[0], start), spacing), spacing)
+
+
+def _begin(
+    equation: Equation, ts: Array, state: Array, spacing: march.Spacing
+) -> tuple[Drive, Scalar, Float[Array, "2"]]:
+    """What drives the even steps of a record, its start [s], and the scaled position and velocity times step there."""
+    step = (ts[-1] - ts[0]) / ((spacing.samples - 1) * spacing.each)
+    return Drive.of(Oscillator(equation, step), ts[0]), ts[0], state * _per_step(equation, step)
+
+
+def _per_step(equation: Equation, step: Scalar) -> Float[Array, "2"]:
+    """From scaled position and velocity to position and velocity times step."""
+    return jnp.stack([jnp.ones_like(step), equation.frequency * step])
 
 
 class Limits(NamedTuple):
@@ -222,7 +275,7 @@ def _block(phase: float | None, dtype: Any, lanes: bool) -> march.Block:
     speeds mostly share a program; `UNKNOWN` without."""
     base = 2 if lanes else 4
     turned = UNKNOWN if phase is None else base ** math.ceil(math.log(max(phase, 1e-12), base))
-    most = LANE_NODES[jnp.finfo(dtype).bits <= 32] if lanes and phase is not None else tables.MOST_NODES
+    most = LANE_NODES[jnp.finfo(dtype).bits <= 32][phase is None] if lanes else tables.MOST_NODES
     steps = int(tables.reach(most, dtype) / turned)
     steps = max(march.SHORTEST_BLOCK, min(march.LONGEST_BLOCK, steps))
     return march.Block(steps, tables.nodes_for(turned * steps, dtype))
@@ -288,22 +341,23 @@ def _integrated(
 
 def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: Fitted) -> Motion:
     """By the exponentially fitted scheme."""
-    samples, each = method.spacing.samples, method.spacing.each
-    spacing = (ts[-1] - ts[0]) / (samples - 1)
-    step = spacing / each
-    per_step = jnp.stack([jnp.ones_like(step), equation.frequency * step])
-    drive = march.Drive.of(Oscillator(equation, step), ts[0])
+    drive, begun, first = _begin(equation, ts, state, method.spacing)
+    step = drive.oscillator.step
+    spacing = step * method.spacing.each
 
     def rest(time: Scalar) -> Array:
-        return jnp.nan_to_num(equation.initial(time, "equilibrium")) * per_step
+        return jnp.nan_to_num(equation.initial(time, "equilibrium")) * _per_step(equation, step)
 
     def in_one_go() -> march.March:
-        return march.march(drive, ts[0], state * per_step, method.spacing)
+        found = march.march(drive, begun, first, method.spacing)
+        load = equation.scene.load
+        growing = load is not None and load.alternates  # what else makes disturbances grow is not known
+        return watch(found, drive, begun, first, method.spacing) if growing else found
 
     if method.windows is None:
         found = in_one_go()
     else:
-        found = march.march_windows(drive, ts[0], state * per_step, rest, method.spacing, method.windows)
+        found = march.march_windows(drive, begun, first, rest, method.spacing, method.windows)
         if method.fall_back:
             whole = found.defect <= _allowed(ts.dtype)
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))

@@ -94,7 +94,7 @@ def march(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: Spacin
         first: scaled position, and velocity times step, there.
         spacing: of samples and steps.
     """
-    _, found = _blocks(drive, start, begin(drive, start, first), spacing)
+    _, found = run_blocks(drive, start, begin(drive, start, first), spacing)
     return _joined(found, jnp.zeros((), start.dtype))
 
 
@@ -105,7 +105,7 @@ def _joined(found: tuple, defect: Scalar) -> March:
     return March(x, speeds, forces, high, low, defect)
 
 
-def _blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing) -> tuple[tuple, tuple]:
+def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing) -> tuple[tuple, tuple]:
     """The steps of as many samples, from position and last change at a time [s].
 
     Returns:
@@ -270,9 +270,9 @@ def march_windows(
     def window(number: Array) -> tuple:
         begun = start + (number * samples).astype(start.dtype) * spaced
         early = begun - warm * spaced
-        carry, _ = _blocks(drive, early, begin(drive, early, rest(early)), before)
+        carry, _ = run_blocks(drive, early, begin(drive, early, rest(early)), before)
         carry = tuple(jnp.where(number == 0, one, other) for one, other in zip(real, carry, strict=True))
-        return carry, *_blocks(drive, begun, carry, own)
+        return carry, *run_blocks(drive, begun, carry, own)
 
     numbers = jnp.arange(groups * lanes).reshape(groups, lanes)
     begun, ended, found = jax.tree.map(

@@ -2,6 +2,7 @@
 
 from gearjax.results.cases import (
     Case,
+    growth_remark,
     highest_load_sharing,
     remarks,
     required_run,
@@ -16,6 +17,7 @@ from gearjax.results.tradeoff import save_tradeoff
 __all__ = [
     "Case",
     "Optimisation",
+    "growth_remark",
     "highest_load_sharing",
     "optimise",
     "remarks",

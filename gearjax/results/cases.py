@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
-from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.dynamics import growth_rate, suitable_step
+from gearjax.analysis.growth import LOST
 from gearjax.checks import GearjaxError, SceneError, writing
 from gearjax.scene import METRICS, Published, Run, Scene
 from gearjax.typing import Array, Scalar
@@ -84,6 +85,18 @@ def remarks(scene: Scene) -> list[str]:
             f"only {per_turn:.3g} samples per turn of the fastest error: extremes may be missed, raise run.samples"
         )
     return found
+
+
+def growth_remark(scene: Scene, case: Case) -> str | None:
+    """What a reader of a chaotic motion should know; ``None`` where disturbances do not grow, or the load does not
+    alternate."""
+    run = required_run(scene)
+    if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates:
+        return None
+    rate = float(growth_rate(scene, run.times, case.torque, start=run.start))
+    if not rate * run.duration > LOST:
+        return None
+    return f"{case.title}: a disturbance grows at {rate:.3g} 1/s, the motion is chaotic: its metrics scatter"
 
 
 def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 1) -> Iterator[Case]:

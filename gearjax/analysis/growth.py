@@ -1,0 +1,76 @@
+"""How fast a disturbance of a motion grows, which tells whether single samples and their gradients mean anything."""
+
+import math
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from gearjax.analysis import march
+from gearjax.analysis.signals import Drive
+from gearjax.typing import Array, Float, Scalar
+
+MOST_STEPS = 2048  # that a disturbance is followed before it is made small again
+LOST = math.log(1e6)  # growth over a record after which gradients of its samples mean nothing
+
+
+def growth(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: march.Spacing) -> Scalar:
+    """Mean rate at which a small disturbance grows after the first part of a record [1/s]; negative where it dies out.
+
+    The largest Lyapunov exponent, from the linearised steps of the motion (Benettin et al. 1980), its sizes measured
+    as position and velocity over the natural frequency.
+
+    Args:
+        drive, start, first, spacing: as for `gearjax.analysis.march.march`.
+    """
+    rows = spacing.rows
+    most = max(rows, MOST_STEPS // spacing.each // rows * rows)
+    parts = max(1, spacing.samples // most)
+    samples = rows * max(1, spacing.samples // parts // rows)
+    part = spacing._replace(samples=samples)
+    length = samples * spacing.each * drive.oscillator.step
+    velocity = 1 / (drive.oscillator.step * drive.oscillator.equation.frequency)
+
+    def follow(carry: tuple, number: Array) -> tuple[tuple, Array]:
+        state, way = carry
+        begun = start + number.astype(start.dtype) * length
+        state, way = jax.jvp(lambda *state: march.run_blocks(drive, begun, state, part)[0], state, way)
+        size = jnp.sqrt(way[0] ** 2 + (way[1] * velocity) ** 2)
+        nothing = size == 0  # it died out within one part
+        safe = jnp.where(nothing, 1.0, size)
+        kept = tuple(jnp.where(nothing, fresh, one / safe) for fresh, one in zip(seed, way, strict=True))
+        return (state, kept), jnp.log(jnp.where(nothing, jnp.finfo(size.dtype).tiny, size))
+
+    seed = jnp.ones_like(start), jnp.zeros_like(start)
+    _, grown = jax.lax.scan(follow, (march.begin(drive, start, first), seed), jnp.arange(parts))
+    grown = grown[min(1, parts - 1) :]
+    return grown.mean() / length
+
+
+def watch(found: march.March, drive: Drive, start: Scalar, first: Array, spacing: march.Spacing) -> march.March:
+    """The same march, which warns when it is differentiated although disturbances of it grow; arguments as for
+    `growth`."""
+
+    @jax.custom_jvp
+    def same(found: march.March, given: tuple) -> march.March:
+        del given
+        return found
+
+    @same.defjvp
+    def warning(primals: tuple, tangents: tuple) -> tuple:
+        found, given = primals
+        length = spacing.samples * spacing.each * given[0].oscillator.step
+        jax.debug.callback(_warn, growth(given[0], given[1], given[2], spacing), length)
+        return found, tangents[0]
+
+    return same(found, (drive, start, first))
+
+
+def _warn(rate: Any, length: Any) -> None:
+    if float(rate) * float(length) > LOST:
+        warnings.warn(
+            f"a disturbance of this motion grows at {float(rate):.3g} 1/s: gradients of its samples mean nothing after "
+            f"some {LOST / float(rate):.2g} s; use statistics over a shorter record, or the static errors",
+            stacklevel=2,
+        )
