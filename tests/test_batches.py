@@ -160,3 +160,18 @@ def test_harmonics_shrink_to_nothing(scene):
 
 def test_the_same_scene_is_the_same_program(scene):
     assert str(program(scene)) == str(program(dataclasses.replace(scene)))
+
+
+def test_many_pairs_are_one_vector_in_a_batch_too(scene, monkeypatch):
+    """Pairs that are too many to be written out one by one."""
+    ts = jnp.linspace(0.0, 0.01, 11)
+
+    def run(torque):
+        return gj.simulate(scene, ts, torque, stepper=gj.FixedStep(per_sample=24)).te
+
+    torques = jnp.array([30.0, 100.0, 300.0])
+    expected = [jax.jit(run)(torque) for torque in torques]
+    monkeypatch.setattr("gearjax.analysis.oscillator.FEW", 1)
+    jax.clear_caches()
+    np.testing.assert_allclose(jax.jit(jax.vmap(run))(torques), expected, rtol=1e-12)
+    jax.clear_caches()
