@@ -11,6 +11,8 @@ Needs gcc and numba (``pip install numba``).
 
 import argparse
 import ctypes
+import dataclasses
+import functools
 from pathlib import Path
 
 import diffrax
@@ -24,10 +26,11 @@ from peers import compiled_c, interleaved, pointer, reducer
 from scipy.integrate import solve_ivp
 
 import gearjax as gj
+from gearjax.analysis import dynamics
 from gearjax.analysis.dynamics import suitable_step
 
 SCENE = gj.load(Path(__file__).parents[1] / "configs" / "two_kv" / "wang_2020.toml")
-PHASES = ("planet_1", "planet_2", "revolution", "output_wheel")
+PHYSICS = SCENE.physics("backlash", "compliance", "load", "inertia", "damping")
 
 C = r"""
 #include <math.h>
@@ -154,15 +157,57 @@ def scaled_rate(t, y, g, p):
     return np.array([y[1] * 7000.0, acceleration(t, 1e-5 * y[0], 0.07 * y[1], g, p) / 0.07])
 
 
+def solve(ts, torque, stepper):
+    """From a scene to its transmission error at the samples, with the method of a stepper."""
+    method = dynamics._method(SCENE, ts, jnp.asarray(torque), stepper, dynamics._limits(PHYSICS))
+    return lambda scene: dynamics._simulate(scene, ts, jnp.asarray(torque), jnp.zeros(()), "equilibrium", method).te
+
+
 def ours(ts, torque, stepper):
-    """A jitted solve that returns the transmission error at the samples, with the scene's numbers as arguments."""
-    physics = SCENE.physics("backlash", "compliance", "load", "inertia", "damping")
-    limit = gj.analysis.dynamics._limits(physics)
-    method = gj.analysis.dynamics._method(SCENE, ts, jnp.asarray(torque), stepper, limit)
-    run = jax.jit(
-        lambda scene, torque: gj.analysis.dynamics._simulate(scene, ts, torque, jnp.zeros(()), "equilibrium", method).te
-    )
-    return lambda: run(physics, jnp.asarray(torque))
+    """A jitted solve with the scene's numbers as arguments."""
+    run = jax.jit(solve(ts, torque, stepper))
+    return lambda: run(PHYSICS)
+
+
+def all_traced(ts, torque, stepper):
+    """A jitted solve of which nothing is known but the number of steps: speeds, times and torque are arguments too."""
+    run = jax.jit(lambda scene, ts, torque: gj.simulate(scene, ts, torque, stepper=stepper).te)
+    return lambda: run(PHYSICS, ts, torque)
+
+
+def all_constant(ts, torque, stepper):
+    """A jitted solve with every number built in."""
+    run, one = solve(ts, torque, stepper), jnp.ones(())
+    program = jax.jit(lambda one: one * run(PHYSICS))
+    return lambda: program(one)
+
+
+def gradients(ts, torque, windows, repeats: int) -> None:
+    """Gradient of the mean square with respect to the four phases, over one run of the same."""
+    names = tuple(PHYSICS.errors)
+    phases = jnp.stack([PHYSICS.errors[name].phase for name in names])
+
+    def loss(stepper):
+        run = solve(ts, torque, stepper)
+
+        def value(phases):
+            errors = {n: dataclasses.replace(PHYSICS.errors[n], phase=phases[i]) for i, n in enumerate(names)}
+            return (run(dataclasses.replace(PHYSICS, errors=errors)) ** 2).mean()
+
+        return value
+
+    tasks = {}
+    for words, stepper in (
+        ("one go", gj.FixedStep(per_sample=16)),
+        ("windows", gj.FixedStep(per_sample=16, windows=windows)),
+    ):
+        value = loss(stepper)
+        for name, f in (("", value), (", reverse", jax.grad(value)), (", forward", jax.jacfwd(value))):
+            tasks[words + name] = functools.partial(jax.jit(f), phases)
+    _, first, medians = interleaved(tasks, repeats)
+    print(f"\ngradient with respect to four phases, 48k steps{'ms':>12s} {'over a run':>11s} {'first [s]':>10s}")
+    for name, median in medians.items():
+        print(f"{name:47s} {1e3 * median:11.2f} {median / medians[name.split(',')[0]]:11.2f} {first[name]:10.1f}")
 
 
 def main() -> None:
@@ -204,6 +249,8 @@ def main() -> None:
         "gearjax, windows, 48k": ours(ts, torque, gj.FixedStep(per_sample=16, windows=windows)),
         "gearjax, one go, 96k": ours(ts, torque, gj.FixedStep(per_sample=32)),
         "gearjax, windows, 96k": ours(ts, torque, gj.FixedStep(per_sample=32, windows=windows)),
+        "gearjax, one go, 48k, constants": all_constant(ts, torque, gj.FixedStep(per_sample=16)),
+        "gearjax, one go, 48k, all traced": all_traced(ts, torque, gj.FixedStep(per_sample=16)),
         "numba, Runge-Kutta, 24k": lambda: by_numba(gaps, numbers, 1e-3 / 8, 3001, 8, *first),
         "diffrax Dopri5, 1e-4": ours(ts, torque, dopri5),
         "scipy LSODA, 1e-4": lsoda,
@@ -236,6 +283,9 @@ def main() -> None:
     ratio("96k, times faster than scipy LSODA 1e-4", "scipy LSODA, 1e-4", (fine, fine_cut), True)
     whole = medians["gearjax, one go, 15.8 s"], medians["gearjax, windows, 15.8 s"]
     ratio("15.8 s, time over C Runge-Kutta (16 s)", "C, Runge-Kutta, 15.8 s", whole, False)
+    traced = medians["gearjax, one go, 48k, all traced"] / medians["gearjax, one go, 48k, constants"]
+    print(f"{'48k, every number traced over every number constant':58s} {traced:8.2f}")
+    gradients(ts, torque, windows, given.repeats)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from gearjax import units
 from gearjax.analysis import (
     AdaptiveStep,
     ExponentialFit,
+    ExponentialFitMany,
     FixedStep,
     Motion,
     Periodic,
@@ -50,6 +51,7 @@ __all__ = [
     "Eccentricity",
     "EquivalentMass",
     "ExponentialFit",
+    "ExponentialFitMany",
     "FixedStep",
     "GearjaxError",
     "GridSearch",

@@ -2,6 +2,7 @@
 
 from gearjax.analysis.dynamics import growth_rate, simulate
 from gearjax.analysis.fitted import ExponentialFit
+from gearjax.analysis.fitted_many import ExponentialFitMany
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.periodic import Periodic, Sweep, harmonic_balance, shooting, speed_sweep
@@ -13,6 +14,7 @@ __all__ = [
     "AdaptiveStep",
     "Backlash",
     "ExponentialFit",
+    "ExponentialFitMany",
     "FixedStep",
     "Motion",
     "Periodic",
