@@ -129,9 +129,22 @@ def test_windows_that_do_not_agree_are_replaced(scene):
     with pytest.warns(UserWarning, match="rad apart where they meet: computed in one go instead"):
         motion = gj.simulate(light, ts, 100.0, stepper=cut)
     np.testing.assert_array_equal(motion.te, whole.te)
-    traced = jax.jit(lambda scene: gj.simulate(scene, ts, 100.0, stepper=cut))(light)
-    np.testing.assert_allclose(traced.te, whole.te, rtol=0, atol=1e-9 * arcmin)
-    assert float(traced.defect) > 1e-9
+    for program, given in (
+        (lambda scene: gj.simulate(scene, ts, 100.0, stepper=cut), light),
+        (lambda torque: gj.simulate(light, ts, torque, stepper=cut), 100.0),  # a known scene inside a trace
+    ):
+        traced = jax.jit(program)(given)
+        np.testing.assert_allclose(traced.te, whole.te, rtol=0, atol=1e-9 * arcmin)
+        assert float(traced.defect) > 1e-9
+
+
+def test_the_default_is_the_same_inside_a_trace(scene):
+    """A known scene and known times stay known there, and choose the same steps."""
+    ts = np.linspace(0.0, 0.02, 21)
+    expected = gj.simulate(scene, ts, 100.0)
+    found = jax.jit(lambda torque: gj.simulate(scene, ts, torque))(100.0)
+    np.testing.assert_allclose(found.te, expected.te, rtol=1e-12)
+    np.testing.assert_allclose(found.peak_to_peak, expected.peak_to_peak, rtol=1e-12)
 
 
 def test_the_default_takes_windows_where_they_pay(scene):

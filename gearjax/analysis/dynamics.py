@@ -110,7 +110,7 @@ def simulate(
         raise SceneError(f"settle = {float(np.asarray(settle)):g} s: must be at least 0 and less than the record")
     torque, settle = jnp.asarray(torque, ts.dtype), jnp.asarray(settle, ts.dtype)
     physics = scene.physics(*MODELLED)
-    limits = _limits(physics) if is_concrete(physics) else None
+    limits = _known_limits(physics)
     method, ts = _method(scene, ts, torque, stepper, limits), jnp.asarray(ts)
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
@@ -160,7 +160,7 @@ def growth_rate(
     """
     ts = _checked(scene, ts, start)
     physics, torque = scene.physics(*MODELLED), jnp.asarray(torque, ts.dtype)
-    limits = _limits(physics) if is_concrete(physics) else None
+    limits = _known_limits(physics)
     method = _method(scene, ts, torque, stepper, limits)
     if not isinstance(method, Fitted):
         raise SceneError(
@@ -194,6 +194,14 @@ class Limits(NamedTuple):
     fastest: Array
     decay: Array
     scale: Array
+
+
+def _known_limits(physics: Scene) -> Limits | None:
+    """The limits of a scene whose numbers are known, also inside the trace of something else."""
+    if not is_concrete(physics):
+        return None
+    with jax.ensure_compile_time_eval():
+        return _limits(physics)
 
 
 @eqx.filter_jit
@@ -261,7 +269,8 @@ def _method(
     windows = _windows(stepper.windows, samples, spacing, beside) if stepper.windows and spacing else None
     batched = is_batched((scene, ts, torque))
     lanes, block = (march.Lanes.BATCH, beside) if batched else (march.Lanes.NONE, alone)
-    return Fitted(march.Spacing(samples, steps, block, lanes), windows, fall_back=limits is None)
+    seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # the defect, outside of any trace
+    return Fitted(march.Spacing(samples, steps, block, lanes), windows, fall_back=not seen)
 
 
 def _are_even(ts: np.ndarray) -> bool:
