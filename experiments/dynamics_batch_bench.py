@@ -225,10 +225,8 @@ def two_devices(scenes: int, repeats: int) -> None:
         jax.shard_map(by_gearjax, mesh=mesh, in_specs=PartitionSpec("scene"), out_specs=PartitionSpec("scene"))
     )
     results, _, medians = interleaved({"one": lambda: alone(phases), "two": lambda: both(split)}, repeats)
-    same = bool((np.asarray(results["one"]) == np.asarray(results["two"])).all())
-    print(
-        f"two devices: {medians['one'] / medians['two']:.2f} times one device; results {'equal' if same else 'differ'}"
-    )
+    apart = 1e6 * np.abs(np.asarray(results["one"]) - np.asarray(results["two"])).max()
+    print(f"two devices: {medians['one'] / medians['two']:.2f} times one device, {apart:.0e} um apart at most")
 
 
 def main() -> None:
