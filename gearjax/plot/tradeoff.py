@@ -9,6 +9,8 @@ from gearjax.studies.tradeoff import Tradeoff
 from gearjax.units import arcmin
 
 LEAST = 1e-8  # arcmin: below, an error is drawn there
+LEANS = ((35, "left"), (-35, "left"), (-40, "right"), (40, "right"), (8, "left"), (-65, "left"))
+"""Angle of the labels of a group [deg], and the end at its point: groups that meet lean away from each other."""
 
 
 def tradeoff_figure(found: Tradeoff) -> Figure:
@@ -27,21 +29,23 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
                 continue
             x, y, names = zip(*points, strict=True)
             ax.loglog(x, y, "osD^v<>P"[index % 8], color=f"C{index}", label=group, markersize=5)
-            turned = -35 if index % 2 else 35  # neighbours of other groups lean the other way
+            turned, end = LEANS[index % len(LEANS)]
             for place in zip(x, y, names, strict=True):
                 ax.annotate(
                     place[2],
                     place[:2],
                     fontsize=5.5,
-                    xytext=(2, -4 if index % 2 else 4),
+                    xytext=(3 if end == "left" else -3, 3 if (turned > 0) == (end == "left") else -3),
                     textcoords="offset points",
+                    horizontalalignment=end,
+                    verticalalignment="center",
                     rotation=turned,
                     rotation_mode="anchor",
                 )
         ax.axhline(found.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
         title = "one run" if kind == "run" else "gradient of the standard deviation, all numbers of the errors"
         finish(ax, f"Error against time: {title}", x="time [ms]", y="largest error of a metric [arcmin]")
-        ax.margins(x=0.12, y=0.12)
+        ax.margins(x=0.15, y=0.18)
     return figure
 
 
