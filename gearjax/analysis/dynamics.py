@@ -38,7 +38,7 @@ FAULTS = {
     4: "there is no equilibrium to start from",
     5: "the samples are not evenly spaced, as the fitted solver needs",
 }
-LANE_NODES = (6, 12), (4, 8)  # of a block of motions side by side whose speed is known or not, in float64 and less
+NODES, LANE_NODES = 6, 12  # of a block; of a batch whose speeds are not known
 WINDOW = 3000  # steps of a window after its warm-up
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
@@ -265,12 +265,12 @@ def _method(
         phase = fastest_order(scene) * float(np.asarray(scene.system.input_speed)) * spacing / steps
     if stepper.windows is not None and spacing is None:
         raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
-    alone, beside = (_block(phase, ts.dtype, lanes) for lanes in (False, True))
-    windows = _windows(stepper.windows, samples, spacing, beside) if stepper.windows and spacing else None
     batched = is_batched((scene, ts, torque))
-    lanes, block = (march.Lanes.BATCH, beside) if batched else (march.Lanes.NONE, alone)
+    block, signals = _block(phase, ts.dtype, batched)
+    beside, _ = _block(phase, ts.dtype, batched=True)
+    windows = _windows(stepper.windows, samples, spacing, beside) if stepper.windows and spacing else None
     seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # the defect, outside of any trace
-    return Fitted(march.Spacing(samples, steps, block, lanes), windows, fall_back=not seen)
+    return Fitted(march.Spacing(samples, steps, block, signals), windows, fall_back=not seen)
 
 
 def _are_even(ts: np.ndarray) -> bool:
@@ -279,15 +279,14 @@ def _are_even(ts: np.ndarray) -> bool:
     return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
 
 
-def _block(phase: float | None, dtype: Any, lanes: bool) -> march.Block:
-    """Steps of a block and its nodes, for a phase of the bodies per step [rad]: rounded up, so that scenes of other
-    speeds mostly share a program; `UNKNOWN` without."""
-    base = 2 if lanes else 4
-    turned = UNKNOWN if phase is None else base ** math.ceil(math.log(max(phase, 1e-12), base))
-    most = LANE_NODES[jnp.finfo(dtype).bits <= 32][phase is None] if lanes else tables.MOST_NODES
-    steps = int(tables.reach(most, dtype) / turned)
-    steps = max(march.SHORTEST_BLOCK, min(march.LONGEST_BLOCK, steps))
-    return march.Block(steps, tables.nodes_for(turned * steps, dtype))
+def _block(phase: float | None, dtype: Any, batched: bool) -> tuple[march.Block, march.Signals]:
+    """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
+    nodes = NODES if phase is not None else LANE_NODES if batched else tables.MOST_NODES
+    longest = tables.reach(nodes, dtype) / max(UNKNOWN if phase is None else phase, 1e-12)
+    steps = next((steps for steps in march.BLOCKS if steps <= longest), march.BLOCKS[-1])
+    if batched:
+        return march.Block(steps, nodes), march.Signals.BATCH
+    return march.Block(steps, nodes), march.Signals.TABLE if phase is None else march.Signals.SUMS
 
 
 def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:

@@ -20,7 +20,7 @@ from gearjax.analysis.recurrence import recur
 from gearjax.analysis.signals import Basis, Drive, Drives, Given, tabulated, written_out
 from gearjax.typing import Array, Float, Scalar
 
-LONGEST_BLOCK, SHORTEST_BLOCK = 384, 8  # steps of a block
+BLOCKS = (384, 192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
 LANES = 16  # windows side by side; more take longer for each
 
 
@@ -31,11 +31,12 @@ class Block(NamedTuple):
     nodes: int
 
 
-class Lanes(enum.Enum):
-    """What runs side by side under vmap: nothing, windows of one motion, or a batch of scenes."""
+class Signals(enum.Enum):
+    """How a step comes by what drives it: from a table, by sums over the nodes of its block within the step, or by such
+    sums whose nodes are worked out block by block, for a batch of scenes."""
 
-    NONE = 0
-    WINDOWS = 1
+    TABLE = 0
+    SUMS = 1
     BATCH = 2
 
 
@@ -46,13 +47,13 @@ class Spacing(NamedTuple):
         samples: number of samples.
         each: steps between two samples.
         block: how the steps are cut.
-        lanes: what runs side by side.
+        signals: how a step comes by what drives it.
     """
 
     samples: int
     each: int
     block: Block
-    lanes: Lanes
+    signals: Signals
 
     @property
     def pieces(self) -> int:
@@ -119,16 +120,16 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing) -> t
     places = steps * np.arange(blocks)[:, None] + basis.places[None, :]
     times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
     nodes = jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
-    if spacing.lanes is not Lanes.BATCH:
+    if spacing.signals is not Signals.BATCH:
         nodes = jax.vmap(jax.vmap(drive.columns))(nodes)
     origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:
         columns, waves, origin = now
-        if spacing.lanes is Lanes.BATCH:  # in the loop, so that what is the same for all times is worked out once
+        if spacing.signals is Signals.BATCH:  # in the loop, so that what is the same for all times is worked out once
             columns = jax.vmap(drive.columns)(columns)
         given = Given(columns, waves, drive.loads(origin, steps + 1))
-        table, drives = (tabulated if spacing.lanes is Lanes.NONE else written_out)(drive, basis, held, given)
+        table, drives = (tabulated if spacing.signals is Signals.TABLE else written_out)(drive, basis, held, given)
         ended, path = _steps(drive.oscillator, drives, carry, table)
         return ended, _measured(drive.oscillator, drives, table, path, every)
 
@@ -259,7 +260,7 @@ def march_windows(
     groups = math.ceil(windows.number / LANES)
     lanes = math.ceil(windows.number / groups)
     # whole blocks, so that each window ends where the next one begins
-    beside = spacing._replace(block=windows.block, lanes=Lanes.WINDOWS)
+    beside = spacing._replace(block=windows.block, signals=Signals.SUMS)
     samples, warm = (
         beside.rows * math.ceil(number / beside.rows)
         for number in (spacing.samples / (groups * lanes), windows.warm_up)

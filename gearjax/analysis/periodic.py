@@ -107,7 +107,7 @@ def _over_a_period(state: Float[Array, "2"], problem: _Problem, steps: int) -> m
     drive = march.Drive.of(Oscillator(equation, problem.period / steps), jnp.zeros_like(problem.period))
     block = march.Block(max(steps // 8, 8), MOST_NODES)
     return march.march(
-        drive, jnp.zeros_like(problem.period), state, march.Spacing(steps + 1, 1, block, march.Lanes.NONE)
+        drive, jnp.zeros_like(problem.period), state, march.Spacing(steps + 1, 1, block, march.Signals.TABLE)
     )
 
 

@@ -1,8 +1,7 @@
 """What drives the steps of an oscillator, block by block: tables, or polynomials worked out within a step.
 
-A block of steps is covered by a few Chebyshev nodes. One motion reads rows of one table, tabulated a block at a time.
-Lanes side by side (a batch under vmap, windows of time) keep each number of each node apart and sum the polynomial
-within the step: a table for each lane would have to be written and read again.
+A block of steps is covered by Chebyshev nodes. Where these are few, each step sums over them; where they are many,
+because nothing is known of the speeds, one motion reads rows of a table that is made a block at a time.
 """
 
 from collections.abc import Callable, Sequence

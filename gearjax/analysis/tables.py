@@ -16,13 +16,8 @@ MOST_NODES = 24
 
 
 def accuracy(dtype: Any) -> float:
-    """Of the interpolation, relative to a sine of the fastest rate: little more than what the dtype rounds."""
-    return 1e-13 if np.finfo(dtype).bits > 32 else 1e-8
-
-
-def nodes_for(phase: float, dtype: Any) -> int:
-    """How many nodes resolve a phase per block [rad], at most `MOST_NODES`."""
-    return next((number for number in range(3, MOST_NODES) if phase <= reach(number, dtype)), MOST_NODES)
+    """Of the interpolation, relative to a sine of the fastest rate: far below what even steps leave."""
+    return 2e-10 if np.finfo(dtype).bits > 32 else 1e-8
 
 
 def reach(number: int, dtype: Any) -> float:
