@@ -38,8 +38,8 @@ FAULTS = {
     4: "there is no equilibrium to start from",
     5: "the samples are not evenly spaced, as the fitted solver needs",
 }
-NODES, LANE_NODES = 6, 12  # of a block; of a batch whose speeds are not known
-WINDOW = 3000  # steps of a window after its warm-up
+NODES, FEWER_NODES, LANE_NODES = 6, 4, 12  # of a block; of a batch in float32; of one whose speeds are not known
+WINDOW, FEWEST = 3000, 8  # steps of a window after its warm-up, and windows that pay
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
 UNKNOWN = 0.03  # rad per step of the bodies, where their speeds are traced
@@ -237,7 +237,7 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
     warm_up = FORGOTTEN / decay
     number = int(duration / max(WINDOW * step, warm_up))
     number = number // march.LANES * march.LANES if number > march.LANES else number
-    return Windows(number, warm_up) if number >= march.LANES // 2 else None
+    return Windows(number, warm_up) if number >= FEWEST else None
 
 
 def _method(
@@ -281,7 +281,9 @@ def _are_even(ts: np.ndarray) -> bool:
 
 def _block(phase: float | None, dtype: Any, batched: bool) -> tuple[march.Block, march.Signals]:
     """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
-    nodes = NODES if phase is not None else LANE_NODES if batched else tables.MOST_NODES
+    single = jnp.finfo(dtype).bits <= 32
+    known = FEWER_NODES if batched and single else NODES
+    nodes = known if phase is not None else LANE_NODES if batched else tables.MOST_NODES
     longest = tables.reach(nodes, dtype) / max(UNKNOWN if phase is None else phase, 1e-12)
     steps = next((steps for steps in march.BLOCKS if steps <= longest), march.BLOCKS[-1])
     if batched:

@@ -21,7 +21,7 @@ from gearjax.analysis.signals import Basis, Drive, Drives, Given, tabulated, wri
 from gearjax.typing import Array, Float, Scalar
 
 BLOCKS = (384, 192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
-LANES = 16  # windows side by side; more take longer for each
+LANES = 48  # windows side by side; many more take longer for each
 
 
 class Block(NamedTuple):
