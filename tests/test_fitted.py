@@ -138,6 +138,28 @@ def test_windows_that_do_not_agree_are_replaced(scene):
         assert float(traced.defect) > 1e-9
 
 
+@pytest.mark.parametrize("factor", [20, 120])
+def test_fast_bodies(scene, factor):
+    """Bodies that turn by up to 0.05 rad per step, alone, in a batch, and with a speed that is not known."""
+    fast = dataclasses.replace(
+        scene,
+        system=dataclasses.replace(scene.system, input_speed=factor * scene.system.input_speed),
+        compliance=gj.HarmonicStiffness(STIFFNESS, [], []),
+    )
+    ts = np.linspace(0.0, 0.01, 26)
+    steps = gj.FixedStep(per_sample=10)
+    truth = gj.simulate(fast, ts, 100.0, stepper=gj.FixedStep(per_sample=160, solver=RK4))
+    alone = gj.simulate(fast, ts, 100.0, stepper=steps)
+    assert float(abs(alone.te - truth.te).max()) < 2e-3 * float(abs(truth.te).max())
+    batch = jax.jit(jax.vmap(lambda torque: gj.simulate(fast, ts, torque, stepper=steps)))(jnp.array([30.0, 100.0]))
+    assert batch.result.tolist() == [0, 0]
+    np.testing.assert_allclose(batch.te[1], alone.te, rtol=0, atol=1e-12)
+    if factor == 20:
+        traced = jax.jit(lambda scene: gj.simulate(scene, ts, 100.0, stepper=steps))(fast)
+        assert int(traced.result) == 0
+        np.testing.assert_allclose(traced.te, alone.te, rtol=0, atol=1e-12)
+
+
 def test_the_default_is_the_same_inside_a_trace(scene):
     """A known scene and known times stay known there, and choose the same steps."""
     ts = np.linspace(0.0, 0.02, 21)

@@ -38,7 +38,7 @@ FAULTS = {
     4: "there is no equilibrium to start from",
     5: "the samples are not evenly spaced, as the fitted solver needs",
 }
-NODES, FEWER_NODES, LANE_NODES = 6, 4, 12  # of a block; of a batch in float32; of one whose speeds are not known
+NODES, FEWER_NODES, MORE_NODES = 6, 4, 12  # of a block; of a batch in float32; of fast or unknown speeds
 WINDOW, FEWEST = 3000, 8  # steps of a window after its warm-up, and windows that pay
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
@@ -281,14 +281,17 @@ def _are_even(ts: np.ndarray) -> bool:
 
 def _block(phase: float | None, dtype: Any, batched: bool) -> tuple[march.Block, march.Signals]:
     """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
-    single = jnp.finfo(dtype).bits <= 32
-    known = FEWER_NODES if batched and single else NODES
-    nodes = known if phase is not None else LANE_NODES if batched else tables.MOST_NODES
-    longest = tables.reach(nodes, dtype) / max(UNKNOWN if phase is None else phase, 1e-12)
-    steps = next((steps for steps in march.BLOCKS if steps <= longest), march.BLOCKS[-1])
+    few = FEWER_NODES if batched and jnp.finfo(dtype).bits <= 32 else NODES
+    for nodes in (few, MORE_NODES, tables.MOST_NODES) if phase is not None else (MORE_NODES, tables.MOST_NODES):
+        longest = tables.reach(nodes, dtype) / max(UNKNOWN if phase is None else phase, 1e-12)
+        steps = next((steps for steps in march.BLOCKS if steps <= longest), None)
+        if steps is not None:
+            break
+    else:
+        nodes, steps = tables.MOST_NODES, march.BLOCKS[-1]  # the program says that this is not enough
     if batched:
         return march.Block(steps, nodes), march.Signals.BATCH
-    return march.Block(steps, nodes), march.Signals.TABLE if phase is None else march.Signals.SUMS
+    return march.Block(steps, nodes), march.Signals.SUMS if nodes == few else march.Signals.TABLE
 
 
 def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:
