@@ -8,7 +8,8 @@ import pytest
 from scipy.linalg import expm
 
 import gearjax as gj
-from gearjax.analysis.fitted_many import ManyTerm, States
+from gearjax.analysis.fitted import OscillatorTerm
+from gearjax.analysis.fitted_many import States
 
 MASS = np.diag([1.0, 2.0, 0.5])
 STIFFNESS = np.array([[3.0, -1.0, 0.0], [-1.0, 2.0, -0.7], [0.0, -0.7, 1.2]])
@@ -34,7 +35,7 @@ def solve(step, number, damping, contact=0.0, swing=0.0):
 
     first = jnp.asarray(START) * jnp.array([[1.0], [step]])
     solution = diffrax.diffeqsolve(
-        ManyTerm(state), gj.ExponentialFitMany(), 0.0, float(number), 1.0, first, max_steps=number + 8
+        OscillatorTerm(state), gj.ExponentialFitMany(), 0.0, float(number), 1.0, first, max_steps=number + 8
     )
     assert solution.ys is not None
     return solution.ys[-1] / jnp.array([[1.0], [step]])

@@ -111,13 +111,14 @@ def _sine(stiffness: Array, damping: Array) -> Array:
 
 
 class OscillatorTerm(diffrax.AbstractTerm):
-    """A term of diffrax whose vector field is the `State` at a time and position.
+    """A term of diffrax whose vector field is the `State` of an oscillator at a time and position, or the
+    `gearjax.analysis.fitted_many.States` of many degrees of freedom.
 
     Args:
         state: ``state(time, position, args)``, for steps of one unit of time.
     """
 
-    state: Callable[[Any, Array, Any], State]
+    state: Callable[[Any, Array, Any], Any]
 
     def vf(self, t, y, args):
         return self.state(t, y[0], args)

@@ -11,11 +11,12 @@ products of matrix and vector are enough: no modes, no factors.
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import diffrax
 import jax.numpy as jnp
 
+from gearjax.analysis.fitted import OscillatorTerm
 from gearjax.typing import Array, Float
 
 TERMS = 8  # of a series; enough for 1 rad of the fastest mode per step and a damping exponent of 1
@@ -35,32 +36,14 @@ class States(NamedTuple):
     damping: Float[Array, "dof dof"]
 
 
-class ManyTerm(diffrax.AbstractTerm):
-    """A term of diffrax whose vector field is the `States` at a time and position.
-
-    Args:
-        state: ``state(time, position, args)``, for steps of one unit of time.
-    """
-
-    state: Callable[[Any, Array, Any], States]
-
-    def vf(self, t, y, args):
-        return self.state(t, y[0], args)
-
-    def contr(self, t0, t1, **kwargs):
-        return t1 - t0
-
-    def prod(self, vf, control):
-        return jnp.stack([control * vf.push, vf.push])
-
-
 class ExponentialFitMany(diffrax.AbstractSolver):
     """The scheme as a solver of diffrax, for even steps of one unit of time.
 
-    Its term is a `ManyTerm`; the solution holds positions and velocities per step, shape (2, dof).
+    Its term is an `OscillatorTerm` whose vector field is `States`; the solution holds positions and velocities per
+    step, shape (2, dof).
     """
 
-    term_structure: ClassVar = ManyTerm
+    term_structure: ClassVar = OscillatorTerm
     interpolation_cls: ClassVar[Callable[..., diffrax.LocalLinearInterpolation]] = diffrax.LocalLinearInterpolation
 
     def order(self, terms):

@@ -20,7 +20,7 @@ from gearjax.analysis.recurrence import recur
 from gearjax.analysis.signals import Basis, Drive, Drives, Given, tabulated, written_out
 from gearjax.typing import Array, Float, Scalar
 
-BLOCKS = (384, 192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
+BLOCKS = (320, 160, 80, 40, 20, 10)  # steps of a block: few, so that scenes of other speeds share a program
 LANES = 48  # windows side by side; many more take longer for each
 
 
@@ -116,7 +116,7 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing) -> t
     pieces, rows = spacing.pieces, spacing.rows
     every = spacing.each // pieces
     steps, blocks = rows * every, math.ceil(spacing.samples * pieces / rows)
-    basis, held = Basis.of(drive, steps, spacing.block.nodes), drive.slow_at(start)
+    basis, held = Basis.of(drive, steps, spacing.block.nodes), drive.oscillator.slow_at(start)
     places = steps * np.arange(blocks)[:, None] + basis.places[None, :]
     times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
     nodes = jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
@@ -147,7 +147,7 @@ def begin(drive: Drive, time: Scalar, state: Float[Array, "2"]) -> tuple[Scalar,
     def at(time: Scalar) -> State:
         stiffness, load = drive.turned(time), oscillator.equation.load(time)
         fast = Fast(stiffness.mean + stiffness.cosine.sum(axis=0), load)
-        return oscillator.state(drive.slow_at(time), fast, state[0])
+        return oscillator.state(oscillator.slow_at(time), fast, state[0])
 
     both = jax.vmap(at)(jnp.stack([time, time + oscillator.step]))
     now, later = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in range(2))

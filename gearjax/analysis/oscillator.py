@@ -58,6 +58,10 @@ class Oscillator(eqx.Module):
     equation: Equation
     step: Scalar
 
+    def slow_at(self, time: Scalar) -> Slow:
+        """Slow numbers of the step at a time [s]."""
+        return self.slow(self.equation.moment(time))
+
     def slow(self, moment: Moment) -> Slow:
         """Slow numbers of the step at a moment."""
         scene, now, scale = self.equation.scene, self.equation.gaps(moment), self.equation.scale

@@ -24,8 +24,8 @@ def recur(step: Step, position: Array, change: Array, rows: Any) -> tuple[tuple[
     """Positions before each step, and position and change after the last.
 
     Args:
-        step: from position, last change and a row to the next change; elementwise over lanes.
-        position, change: at the start, a number or one for each lane.
+        step: from position, last change and a row to the next change, numbers.
+        position, change: at the start.
         rows: a tree of arrays, their first axis the steps.
     """
     first = jax.tree.map(lambda column: column[0], rows)
@@ -33,15 +33,19 @@ def recur(step: Step, position: Array, change: Array, rows: Any) -> tuple[tuple[
     return _recur(converted, position, change, rows, tuple(constants))
 
 
+def _loop(step: Callable, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
+    def one(carry, row):
+        position, change = carry
+        change = step(position, change, row, *constants)
+        return (position + change, change), position  # an output that takes no work is not worked out twice
+
+    return jax.lax.scan(one, (position, change), rows)
+
+
 def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
     @jax.custom_batching.custom_vmap
     def run(position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
-        def one(carry, row):
-            position, change = carry
-            change = step(position, change, row, *constants)
-            return (position + change, change), position  # an output that takes no work is not worked out twice
-
-        return jax.lax.scan(one, (position, change), rows)
+        return _loop(step, position, change, rows, constants)
 
     @run.def_vmap
     def side_by_side(size: int, batched: Any, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
@@ -61,13 +65,7 @@ def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: 
             jax.tree.map(laid, value, one) for value, one in zip((rows, constants), batched[2:], strict=True)
         )
         over = jax.vmap(step, (0, 0, lane(batched[2]), *lane(batched[3])))
-
-        def one(carry, row):
-            position, change = carry
-            change = over(position, change, row, *constants)
-            return (position + change, change), position
-
-        ended, path = jax.lax.scan(one, (position, change), rows)
+        ended, path = _loop(over, position, change, rows, constants)
         return (ended, path.T), ((True, True), True)
 
     return run(position, change, rows, constants)

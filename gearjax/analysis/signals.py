@@ -36,15 +36,7 @@ class Drive(eqx.Module):
     @classmethod
     def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
         """The signals of an oscillator; the time [s] is that of any sample."""
-
-        def at(time: Scalar) -> Slow:
-            return oscillator.slow(oscillator.equation.moment(time))
-
-        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(depends(at, time)))
-
-    def slow_at(self, time: Scalar) -> Slow:
-        """The slow signals at a time [s]."""
-        return self.oscillator.slow(self.oscillator.equation.moment(time))
+        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(depends(oscillator.slow_at, time)))
 
     def columns(self, moment: Moment) -> Float[Array, " column"]:
         """What changes of the slow signals, at a moment."""
@@ -101,7 +93,7 @@ class Basis(NamedTuple):
     @classmethod
     def of(cls, drive: Drive, steps: int, nodes: int) -> "Basis":
         """The basis of blocks of some steps and nodes."""
-        places, weights = interpolation(steps, nodes, beyond=1)
+        places, weights = interpolation(steps, nodes)
         rate = mesh_rate(drive.oscillator.equation) * drive.oscillator.step
         order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
         angle = jnp.arange(steps + 1).astype(rate.dtype)[:, None] * (rate * order)[None, :]
@@ -145,7 +137,6 @@ def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[A
         weights, cosine, sine = (_numbers(part) for part in row[:3])
         nothing = jnp.zeros((), given.columns.dtype)
         columns = [_product(weights, _numbers(column), nothing) for column in given.columns.T]
-
         apart = jax.tree.map(lambda leaf: tuple(_numbers(leaf)) if leaf.ndim else leaf, held)
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
         stiffness = [_product(sine, _numbers(s), _product(cosine, _numbers(c), mean)) for mean, c, s in series]

@@ -16,8 +16,8 @@ MOST_NODES = 24
 
 
 def accuracy(dtype: Any) -> float:
-    """Of the interpolation, relative to a sine of the fastest rate: far below what even steps leave."""
-    return 2e-10 if np.finfo(dtype).bits > 32 else 1e-8
+    """Of the interpolation, relative to a sine of the fastest rate; in float32 below what that rounds."""
+    return 1e-10 if np.finfo(dtype).bits > 32 else 1e-8
 
 
 def reach(number: int, dtype: Any) -> float:
@@ -25,18 +25,13 @@ def reach(number: int, dtype: Any) -> float:
     return 4 * (0.5 * accuracy(dtype) * math.factorial(number)) ** (1 / number)
 
 
-def interpolation(steps: int, number: int, beyond: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev nodes in steps, shape (node,), and the weights of the steps of a block, shape (steps, node).
-
-    Args:
-        steps: of a block.
-        number: of nodes.
-        beyond: rows of weights for steps after the block.
-    """
+def interpolation(steps: int, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev nodes in steps, shape (node,), and the weights of the steps of a block and of the one after it, shape
+    (steps + 1, node)."""
     angles = np.pi * (np.arange(number) + 0.5) / number
     places = 0.5 * steps * (1 - np.cos(angles))
     barycentric = (-1.0) ** np.arange(number) * np.sin(angles)
-    away = np.arange(steps + beyond)[:, None] - places[None, :]
+    away = np.arange(steps + 1)[:, None] - places[None, :]
     met = np.isclose(away, 0, atol=1e-12)
     weights = barycentric / np.where(met, 1.0, away)
     weights /= weights.sum(axis=1, keepdims=True)
