@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gearjax.analysis.march import top
+from gearjax.analysis.metrics import top
 from gearjax.analysis.recurrence import recur
 
 STEPS = 30

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.fitted import State, advance, change_before, velocity
+from gearjax.analysis.metrics import top
 from gearjax.analysis.oscillator import Fast, Oscillator
 from gearjax.analysis.recurrence import recur
 from gearjax.analysis.signals import Basis, Drive, Drives, Given, tabulated, written_out
@@ -203,20 +204,6 @@ def _measured(oscillator: Oscillator, drives: Drives, rows: Any, path: Array, ea
     both = _rows(rows, slice(0, -1, each)), _rows(rows, slice(1, None, each))
     speeds, forces = jax.vmap(sample)(*both, now, following - now)
     return now, speeds, forces, highest(path), -highest(-path)
-
-
-@jax.custom_jvp
-def top(values: Float[Array, "n m"]) -> Float[Array, " n"]:
-    """Highest value along the second axis, with the derivative of the one that is highest: the built-in derivative
-    compares values with their maximum, which fused code may round differently."""
-    return values.max(axis=1)
-
-
-@top.defjvp
-def _top_jvp(primals: tuple, tangents: tuple) -> tuple:
-    (values,), (slopes,) = primals, tangents
-    where = jnp.argmax(values, axis=1, keepdims=True)
-    return top(values), jnp.take_along_axis(slopes, where, axis=1)[:, 0]
 
 
 def turning(path: Float[Array, " n"]) -> Float[Array, " m"]:

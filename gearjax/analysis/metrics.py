@@ -211,6 +211,20 @@ def highest_intervals(bounds: Float[Array, " m"], number: int) -> Int[Array, " k
     return jnp.minimum(places[chosen, 0], count - 1)
 
 
+@jax.custom_jvp
+def top(values: Float[Array, "... n"]) -> Float[Array, "..."]:
+    """Highest value along the last axis, with the derivative of the one that is highest: the built-in derivative
+    compares values with their maximum, which fused code may round differently."""
+    return values.max(axis=-1)
+
+
+@top.defjvp
+def _top_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (values,), (slopes,) = primals, tangents
+    where = jnp.argmax(values, axis=-1, keepdims=True)
+    return top(values), jnp.take_along_axis(slopes, where, axis=-1)[..., 0]
+
+
 def root(square: Float[Array, "..."]) -> Float[Array, "..."]:
     """Square root whose derivative at zero is zero: the deviation of a constant record."""
     positive = square > 0

@@ -1,7 +1,17 @@
 """Configurations: TOML files that list what a scene models and what to compute."""
 
-from gearjax.config.build import load, loads, loads_optimise, read_file
+from gearjax.config.build import load, loads, loads_optimise, loads_tolerance, read_file
 from gearjax.config.optimise import OptimiseSection
+from gearjax.config.tolerance import ToleranceSection
 from gearjax.config.write import with_numbers
 
-__all__ = ["OptimiseSection", "load", "loads", "loads_optimise", "read_file", "with_numbers"]
+__all__ = [
+    "OptimiseSection",
+    "ToleranceSection",
+    "load",
+    "loads",
+    "loads_optimise",
+    "loads_tolerance",
+    "read_file",
+    "with_numbers",
+]

@@ -13,6 +13,7 @@ from gearjax.compliance import COMPLIANCES
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
 from gearjax.config.tables import known_keys, read_parameter
+from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import ERRORS
 from gearjax.inertia import DampingRatio, EquivalentMass
@@ -38,6 +39,7 @@ _SECTIONS = (
     "run",
     "published",
     "optimise",
+    "tolerance",
 )
 
 
@@ -56,7 +58,7 @@ def load(path: str | Path) -> Scene:
         >>> scene.run.samples
         3001
     """
-    return loads(read_file(path))
+    return loads(read_file(path), Path(path).parent)
 
 
 def read_file(path: str | Path) -> str:
@@ -79,13 +81,17 @@ def read_file(path: str | Path) -> str:
         raise GearjaxError(f"{path}: not a text file in UTF-8") from fault
 
 
-def loads(text: str) -> Scene:
+def loads(text: str, folder: str | Path = ".") -> Scene:
     """A scene, with its run section, from TOML text.
+
+    Args:
+        text: the configuration.
+        folder: that files named in it are relative to.
 
     Raises:
         GearjaxError: something in it is wrong; one line that says where.
     """
-    return build(read_tables(text))
+    return build(read_tables(text), folder)
 
 
 def read_tables(text: str) -> dict[str, Any]:
@@ -104,7 +110,7 @@ def read_tables(text: str) -> dict[str, Any]:
         raise GearjaxError(f"not a TOML configuration: {words}") from fault
 
 
-def build(tables: dict[str, Any]) -> Scene:
+def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
     """A scene from the tables of a configuration; the sections of studies are checked too.
 
     Raises:
@@ -113,6 +119,8 @@ def build(tables: dict[str, Any]) -> Scene:
     scene = _scene(tables)
     if "optimise" in tables:
         read_optimise(tables["optimise"], scene)
+    if "tolerance" in tables:
+        read_tolerance(tables["tolerance"], scene, Path(folder))
     return scene
 
 
@@ -160,6 +168,23 @@ def loads_optimise(text: str) -> tuple[Scene, OptimiseSection]:
             'objective = "no_load_amplitude", where = ["errors.planet_1.phase"]'
         )
     return scene, read_optimise(tables["optimise"], scene)
+
+
+def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any], Scene, ToleranceSection]:
+    """Tables, scene and tolerance section from TOML text; measured values stand in the tables in place of their files.
+
+    Raises:
+        GearjaxError: something in it is wrong, or there is no such section; one line that says where.
+    """
+    tables = read_tables(text)
+    scene = _scene(tables)
+    if "tolerance" not in tables:
+        raise GearjaxError(
+            "the configuration has no [tolerance]: list samples, measures and numbers such as "
+            '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
+        )
+    section = read_tolerance(tables["tolerance"], scene, Path(folder))
+    return inlined(tables, scene, Path(folder)), scene, section
 
 
 def _reference(table: dict[str, Any]) -> ZeroAtStart | None:

@@ -10,7 +10,7 @@ import tomli_w
 from gearjax.config.build import read_tables
 from gearjax.parameters import Parameter
 
-STUDIES = ("optimise", "published")  # sections that do not hold for the changed scene
+STUDIES = ("optimise", "tolerance", "published")  # sections that do not hold for the changed scene
 
 
 def with_numbers(text: str, values: Mapping[str, float], parameters: Mapping[str, Parameter]) -> str:

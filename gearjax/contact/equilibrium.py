@@ -5,7 +5,9 @@ contact carries force exactly when the sum, taken where that contact begins to t
 active contacts are found at once, without iteration or sorting, and the position is exact.
 """
 
+import functools
 import itertools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -92,6 +94,52 @@ def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scala
     position = jnp.where(found, touch[one] + travel[one], jnp.nan)
     forces = jnp.where(active, stiffness * lever * travel, 0.0)
     return Equilibrium(position, forces, jnp.where(found, 0, 1))
+
+
+def hard_edges(touch: Sequence[Array], pairs: int) -> tuple[Array, Array | None]:
+    """Edges of the play by the hard law, as `first_contact`, with one array for each contact.
+
+    Args:
+        touch: position at which each contact touches, driving contacts first, arrays of any one shape [rad].
+        pairs: number of driving contacts.
+    """
+    lower = functools.reduce(lambda one, other: jnp.where(one >= other, one, other), touch[:pairs])
+    if len(touch) == pairs:
+        return lower, None
+    return lower, functools.reduce(lambda one, other: jnp.where(one <= other, one, other), touch[pairs:])
+
+
+def hard_rest(touch: Sequence[Array], strength: Sequence[Array], pairs: int, load: Scalar) -> Array:
+    """Position of the equilibrium by the hard law, as `equilibrium`, with one array for each contact.
+
+    Args:
+        touch: position at which each contact touches, driving contacts first, arrays of any one shape [rad].
+        strength: stiffness of each on the output [N m/rad].
+        pairs: number of driving contacts.
+        load: generalised force on the output [N m].
+
+    Returns:
+        The position [rad], nan where no contact can carry the load.
+    """
+    signs = [-1.0 if index < pairs else 1.0 for index in range(len(touch))]
+    origin = touch[0]  # positions count from it: they are small beside their distance from zero
+    apart = [place - origin for place in touch]
+    pull, total = jnp.zeros_like(origin), jnp.zeros_like(origin)
+    for place, stiffness, sign in zip(apart, strength, signs, strict=True):
+        reaction = functools.reduce(
+            jnp.add,
+            [
+                s * k * jnp.maximum(s * (place - other), 0.0)
+                for other, k, s in zip(apart, strength, signs, strict=True)
+                if other is not place
+            ],
+            jnp.zeros_like(origin),
+        )
+        active = reaction >= load if sign < 0 else reaction < load
+        pull = pull + jnp.where(active, stiffness * place, 0.0)
+        total = total + jnp.where(active, stiffness, 0.0)
+    found = total > 0
+    return jnp.where(found, origin + (load + pull) / jnp.where(found, total, 1.0), jnp.nan)
 
 
 def _subsets(size: int) -> np.ndarray:

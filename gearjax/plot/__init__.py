@@ -1,8 +1,9 @@
-"""Figures of a run, of an optimisation and of a trade-off."""
+"""Figures of a run and of studies."""
 
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
+from gearjax.plot.tolerance import save_tolerance_figures
 from gearjax.plot.tradeoff import save_tradeoff_figure
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "save_figure",
     "save_figures",
     "save_optimisation_figures",
+    "save_tolerance_figures",
     "save_tradeoff_figure",
     "spectrum_figure",
     "thin",

@@ -1,0 +1,53 @@
+"""Command line. Tables and JSON go to stdout, progress and one-line errors to stderr; a mistake ends with code 2."""
+
+import hashlib
+import os
+import platform
+import sys
+from pathlib import Path
+
+import jax
+
+from gearjax.checks import GearjaxError
+from gearjax.cli.commands import app
+
+__all__ = ["app", "keep_programs", "main"]
+
+
+def keep_programs() -> None:
+    """Keep compiled programs between runs, apart for each kind of processor, unless JAX was told where to."""
+    told = jax.config.values
+    if told["jax_compilation_cache_dir"] is not None or not told["jax_enable_compilation_cache"]:
+        return
+    try:
+        processor = [line for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines() if "flags" in line]
+    except OSError:
+        processor = [platform.processor()]
+    kind = hashlib.sha256("".join([platform.machine(), *processor[:1]]).encode()).hexdigest()[:12]
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gearjax" / kind
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the command ``gearjax``."""
+    jax.config.update("jax_enable_x64", True)
+    keep_programs()
+    try:
+        given = sys.argv[1:] if arguments is None else arguments
+        code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
+    except Exception as fault:
+        message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
+        if not isinstance(fault, GearjaxError) and message is None:
+            raise
+        words = " ".join(str(message() if message else fault).split())
+        print(f"gearjax: error: {words}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("gearjax: stopped", file=sys.stderr)
+        sys.exit(130)
+    sys.exit(code if isinstance(code, int) else 0)

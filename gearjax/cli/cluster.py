@@ -1,0 +1,78 @@
+"""Chunks of a study over the workers of a Dask cluster: lost ones are worked out again, none counts twice."""
+
+import functools
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+
+from gearjax.checks import GearjaxError
+from gearjax.config import loads_tolerance
+from gearjax.results.tolerance import prepared
+from gearjax.tolerance import Work
+from gearjax.tolerance.monte_carlo import Evaluated
+
+CONNECT = "30s"
+LOST = 5  # workers that a chunk may take with it before it is given up
+
+
+@functools.lru_cache(maxsize=2)
+def _work(text: str) -> Work:
+    return prepared(loads_tolerance(text)[2])
+
+
+def evaluate(text: str, chunk: tuple[int, int]) -> Evaluated:
+    """One chunk of the study of a configuration; runs in a worker, which keeps the compiled program."""
+    jax.config.update("jax_enable_x64", True)
+    work = _work(text)
+    return work.evaluate(work.inputs(*chunk))
+
+
+def each_on_cluster(
+    text: str,
+    chunks: Sequence[tuple[int, int]],
+    scheduler: str | None,
+    workers: int | None,
+    say: Callable[[str], None],
+) -> Iterator[tuple[tuple[int, int], Evaluated]]:
+    """Chunks with their results, as they come.
+
+    Args:
+        text: the configuration, measured values inside.
+        chunks: what to work out.
+        scheduler: address of a running scheduler, or ``None`` for a local cluster.
+        workers: processes of the local cluster.
+        say: for lines of progress.
+
+    Raises:
+        GearjaxError: dask is missing, the scheduler cannot be reached, or a chunk failed on every worker.
+    """
+    try:
+        from distributed import Client, LocalCluster, as_completed
+        from distributed.scheduler import KilledWorker
+    except ImportError as fault:
+        raise GearjaxError('--scheduler and --workers need dask: pip install "gearjax[dask]"') from fault
+    cluster: Any = None
+    if scheduler is None:
+        cluster = LocalCluster(
+            n_workers=workers or os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=""
+        )
+    try:
+        client = Client(cluster or scheduler, timeout=CONNECT)
+    except (OSError, TimeoutError, ValueError) as fault:
+        raise GearjaxError(f"--scheduler {scheduler}: cannot be reached ({fault})") from fault
+    try:
+        say(f"cluster: {client.scheduler.address if client.scheduler else scheduler}")  # type: ignore[union-attr]
+        config = client.scatter(text, broadcast=True) if len(text) > 100_000 else text
+        futures = {client.submit(evaluate, config, chunk, pure=False, retries=LOST): chunk for chunk in chunks}
+        for future in as_completed(list(futures)):
+            try:
+                found = future.result()
+            except KilledWorker as fault:
+                raise GearjaxError(f"the workers died on samples {futures[future]}: is there memory enough?") from fault
+            yield futures.pop(future), found
+    finally:
+        client.close()
+        if cluster is not None:
+            cluster.close()

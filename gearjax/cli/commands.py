@@ -1,0 +1,232 @@
+"""The commands of the command line."""
+
+import json
+import math
+import os
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from gearjax.checks import ParameterError, nearest, writing
+from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_tradeoff
+from gearjax.config import loads, loads_optimise, read_file
+from gearjax.reproduce import PAPERS, Row
+from gearjax.results import (
+    growth_remark,
+    remarks,
+    run_cases,
+    save,
+    save_optimisation,
+    save_tradeoff,
+    stored_config,
+    tradeoff_as_json,
+)
+from gearjax.results import optimise as run_optimise
+from gearjax.scene import Scene
+from gearjax.studies.tradeoff import accurate_step
+from gearjax.studies.tradeoff import tradeoff as run_tradeoff
+from gearjax.units import arcmin
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+_progress = Console(stderr=True)
+
+ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures")]
+JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
+
+
+def _show_version(wanted: bool | None) -> None:
+    if wanted:
+        print(f"gearjax {metadata.version('gearjax')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _app(
+    version: Annotated[
+        bool | None, typer.Option("--version", help="print the version", callback=_show_version, is_eager=True)
+    ] = None,
+) -> None:
+    """Differentiable gear dynamics: transmission error without load, under load and in motion."""
+    del version  # its callback has printed it
+
+
+@app.command()
+def run(
+    config: ConfigArgument,
+    out: OutOption = None,
+    json_: JsonOption = False,
+    accuracy: Annotated[
+        float | None, typer.Option("--accuracy", metavar="ARCMIN", help="allowed error of the dynamic metrics")
+    ] = None,
+) -> None:
+    """Every analysis that the configuration lists: table, figures and results file.
+
+    Without --out they go to out/NAME; with --json and no --out nothing is written.
+    """
+    text, scene = _read(config)
+    stepper = None
+    if accuracy is not None:
+        allowed = _positive("--accuracy", accuracy)
+        if scene.run is not None and "dynamic" in scene.run.analyses:
+            stepper = accurate_step(scene, allowed, _say)
+    for remark in remarks(scene):
+        _progress.print(f"note: {remark}", soft_wrap=True)
+    cases = []
+    for case in run_cases(scene, stepper, workers=os.cpu_count() or 1):
+        _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
+        remark = growth_remark(scene, case)
+        if remark is not None:
+            _progress.print(f"note: {remark}", soft_wrap=True)
+        cases.append(case)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    if folder is not None:
+        from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
+
+        written = save(scene, cases, text, folder) + save_figures(scene, cases, folder)
+        _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
+    if json_:
+        print(json.dumps({"config": str(config), "cases": [case.as_json() for case in cases]}, allow_nan=False))
+    else:
+        print_cases(cases)
+
+
+@app.command()
+def reproduce(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="a paper; all of them without")] = None,
+    out: OutOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Published figures of a paper next to ours."""
+    if name is not None and name not in PAPERS:
+        raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
+    reports = []
+    for key in [name] if name is not None else PAPERS:
+        paper, rows = PAPERS[key]
+        _progress.print(f"computing: {paper}", style="dim", soft_wrap=True)
+        reports.append((paper, rows()))
+    if out is not None:
+        _write_rows(out, reports)
+    objects = [{"paper": paper, "rows": [row.as_json() for row in rows]} for paper, rows in reports]
+    if json_:
+        print(json.dumps(objects[0] if len(objects) == 1 else {"papers": objects}))
+        return
+    for paper, rows in reports:
+        print_rows(paper, rows)
+
+
+@app.command()
+def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False) -> None:
+    """Assembly phases, or any other numbers: grid search and gradients side by side, before and after.
+
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
+    """
+    text = _read_text(config)
+    scene, section = loads_optimise(text)
+
+    found = run_optimise(section, scene, _say)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    if folder is not None:
+        from gearjax.plot import save_optimisation_figures
+
+        written = save_optimisation(found, text, folder) + save_optimisation_figures(found, folder)
+        _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
+    if json_:
+        print(json.dumps(found.as_json(), allow_nan=False))
+    else:
+        print_optimisation(found)
+
+
+@app.command()
+def tradeoff(
+    config: ConfigArgument,
+    error: Annotated[float, typer.Option("--error", metavar="ARCMIN", help="allowed error of a metric")] = 0.001,
+    out: OutOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Speed against accuracy of the dynamic TE for this scene, measured: solvers, steps, contact laws, precision.
+
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
+    """
+    _, scene = _read(config)
+    found = run_tradeoff(scene, _positive("--error", error), _say)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    if folder is not None:
+        from gearjax.plot import save_tradeoff_figure
+
+        written = save_tradeoff(found, folder) + save_tradeoff_figure(found, folder)
+        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+    if json_:
+        print(json.dumps(tradeoff_as_json(str(config), found), allow_nan=False))
+    else:
+        print_tradeoff(found)
+
+
+@app.command()
+def tolerance(
+    config: ConfigArgument,
+    out: OutOption = None,
+    json_: JsonOption = False,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://10.0.0.1:8786")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", help="processes of a Dask cluster on this machine")
+    ] = None,
+) -> None:
+    """Monte Carlo: distributions and yields, sensitivities, allocation, matched assembly. Resumes where it was killed.
+
+    Without --out the results go to out/NAME; with --json and no --out nothing is written, and nothing can be resumed.
+    """
+    from gearjax.cli.tolerance import print_tolerance, study
+    from gearjax.results.tolerance import save_tolerance
+
+    text = _read_text(config)
+    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    found, work = study(text, config.parent, folder, scheduler, workers, _progress, _say)
+    if folder is not None:
+        from gearjax.plot import save_tolerance_figures
+
+        written = save_tolerance(found, work, text, folder) + save_tolerance_figures(found, folder)
+        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+    if json_:
+        print(json.dumps(found.as_json(), allow_nan=False))
+    else:
+        print_tolerance(found)
+
+
+def _positive(option: str, given: float) -> float:
+    """A positive number of arcmin, in rad."""
+    if not (math.isfinite(given) and given > 0):
+        raise ParameterError(option, given, "must be above 0 arcmin")
+    return given * arcmin
+
+
+def _say(words: str) -> None:
+    _progress.print(words, style="dim", soft_wrap=True)
+
+
+def _read_text(config: Path) -> str:
+    """Text of a configuration, or of the one inside a results file."""
+    return stored_config(config) if config.suffix == ".nc" else read_file(config)
+
+
+def _read(config: Path) -> tuple[str, Scene]:
+    """Text and scene of a configuration, or of a results file's own configuration."""
+    text = _read_text(config)
+    return text, loads(text)
+
+
+def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = ["paper,item,published,computed,deviation,unit,status"]
+        for paper, rows in reports:
+            lines += [
+                f'"{paper}","{row.item}",{row.published},{row.computed:.6g},{row.deviation:+.6g},{row.unit},{row.status}'
+                for row in rows
+            ]
+        (folder / "published.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,122 @@
+"""Tables of results on standard output."""
+
+import sys
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from gearjax.reproduce import Row
+from gearjax.results import Case, Optimisation, highest_load_sharing
+from gearjax.scene import METRICS
+from gearjax.studies.select import pick
+from gearjax.studies.tradeoff import Tradeoff
+from gearjax.units import arcmin, deg
+
+
+def print_tradeoff(found: Tradeoff) -> None:
+    table = Table(title="What each choice costs and buys; one run, one torque")
+    for column in ("setting", "", "error [arcmin]", "run [ms]", "gradient [ms]", "compile [s]"):
+        table.add_column(escape(column), justify="left" if column in ("setting", "") else "right")
+    for row in found.rows:
+        gradient = "" if row.gradient_seconds is None else f"{1e3 * row.gradient_seconds:.1f}"
+        error = f"{row.error / arcmin:.2g}"
+        table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
+    console = output()
+    console.print(table)
+    allowed = f"{found.error / arcmin:g} arcmin"
+    if found.best is None:
+        console.print(f"no setting is within {allowed}", soft_wrap=True)
+    else:
+        console.print(f"cheapest within {allowed}: {found.best.group}: {found.best.name}", soft_wrap=True)
+
+
+def print_optimisation(found: Optimisation) -> None:
+    console = output()
+    table = Table(title=f"{found.section.objective.name}, {found.section.window:g} s")
+    parameters = found.parameters
+    units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
+    columns = ["", "arcmin", *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
+    for column in (*columns, "evaluations", "run [s]", "compile [s]"):
+        table.add_column(escape(column), justify="right" if column else "left", overflow="fold")
+
+    def row(title: str, objective: float, point, *rest: str) -> None:
+        shown = [f"{found.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
+        table.add_row(title, f"{objective / arcmin:.5f}", *shown, *rest)
+
+    row("before", found.before, pick(found.scene, found.section.where).get(found.scene), "", "", "")
+    grid, search = found.grid, found.gradient
+    if grid is not None:
+        count = f"{grid.combinations} ({grid.evaluated} on all times)"
+        row("grid", grid.objective, grid.best, count, f"{grid.seconds:.2f}", f"{grid.compile_seconds:.1f}")
+    count = f"{search.evaluations}, {len(search.starts)} starts"
+    row("gradients", search.objective, search.best, count, f"{search.seconds:.2f}", f"{search.compile_seconds:.1f}")
+    console.print(table)
+    console.print(
+        f"{search.within(0.01)} of {len(search.starts)} starts within 1 % of the best, in "
+        f"{int(search.valley.max()) + 1} valleys; {search.failed} dropped because they were not finite",
+        soft_wrap=True,
+    )
+    around = found.sensitivity
+    for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
+        if flat:
+            words = ", ".join(f"{path} {share:+.2f}" for path, share in zip(around.paths, direction, strict=True))
+            console.print(f"flat: 10 deg along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
+    for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
+        console.print(
+            f"assembled with errors of up to {deviation / deg:g} deg: {mean / arcmin:.4f} arcmin on average, "
+            f"{worst / arcmin:.4f} at worst",
+            soft_wrap=True,
+        )
+    _print_stages(console, found)
+
+
+def _print_stages(console: Console, found: Optimisation) -> None:
+    table = Table(title="Transmission error in arcmin, before and after")
+    for column in ("case", "window [s]", "stage", *(name.replace("_", "-") for name in METRICS)):
+        table.add_column(escape(column), justify="left" if column in ("case", "stage") else "right")
+    for row, case in enumerate(found.cases["before"]):
+        for stage, cases in found.cases.items():
+            title = (case.title, f"{case.window:g}") if stage == "before" else ("", "")
+            table.add_row(*title, stage, *(f"{cases[row].metrics[name] / arcmin:.4f}" for name in METRICS))
+    console.print(table)
+
+
+def print_cases(cases: list[Case]) -> None:
+    compared = any(case.published for case in cases)
+    table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
+    for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
+        table.add_column(escape(column), justify="left" if column == "case" else "right")
+    for case in cases:
+        known = dict(case.published.metrics) if case.published else {}
+        values = [_cell(case.metrics[name], known.get(name)) for name in METRICS]
+        sharing = highest_load_sharing(case)
+        table.add_row(case.title, f"{case.window:g}", *values, "" if sharing is None else f"{sharing:.3f}")
+    console = output()
+    console.print(table)
+    for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
+        titles = ", ".join(case.title for case in cases if case.published and case.published.note == note)
+        console.print(f"{titles}: {note}", style="dim", soft_wrap=True)
+
+
+def output() -> Console:
+    """Standard output; wide enough for every table where it is not a terminal."""
+    return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+
+
+def _cell(value: float, published: float | None) -> str:
+    text = f"{value / arcmin:.4f}"
+    return text if published is None else f"{text} ({published / arcmin:.3f})"
+
+
+def print_rows(paper: str, rows: list[Row]) -> None:
+    table = Table(title=f"{paper}, in arcmin")
+    for column in ("item", "published", "ours", "deviation", "status"):
+        table.add_column(column, justify="left" if column in ("item", "status") else "right")
+    for row in rows:
+        table.add_row(row.item, row.published, f"{row.computed:.4f}", f"{row.deviation:+.4f}", row.status)
+    console = output()
+    console.print(table)
+    for why in dict.fromkeys(row.why for row in rows if row.why):
+        items = dict.fromkeys(row.item.rpartition(",")[0] for row in rows if row.why == why)
+        console.print(f"{'; '.join(items)}: {why}", style="dim", soft_wrap=True)

@@ -1,0 +1,207 @@
+"""``gearjax tolerance``: a Monte Carlo study that resumes, on the local devices or over machines, and its tables."""
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tomli_w
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gearjax.checks import ParameterError
+from gearjax.cli.tables import output
+from gearjax.config import loads_tolerance
+from gearjax.results.store import Store, held
+from gearjax.results.tolerance import ToleranceResults, finished, prepared
+from gearjax.timing import Stopwatch
+from gearjax.tolerance import Work
+from gearjax.tolerance.monte_carlo import QUANTILES, Evaluated
+from gearjax.tolerance.statistics import Estimate
+from gearjax.units import arcmin
+
+Say = Callable[[str], None]
+
+
+def use_all_cores() -> None:
+    """One device for each core, which share the samples; nothing where devices are known already."""
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+
+
+def study(
+    text: str, base: Path, folder: Path | None, scheduler: str | None, workers: int | None, console: Console, say: Say
+) -> tuple[ToleranceResults, Work]:
+    """Run or resume the study of a configuration.
+
+    Args:
+        text: the configuration.
+        base: folder that files named in it are relative to.
+        folder: where the samples are kept; ``None`` for nowhere.
+        scheduler: address of a Dask scheduler, or ``None``.
+        workers: of a local Dask cluster, or ``None``.
+        console: for the progress bar.
+        say: for lines of progress.
+
+    Raises:
+        GearjaxError: a mistake in the configuration or in the options.
+    """
+    if scheduler is not None and workers is not None:
+        raise ParameterError("--workers", workers, "belongs to a local cluster: leave --scheduler or --workers out")
+    if workers is not None and workers < 1:
+        raise ParameterError("--workers", workers, "must be at least 1")
+    if scheduler is None and workers is None:
+        use_all_cores()
+    tables, _, section = loads_tolerance(text, base)
+    with contextlib.ExitStack() as stack:
+        if folder is not None:
+            stack.enter_context(held(folder))
+        work = prepared(section)
+        kept = Kept(work) if folder is None else Store(folder, tables, work, text)
+        if kept.samples_done:
+            say(f"resuming: {kept.samples_done} of {work.number} samples are there")
+        pending = kept.pending
+        computed = sum(end - begin for begin, end in pending)
+        with Stopwatch() as watch, _bar(console, work.number, kept.samples_done) as advance:
+            if scheduler is None and workers is None:
+                source: Any = work.each(pending)
+            else:
+                from gearjax.cli.cluster import each_on_cluster
+
+                source = each_on_cluster(tomli_w.dumps(tables), pending, scheduler, workers, say)
+            for chunk, found in source:
+                kept.put(chunk, found)
+                advance(chunk[1] - chunk[0])
+        done = work.study(*kept.load(), watch)
+        return finished(section, work, done, watch.seconds, computed, say), work
+
+
+class Kept:
+    """Samples in memory, with the face of a `Store`."""
+
+    def __init__(self, work: Work):
+        self.work, self.samples_done = work, 0
+        self.values = np.full((work.number, len(work.names)), np.nan)
+        self.codes = np.full(work.number, -1, np.int32)
+
+    @property
+    def pending(self) -> list[tuple[int, int]]:
+        """All chunks."""
+        return self.work.chunks
+
+    def put(self, chunk: tuple[int, int], found: Evaluated) -> None:
+        """Keep a chunk."""
+        self.values[slice(*chunk)], self.codes[slice(*chunk)] = found
+
+    def load(self) -> Evaluated:
+        """Measures and result codes of all samples."""
+        return self.values, self.codes
+
+
+@contextlib.contextmanager
+def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar with samples per second and time left; nothing where nobody looks."""
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    began, reached = time.monotonic(), [0]
+    columns = (TextColumn("samples"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"))
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
+        task = progress.add_task("samples", total=total, completed=done, rate="")
+
+        def advance(number: int) -> None:
+            reached[0] += number
+            rate = reached[0] / max(time.monotonic() - began, 1e-9)
+            progress.update(task, advance=number, rate=f"{rate:,.0f} samples/s")
+
+        yield advance
+
+
+def print_tolerance(found: ToleranceResults) -> None:
+    """Tables of all that was studied."""
+    console, study_ = output(), found.study
+    title = f"{study_.samples} gear sets, {found.section.sampler}, seed {found.section.seed}; in arcmin"
+    table = Table(title=title)
+    for column in ("measure", "mean", "std", *(f"{100 * level:g} %" for level in QUANTILES), "limit", "good [%]"):
+        name = column == "measure"
+        table.add_column(escape(column), justify="left" if name else "right", no_wrap=name)
+    for measure in study_.measures:
+        cells = [f"{value / arcmin:.4f}" for value in (study_.mean(measure.name), study_.std(measure.name))]
+        cells += [_interval(study_.quantile(measure.name, level), 1 / arcmin, 3) for level in QUANTILES]
+        limits = [f"{s}{v / arcmin:g}" for s, v in (("<= ", measure.limit), (">= ", measure.at_least)) if v is not None]
+        good = _interval(study_.share_within(measure.name), 100.0, 2) if measure.is_limited else ""
+        table.add_row(measure.name, *cells, ", ".join(limits), good)
+    console.print(table)
+    for words, count in study_.faults.items():
+        console.print(f"failed: {count} of {study_.samples}: {words}", soft_wrap=True)
+    for name, missed in found.missed.items():
+        console.print(
+            f"{name}: extremes between the samples are {missed / arcmin:+.2g} arcmin off on average", style="dim"
+        )
+    _print_sensitivity(console, found)
+    _print_allocation(console, found)
+    _print_assembly(console, found)
+
+
+def _interval(estimate: Estimate, scale: float, digits: int) -> str:
+    value, low, high = (f"{scale * part:.{digits}f}" for part in estimate)
+    return f"{value} [{low}, {high}]"
+
+
+def _print_sensitivity(console: Console, found: ToleranceResults) -> None:
+    for one in found.sensitivity:
+        narrowed = found.tightened.get(one.name, {})
+        table = Table(title=f"{one.name}: shares of its variance; {one.samples} gear sets for the Sobol indices")
+        columns = ["number", "linear", "Sobol first", "Sobol total", "one at a time"]
+        columns += ["halved: good [%]"] if narrowed else []
+        for column in columns:
+            table.add_column(escape(column), justify="left" if column == "number" else "right")
+        for i in np.argsort(-one.total):
+            path = one.paths[i]
+            cells = [f"{one.linear[i]:.3f}", f"{one.first[i]:.3f} ± {one.first_error[i]:.3f}"]
+            cells += [f"{one.total[i]:.3f} ± {one.total_error[i]:.3f}", f"{one.one_at_a_time[i]:.3f}"]
+            if narrowed:
+                pair = narrowed.get(path)
+                cells.append("" if pair is None else f"{100 * pair[0].value:.2f} to {100 * pair[1].value:.2f}")
+            table.add_row(path, *cells)
+        console.print(table)
+        if one.linear_fails:
+            console.print(one.linear_fails, soft_wrap=True)
+
+
+def _print_allocation(console: Console, found: ToleranceResults) -> None:
+    bought = found.allocation
+    if bought is None:
+        return
+    table = Table(title=f"Cheapest tolerances for {100 * bought.required:g} % within the limit of {bought.measure}")
+    for column in ("tolerance", "factor"):
+        table.add_column(column, justify="left" if column == "tolerance" else "right")
+    for path, factor in zip(bought.paths, bought.factors, strict=True):
+        table.add_row(path, f"{factor:.3f}")
+    console.print(table)
+    verdict = "proved" if bought.met else "NOT reached"
+    console.print(
+        f"cost {bought.cost_before:.4g} to {bought.cost:.4g}; good {_interval(bought.before, 100.0, 2)} % to "
+        f"{_interval(bought.after, 100.0, 2)} %: {verdict}",
+        soft_wrap=True,
+    )
+
+
+def _print_assembly(console: Console, found: ToleranceResults) -> None:
+    matched = found.assembly
+    if matched is None:
+        return
+    table = Table(title=f"{matched.measure.name} of {len(matched.random)} units, the same parts; in arcmin")
+    for column in ("assembled", *(f"{100 * level:g} %" for level in QUANTILES), "good [%]"):
+        table.add_column(escape(column), justify="left" if column == "assembled" else "right")
+    shares = matched.shares() if matched.measure.is_limited else (None, None)
+    for place, (name, good) in enumerate(zip(("at random", "matched"), shares, strict=True)):
+        cells = [_interval(matched.quantiles(level)[place], 1 / arcmin, 3) for level in QUANTILES]
+        table.add_row(name, *cells, "" if good is None else _interval(good, 100.0, 1))
+    console.print(table)

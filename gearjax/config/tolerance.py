@@ -1,0 +1,319 @@
+"""The tolerance section: distributions of the toleranced numbers, what is measured, and which studies are made."""
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import Any
+
+from gearjax import units
+from gearjax.checks import MISSING, GearjaxError, ParameterError, SceneError, nearest
+from gearjax.config.distributions import read_distribution
+from gearjax.config.quantities import read_plain, read_quantity
+from gearjax.config.tables import known_keys, read_whole
+from gearjax.scene import Scene
+from gearjax.studies.select import numbers
+from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
+from gearjax.tolerance.measures import EXTREMES, Extremes
+from gearjax.tolerance.monte_carlo import CHUNK
+from gearjax.tolerance.sampling import SAMPLERS, Sampler
+
+MOST_SAMPLES = 1_000_000_000
+PRECISIONS = ("float64", "float32")
+_KEYS = ("samples", "seed", "sampler", "extremes", "chunk", "precision", "measures", "correlated")
+_STUDIES = ("sensitivity", "allocation", "assembly")
+
+
+@dataclasses.dataclass(frozen=True)
+class Allocation:
+    """Which tolerances to buy for a required yield.
+
+    Args:
+        measure: name of the measure, with a limit.
+        required: share of good gear sets.
+        costs: of each tolerance by path: pairs of a factor on the tolerance and its cost, cheapest last; a single
+            pair (1, c) is the reciprocal law ``c / factor``.
+        tightest, loosest: factors on the tolerances that can be had.
+    """
+
+    measure: str
+    required: float
+    costs: dict[str, tuple[tuple[float, float], ...]]
+    tightest: float
+    loosest: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Assembly:
+    """Phases that are chosen for each unit from its measured errors.
+
+    Args:
+        measure: name of the measure that is made small.
+        where: paths of the phases that assembly may choose.
+        units: how many gear sets.
+        starts: of each search.
+    """
+
+    measure: str
+    where: tuple[str, ...]
+    units: int
+    starts: int
+
+
+@dataclasses.dataclass(frozen=True)
+class ToleranceSection:
+    """What ``gearjax tolerance`` does.
+
+    Args:
+        tolerances: the population.
+        measures: what is measured.
+        samples, seed, sampler, extremes, chunk: of the Monte Carlo study.
+        precision: ``"float64"`` or ``"float32"``.
+        sensitivity: number of samples of the sensitivities, 0 for none.
+        allocation, assembly: further studies, or ``None``.
+    """
+
+    tolerances: Tolerances
+    measures: tuple[Measure, ...]
+    samples: int
+    seed: int
+    sampler: Sampler
+    extremes: Extremes
+    chunk: int
+    precision: str
+    sensitivity: int
+    allocation: Allocation | None
+    assembly: Assembly | None
+
+
+def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> ToleranceSection:
+    """The tolerance section of a configuration.
+
+    Args:
+        table: the section.
+        scene: the scene.
+        folder: that files named in it are relative to.
+
+    Raises:
+        GearjaxError: a value is wrong.
+    """
+    if scene.run is None:
+        raise SceneError("tolerance: the configuration has no [run]: list duration, samples and analyses")
+    leaves = _leaves(table, scene)
+    known = numbers(scene)
+    distributions = {path: read_distribution(f"tolerance.{path}", given, known[path], folder) for path, given in leaves}
+    if not distributions:
+        raise GearjaxError(
+            'tolerance: names no number, such as "errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
+        )
+    measures = _measures(table.get("measures", MISSING))
+    try:
+        tolerances = Tolerances(scene, distributions, _correlations(table.get("correlated", [])))
+    except ParameterError as fault:
+        raise ParameterError(f"tolerance.{fault.key}", fault.given, fault.right) from fault
+    return ToleranceSection(
+        tolerances,
+        measures,
+        read_whole("tolerance.samples", table.get("samples", 10_000), 2, MOST_SAMPLES),
+        read_whole("tolerance.seed", table.get("seed", 0), 0, 2**31 - 1),
+        _word(table, "sampler", "monte_carlo", SAMPLERS),
+        _word(table, "extremes", "between", EXTREMES),
+        read_whole("tolerance.chunk", table.get("chunk", CHUNK), 1, 2**24),
+        _word(table, "precision", PRECISIONS[0], PRECISIONS),
+        _sensitivity(table.get("sensitivity")),
+        _allocation(table.get("allocation"), tolerances, measures),
+        _assembly(table.get("assembly"), tolerances, measures),
+    )
+
+
+def inlined(tables: dict[str, Any], scene: Scene, folder: Path) -> dict[str, Any]:
+    """The tables of a configuration with measured values in place of the files that hold them."""
+    section = dict(tables["tolerance"])
+    for path, given in _leaves(section, scene):
+        if given.get("kind") == Empirical.kind and "file" in given:
+            parameter = numbers(scene)[path]
+            assert parameter.dimension is not None
+            spread = read_distribution(f"tolerance.{path}", given, parameter, folder)
+            assert isinstance(spread, Empirical)
+            unit = f" {parameter.dimension.unit}" if parameter.dimension.unit else ""
+            values = [f"{value!r}{unit}" if unit else value for value in spread.values]
+            _forget(section, path)
+            section[path] = {"kind": Empirical.kind, "values": values}
+    return {**tables, "tolerance": section}
+
+
+def _forget(section: dict[str, Any], path: str) -> None:
+    """Remove a leaf, wherever its dotted path was written."""
+    section.pop(path, None)
+    table = section
+    *parents, last = path.split(".")
+    for parent in parents:
+        table = table.get(parent, {})
+    table.pop(last, None)
+
+
+def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, Any]]]:
+    """Paths with their distributions; quoted or not, a dotted key is a path."""
+    known, found = numbers(scene), []
+
+    def visit(path: str, given: Any) -> None:
+        if isinstance(given, dict) and "kind" not in given and path not in known:
+            for key, value in given.items():
+                visit(f"{path}.{key}", value)
+            return
+        if path not in known:
+            words = (*known, *_KEYS, *_STUDIES)
+            raise ParameterError(f"tolerance.{path}", given, f"unknown key; {nearest(path, words)}")
+        if not isinstance(given, dict):
+            raise ParameterError(f"tolerance.{path}", given, 'must be a table such as {kind = "normal", ...}')
+        if path in dict(found):
+            raise ParameterError(f"tolerance.{path}", given.get("kind"), "is listed twice")
+        found.append((path, given))
+
+    for key, given in table.items():
+        if key not in _KEYS and key not in _STUDIES:
+            visit(key, given)
+    return found
+
+
+def _measures(given: Any) -> tuple[Measure, ...]:
+    if not isinstance(given, list) or not given:
+        right = 'must be a list such as [{name = "no_load.peak_to_peak", limit = "1 arcmin"}]'
+        raise ParameterError("tolerance.measures", given, right)
+    found: list[Measure] = []
+    for index, entry in enumerate(given):
+        key = f"tolerance.measures[{index}]"
+        table = {"name": entry} if isinstance(entry, str) else entry
+        if not isinstance(table, dict):
+            raise ParameterError(key, entry, "must be a name or a table with a name")
+        known_keys(key, table, ("name", "torque", "limit", "at_least"))
+        if not isinstance(table.get("name"), str):
+            raise ParameterError(f"{key}.name", table.get("name", MISSING), 'give one such as "no_load.peak_to_peak"')
+        rest = {name: read_quantity(f"{key}.{name}", table[name], units.ANGLE) for name in table if name in _LIMITS}
+        if "torque" in table:
+            rest["torque"] = read_quantity(f"{key}.torque", table["torque"], units.TORQUE)
+        try:
+            measure = Measure.named(table["name"], **rest)
+        except ParameterError as fault:
+            raise ParameterError(f"{key}.{fault.key}", fault.given, fault.right) from fault
+        if measure.name in [other.name for other in found]:
+            raise ParameterError(key, measure.name, "is listed twice")
+        found.append(measure)
+    return tuple(found)
+
+
+_LIMITS = ("limit", "at_least")
+
+
+def _correlations(given: Any) -> list[Correlation]:
+    if not isinstance(given, list):
+        raise ParameterError("correlated", given, "must be a list of {between = [path, path], coefficient = 0.5}")
+    found = []
+    for index, entry in enumerate(given):
+        key = f"tolerance.correlated[{index}]"
+        if not isinstance(entry, dict):
+            raise ParameterError(key, entry, "must be a table {between = [path, path], coefficient = 0.5}")
+        known_keys(key, entry, ("between", "coefficient"))
+        pair = entry.get("between", MISSING)
+        if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(path, str) for path in pair):
+            raise ParameterError(f"{key}.between", pair, "must be two paths")
+        coefficient = read_plain(f"{key}.coefficient", entry.get("coefficient", MISSING))
+        found.append(Correlation(pair[0], pair[1], coefficient))
+    return found
+
+
+def _word(table: dict[str, Any], key: str, default: str, words: tuple[str, ...]) -> Any:
+    given = table.get(key, default)
+    if given not in words:
+        raise ParameterError(f"tolerance.{key}", given, nearest(given, words))
+    return given
+
+
+def _section(key: str, given: Any, keys: tuple[str, ...]) -> dict[str, Any]:
+    if not isinstance(given, dict):
+        raise ParameterError(f"tolerance.{key}", given, f"must be a section: [tolerance.{key}]")
+    known_keys(f"tolerance.{key}", given, keys)
+    return given
+
+
+def _sensitivity(given: Any) -> int:
+    if given is None:
+        return 0
+    table = _section("sensitivity", given, ("samples",))
+    return read_whole("tolerance.sensitivity.samples", table.get("samples", 1024), 16, 2**24)
+
+
+def _limited(key: str, given: Any, measures: tuple[Measure, ...]) -> str:
+    names = [measure.name for measure in measures if measure.is_limited]
+    if given not in names:
+        raise ParameterError(key, given, f"must be a measure with a limit; {nearest(given, names)}")
+    return given
+
+
+def _allocation(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...]) -> Allocation | None:
+    if given is None:
+        return None
+    key = "tolerance.allocation"
+    table = _section("allocation", given, ("measure", "yield", "cost", "tightest", "loosest"))
+    measure = _limited(f"{key}.measure", table.get("measure", MISSING), measures)
+    required = read_plain(f"{key}.yield", table.get("yield", MISSING))
+    if not 0 < required < 1:
+        raise ParameterError(f"{key}.yield", required, "must be above 0 and below 1")
+    tightest = read_plain(f"{key}.tightest", table.get("tightest", 0.1))
+    loosest = read_plain(f"{key}.loosest", table.get("loosest", 2.0))
+    if not 0 < tightest < loosest <= 1000:
+        raise ParameterError(f"{key}.tightest", tightest, "must be above 0 and below loosest, at most 1000")
+    given_costs = table.get("cost", dict.fromkeys(tolerances.tolerated, 1.0))
+    if not isinstance(given_costs, dict) or not given_costs:
+        raise ParameterError(f"{key}.cost", given_costs, "must be a section of costs by path")
+    costs = {}
+    for path, cost in _flat(given_costs).items():
+        if path not in tolerances.tolerated:
+            raise ParameterError(f"{key}.cost.{path}", cost, nearest(path, tolerances.tolerated))
+        costs[path] = _cost(f"{key}.cost.{path}", cost)
+    return Allocation(measure, required, costs, tightest, loosest)
+
+
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        found |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def _cost(key: str, given: Any) -> tuple[tuple[float, float], ...]:
+    """A cost at the tolerance as given (reciprocal law), or a table of factors and costs."""
+    right = "must be a cost above 0, or a list of [factor, cost] with rising factors and falling costs"
+    if not isinstance(given, list):
+        cost = read_plain(key, given)
+        if cost <= 0:
+            raise ParameterError(key, given, right)
+        return ((1.0, cost),)
+    if len(given) < 2 or not all(isinstance(row, list) and len(row) == 2 for row in given):
+        raise ParameterError(key, given, right)
+    rows = tuple((read_plain(key, factor), read_plain(key, cost)) for factor, cost in given)
+    ordered = all(a[0] < b[0] and a[1] >= b[1] for a, b in itertools.pairwise(rows))
+    if not ordered or rows[0][0] <= 0 or rows[-1][1] < 0:
+        raise ParameterError(key, given, right)
+    return rows
+
+
+def _assembly(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...]) -> Assembly | None:
+    if given is None:
+        return None
+    key = "tolerance.assembly"
+    table = _section("assembly", given, ("measure", "where", "units", "starts"))
+    names = [measure.name for measure in measures if measure.analysis != "dynamic"]
+    measure = table.get("measure", names[0] if names else MISSING)
+    if measure not in names:
+        raise ParameterError(f"{key}.measure", measure, f"must be a measure without motion; {nearest(measure, names)}")
+    known = numbers(tolerances.scene)
+    phases = [path for path in known if known[path].periodic]
+    where = table.get("where", [path for path in phases if path.startswith("errors.")])
+    if not isinstance(where, list) or not where:
+        raise ParameterError(f"{key}.where", where, "must be a list of phases")
+    for path in where:
+        if path not in phases or where.count(path) > 1:
+            raise ParameterError(f"{key}.where", path, f"must be phases, each once; {nearest(path, phases)}")
+    units_ = read_whole(f"{key}.units", table.get("units", 1000), 2, 1_000_000)
+    starts = read_whole(f"{key}.starts", table.get("starts", 8), 1, 1000)
+    return Assembly(measure, tuple(where), units_, starts)

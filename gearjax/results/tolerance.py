@@ -1,0 +1,263 @@
+"""What ``gearjax tolerance`` finds: distributions and yields, sensitivities, allocation, matched assembly."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import writing
+from gearjax.config import ToleranceSection, with_numbers
+from gearjax.progress import Progress
+from gearjax.studies.select import numbers
+from gearjax.tolerance import Study, Tolerances, Work
+from gearjax.tolerance.allocation import AllocatedTolerances, allocate
+from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
+from gearjax.tolerance.monte_carlo import QUANTILES
+from gearjax.tolerance.statistics import Estimate
+from gearjax.tolerance.variance import Sensitivities, sensitivities, tightened
+from gearjax.units import arcmin
+
+TIGHTENED_SAMPLES = 10_000
+CHECKED = 256  # samples whose extremes between the input angles are looked at
+LISTED = 20  # failed samples that the JSON lists
+NO_MOTION = ("no_load", "static", "backlash")
+
+
+@dataclasses.dataclass(frozen=True)
+class ToleranceResults:
+    """All that was asked for.
+
+    Args:
+        section: what was asked for.
+        study: the Monte Carlo study.
+        missed: by measure, by how much the highest samples lie below the extremes between them, on average [rad];
+            empty where those are looked at.
+        sensitivity: for each measure.
+        tightened: yields with one tolerance halved, by measure and path.
+        allocation, assembly: or ``None``.
+        seconds: wall time of the Monte Carlo study without compilation [s], of the samples of this run.
+        computed: samples of this run; the others were there before.
+    """
+
+    section: ToleranceSection
+    study: Study
+    missed: dict[str, float]
+    sensitivity: list[Sensitivities]
+    tightened: dict[str, dict[str, tuple[Estimate, Estimate]]]
+    allocation: AllocatedTolerances | None
+    assembly: MatchedAssembly | None
+    seconds: float
+    computed: int
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that ``gearjax tolerance --json`` prints."""
+        study, section = self.study, self.section
+        found: dict[str, Any] = {
+            "samples": study.samples,
+            "failed": len(study.failed),
+            "failures": {"by_reason": study.faults, "first": study.failed[:LISTED].tolist()},
+            "seed": section.seed,
+            "sampler": section.sampler,
+            "extremes": section.extremes,
+            "precision": section.precision,
+            "measures": {measure.name: self._measure(measure.name) for measure in study.measures},
+            "sensitivity": {one.name: self._sensitivity(one) for one in self.sensitivity},
+            "seconds": self.seconds,
+            "compile_seconds": study.compile_seconds,
+            "samples_per_second": self.computed / self.seconds if self.seconds > 0 else None,
+            "computed": self.computed,
+        }
+        if self.missed:
+            found["missed_between_samples_arcmin"] = {name: value / arcmin for name, value in self.missed.items()}
+        if self.tightened:
+            found["halved_tolerance_yield"] = {
+                name: {path: {"before": list(pair[0]), "after": list(pair[1])} for path, pair in rows.items()}
+                for name, rows in self.tightened.items()
+            }
+        if self.allocation is not None:
+            found["allocation"] = _allocation(self.allocation)
+        if self.assembly is not None:
+            found["assembly"] = _assembly(self.assembly)
+        return found
+
+    def _measure(self, name: str) -> dict[str, Any]:
+        study = self.study
+        measure = next(m for m in study.measures if m.name == name)
+        levels = {f"{level:g}": [_finite(x / arcmin) for x in study.quantile(name, level)] for level in QUANTILES}
+        found: dict[str, Any] = {
+            "unit": "arcmin",
+            "mean": _finite(study.mean(name) / arcmin),
+            "std": _finite(study.std(name) / arcmin),
+            "quantiles": levels,
+            "worst_sample": study.worst(name),
+        }
+        for word, limit in (("limit", measure.limit), ("at_least", measure.at_least)):
+            if limit is not None:
+                found[word] = limit / arcmin
+        if measure.is_limited:
+            found["yield"] = list(study.share_within(name))
+        return found
+
+    def _sensitivity(self, found: Sensitivities) -> dict[str, Any]:
+        columns = ("linear", "first", "first_error", "total", "total_error", "one_at_a_time")
+        rows = {
+            path: {column: _finite(float(getattr(found, column)[i])) for column in columns}
+            for i, path in enumerate(found.paths)
+        }
+        return {"numbers": rows, "samples": found.samples, "linear_fails": found.linear_fails or None}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _allocation(found: AllocatedTolerances) -> dict[str, Any]:
+    return {
+        "measure": found.measure,
+        "required": found.required,
+        "met": found.met,
+        "factors": dict(zip(found.paths, found.factors.tolist(), strict=True)),
+        "cost": float(found.cost),
+        "cost_before": float(found.cost_before),
+        "yield_before": list(found.before),
+        "yield": list(found.after),
+    }
+
+
+def _assembly(found: MatchedAssembly) -> dict[str, Any]:
+    entry: dict[str, Any] = {"measure": found.measure.name, "units": len(found.random), "where": list(found.where)}
+    for place, name in enumerate(("random", "matched")):
+        values = (found.random, found.matched)[place]
+        entry[name] = {
+            "mean": float(np.nanmean(values)) / arcmin,
+            "std": float(np.nanstd(values)) / arcmin,
+            "quantiles": {
+                f"{level:g}": [_finite(x / arcmin) for x in found.quantiles(level)[place]] for level in QUANTILES
+            },
+        }
+        if found.measure.is_limited:
+            entry[name]["yield"] = list(found.shares()[place])
+    return entry
+
+
+def prepared(section: ToleranceSection) -> Work:
+    """The Monte Carlo study of a section, in its precision.
+
+    Raises:
+        GearjaxError: the scene lacks what a measure needs.
+    """
+    tolerances, options = _in_precision(section)
+    return Work(
+        tolerances,
+        section.measures,
+        number=section.samples,
+        seed=section.seed,
+        sampler=section.sampler,
+        **options,
+    )
+
+
+def _in_precision(section: ToleranceSection) -> tuple[Tolerances, dict[str, Any]]:
+    tolerances = section.tolerances
+    if section.precision == "float32":
+        single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), tolerances.scene)
+        tolerances = Tolerances(single, tolerances.distributions, tolerances.correlations)
+    return tolerances, {"extremes": section.extremes, "chunk": section.chunk}
+
+
+def finished(
+    section: ToleranceSection, work: Work, study: Study, seconds: float, computed: int, progress: Progress
+) -> ToleranceResults:
+    """The further studies of a section after its Monte Carlo study.
+
+    Args:
+        section: what is asked for.
+        work, study: the Monte Carlo study and what it found.
+        seconds, computed: wall time without compilation, and samples of this run.
+        progress: told how far it is.
+    """
+    tolerances, options = _in_precision(section)
+    measures = [measure for measure in section.measures if measure.analysis in NO_MOTION]
+    found: list[Sensitivities] = []
+    narrowed: dict = {}
+    if section.sensitivity and measures:
+        progress("sensitivities: by derivatives, Sobol indices, one at a time")
+        found = sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
+        if any(measure.is_limited for measure in measures):
+            progress("each tolerance halved")
+            number = min(TIGHTENED_SAMPLES, section.samples)
+            narrowed = tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
+    bought = matched = None
+    if section.allocation is not None:
+        asked = section.allocation
+        bought = allocate(
+            tolerances,
+            _named(section, asked.measure),
+            required=asked.required,
+            costs=asked.costs,
+            tightest=asked.tightest,
+            loosest=asked.loosest,
+            key=section.seed,
+            progress=progress,
+            **options,
+        )
+    if section.assembly is not None:
+        chosen = section.assembly
+        matched = matched_assembly(
+            tolerances,
+            _named(section, chosen.measure),
+            where=chosen.where,
+            units=chosen.units,
+            starts=chosen.starts,
+            key=section.seed,
+            progress=progress,
+            **options,
+        )
+    missed = _missed(section, work) if section.extremes == "samples" else {}
+    return ToleranceResults(section, study, missed, found, narrowed, bought, matched, seconds, computed)
+
+
+def _named(section: ToleranceSection, name: str):
+    return next(measure for measure in section.measures if measure.name == name)
+
+
+def _missed(section: ToleranceSection, work: Work) -> dict[str, float]:
+    """How much the samples of quasi-static curves miss of their extremes, on average [rad]."""
+    measures = [m for m in section.measures if m.analysis in NO_MOTION and m.metric not in ("mean", "std")]
+    if not measures:
+        return {}
+    number = min(CHECKED, section.samples)
+    tolerances, options = _in_precision(section)
+    closer = Work(tolerances, measures, number=number, seed=section.seed, **{**options, "extremes": "between"})
+    inputs = work.inputs(0, number)
+    known, _ = work.evaluate(inputs)
+    exact, _ = closer.evaluate(inputs)
+    known = known[:, [work.names.index(measure.name) for measure in measures]]
+    return dict(zip(closer.names, np.nanmean(exact - known, axis=0).tolist(), strict=True))
+
+
+def save_tolerance(found: ToleranceResults, work: Work, config: str, folder: Path) -> list[Path]:
+    """Write ``tolerance.json``, and the worst sample of each measure as ``worst_MEASURE.toml``.
+
+    Raises:
+        GearjaxError: the folder cannot be written.
+    """
+    import json
+
+    texts = {"tolerance.json": json.dumps(found.as_json(), allow_nan=False, indent=1) + "\n"}
+    parameters = numbers(found.section.tolerances.scene)
+    for name in found.study.names:
+        index = found.study.worst(name)
+        if index >= 0:
+            row = work.inputs(index, index + 1)[0].tolist()
+            values = dict(zip(work.sample.paths, row, strict=True))
+            texts[f"worst_{name}.toml"] = with_numbers(config, values, parameters)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]

@@ -1,0 +1,45 @@
+"""Tolerance studies: populations of gear sets, their distributions, yields and sensitivities."""
+
+from gearjax.tolerance.distributions import (
+    DISTRIBUTIONS,
+    AbstractDistribution,
+    Discrete,
+    Empirical,
+    Iso286,
+    Iso1328RunOut,
+    Lognormal,
+    Normal,
+    Rayleigh,
+    TruncatedNormal,
+    Uniform,
+    UniformPhase,
+)
+from gearjax.tolerance.grades import it_tolerance, run_out_tolerance, single_pitch_tolerance, total_pitch_tolerance
+from gearjax.tolerance.measures import Measure
+from gearjax.tolerance.monte_carlo import Study, Work, monte_carlo
+from gearjax.tolerance.population import Correlation, Tolerances
+
+__all__ = [
+    "DISTRIBUTIONS",
+    "AbstractDistribution",
+    "Correlation",
+    "Discrete",
+    "Empirical",
+    "Iso286",
+    "Iso1328RunOut",
+    "Lognormal",
+    "Measure",
+    "Normal",
+    "Rayleigh",
+    "Study",
+    "Tolerances",
+    "TruncatedNormal",
+    "Uniform",
+    "UniformPhase",
+    "Work",
+    "it_tolerance",
+    "monte_carlo",
+    "run_out_tolerance",
+    "single_pitch_tolerance",
+    "total_pitch_tolerance",
+]

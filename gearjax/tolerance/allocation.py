@@ -1,0 +1,207 @@
+"""Which tolerances to buy: the cheapest ones that reach a required yield.
+
+Every tolerance is scaled by a factor about its centre. The yield of a set of gear sets is smoothed (a sigmoid in place
+of the step at the limit), which gives it a gradient; sequential quadratic programming (scipy's SLSQP) finds the
+cheapest factors for it. What is reported is judged hard on fresh gear sets, and where their yield is not proved the
+smoothed one is asked for more.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import ParameterError, nearest
+from gearjax.progress import Progress, silent
+from gearjax.tolerance import statistics
+from gearjax.tolerance.measures import Measure
+from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.statistics import Estimate
+from gearjax.typing import Array, Scalar
+
+WIDTH = 0.1  # of the smoothed step, in standard deviations of the measure
+CORRECTIONS = 6
+Cost = Sequence[tuple[float, float]]
+
+
+@dataclasses.dataclass(frozen=True)
+class AllocatedTolerances:
+    """The cheapest tolerances found.
+
+    Args:
+        measure: whose limit counts.
+        required: share of good gear sets asked for.
+        paths: of the tolerances.
+        factors: on the tolerances, shape (number,).
+        cost: of the tolerances found.
+        cost_before: of the tolerances as given.
+        before, after: yield as given and as found, judged hard on gear sets that the search has not seen.
+        met: whether the whole interval of the yield found lies above what was asked for.
+    """
+
+    measure: str
+    required: float
+    paths: tuple[str, ...]
+    factors: np.ndarray
+    cost: float
+    cost_before: float
+    before: Estimate
+    after: Estimate
+    met: bool
+
+
+def allocate(
+    tolerances: Tolerances,
+    measure: Measure,
+    *,
+    required: float,
+    costs: Mapping[str, Cost],
+    tightest: float = 0.1,
+    loosest: float = 2.0,
+    n: int = 2048,
+    judged: int = 20_000,
+    key: int = 0,
+    progress: Progress = silent,
+    **options: Any,
+) -> AllocatedTolerances:
+    """The cheapest tolerances whose yield is above what is required, with 95 % confidence.
+
+    Args:
+        tolerances: the population as it is.
+        measure: with a limit.
+        required: share of good gear sets.
+        costs: by path, pairs of a factor on the tolerance and its cost; one pair (f, c) stands for the reciprocal
+            law ``c f / factor``, several are joined by lines.
+        tightest, loosest: factors that can be had.
+        n: gear sets that the search looks at.
+        judged: gear sets that judge.
+        key: seed.
+        progress: told how far it is.
+        options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
+
+    Raises:
+        ParameterError: the measure has no limit, or a path is not a tolerance.
+    """
+    from scipy import optimize
+
+    if not measure.is_limited:
+        raise ParameterError("measure", measure.name, "has no limit")
+    for path in costs:
+        if path not in tolerances.tolerated:
+            raise ParameterError("costs", path, nearest(path, tolerances.tolerated))
+    paths = tuple(costs)
+    places = np.array([tolerances.paths.index(path) for path in paths])
+    fresh = Work(tolerances, measure, number=judged, seed=key + 1, **options)
+    price = _price(list(costs.values()))
+
+    def judge(factors: np.ndarray) -> Estimate:
+        moved = _scaled(fresh.inputs(0, judged), tolerances.centres, places, factors)
+        return statistics.share(measure.holds(fresh.evaluate(moved)[0][:, 0]), fresh.sizes)
+
+    smooth = _smooth_yield(tolerances, measure, places, n, key, options)
+    ones = np.clip(np.ones(len(paths)), tightest, loosest)
+    bounds = [(np.log(tightest), np.log(loosest))] * len(paths)
+    before, target = judge(np.ones(len(paths))), required
+    start = np.log(ones)
+    best: tuple | None = None
+    for turn in range(CORRECTIONS):
+        found = optimize.minimize(
+            lambda logs: price(np.exp(logs)),
+            start,
+            jac=True,
+            bounds=bounds,
+            method="SLSQP",
+            constraints={
+                "type": "ineq",
+                "fun": lambda logs, target=target: smooth(np.exp(logs))[0] - target,
+                "jac": lambda logs: smooth(np.exp(logs))[1] * np.exp(logs),
+            },
+            options={"maxiter": 60, "ftol": 1e-6},
+        )
+        factors = np.exp(np.clip(found.x, *np.array(bounds[0])))
+        after = judge(factors)
+        cost = price(factors)[0]
+        progress(f"allocation {turn + 1}: cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]")
+        met = after.low >= required
+        # proved before not proved; then the cheaper, or the closer to being proved
+        rank = (met, -cost if met else after.value)
+        if best is None or rank > best[0]:
+            best = (rank, cost, after, factors)
+        if met and after.low < required + 0.25 * (after.high - after.low):
+            break  # proved, and no more than that
+        target = float(np.clip(target + (required - after.low) * 1.05, 0.0, 1 - 1e-4))
+        start = np.log(factors)
+    assert best is not None
+    (met, _), cost, after, factors = best
+    before_cost = price(np.ones(len(paths)))[0]
+    return AllocatedTolerances(measure.name, required, paths, factors, cost, before_cost, before, after, met)
+
+
+def _scaled(inputs: np.ndarray, centres: np.ndarray, places: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    moved = inputs.copy()
+    moved[:, places] = centres[places] + factors * (inputs[:, places] - centres[places])
+    return moved
+
+
+def _price(costs: Sequence[Cost]) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
+    """Cost of factors, and its derivatives by their logarithms."""
+
+    def price(factors: np.ndarray) -> tuple[float, np.ndarray]:
+        total, slopes = 0.0, np.empty(len(factors))
+        for index, (factor, rows) in enumerate(zip(factors, costs, strict=True)):
+            if len(rows) == 1:
+                cost = rows[0][0] * rows[0][1] / factor
+                slope = -cost / factor
+            else:
+                known, prices = np.array(rows).T
+                cost = float(np.interp(factor, known, prices))
+                part = int(np.clip(np.searchsorted(known, factor), 1, len(known) - 1))
+                inside = known[0] <= factor <= known[-1]
+                slope = inside * (prices[part] - prices[part - 1]) / (known[part] - known[part - 1])
+            total += cost
+            slopes[index] = slope * factor
+        return total, slopes
+
+    return price
+
+
+def _smooth_yield(
+    tolerances: Tolerances, measure: Measure, places: np.ndarray, number: int, key: int, options: dict[str, Any]
+) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
+    """Smoothed yield of factors, and its derivatives by them."""
+    work = Work(tolerances, measure, number=number, seed=key, sampler="latin_hypercube", **options)
+    inputs = work.inputs(0, number)
+    dtype = tolerances.scene.dtype
+    width = WIDTH * float(np.nanstd(work.evaluate(inputs)[0][:, 0])) + 1e-15
+    rows, centres = jnp.asarray(inputs, dtype), jnp.asarray(tolerances.centres, dtype)
+
+    def good(row: Array, factors: Array) -> Scalar:
+        moved = row.at[places].set(centres[places] + factors * (row[places] - centres[places]))
+        value = work.one(moved)[0][0]
+        share = jnp.ones_like(value)
+        if measure.limit is not None:
+            share = share * jax.nn.sigmoid((measure.limit - value) / width)
+        if measure.at_least is not None:
+            share = share * jax.nn.sigmoid((value - measure.at_least) / width)
+        return jnp.where(jnp.isfinite(value), share, 0.0)
+
+    @jax.jit
+    def total(factors: Array) -> tuple[Array, Array]:
+        each = jax.value_and_grad(good, argnums=1)
+        shares, slopes = jax.lax.map(lambda row: each(row, factors), rows, batch_size=work.together)
+        return shares.mean(), jnp.nan_to_num(slopes).mean(axis=0)
+
+    known: dict[bytes, tuple[float, np.ndarray]] = {}
+
+    def evaluate(factors: np.ndarray) -> tuple[float, np.ndarray]:
+        place = factors.tobytes()
+        if place not in known:
+            share, slopes = total(jnp.asarray(factors, dtype))
+            known[place] = float(share), np.asarray(slopes, dtype=float)
+        return known[place]
+
+    return evaluate

@@ -1,0 +1,188 @@
+"""Assembly matched to the parts: phases chosen for each gear set from its own measured errors, next to random ones."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis.metrics import deviation
+from gearjax.checks import SceneError
+from gearjax.progress import Progress, silent
+from gearjax.studies.descent import default_optimiser, descend
+from gearjax.studies.select import pick
+from gearjax.timing import Stopwatch
+from gearjax.tolerance import statistics
+from gearjax.tolerance.curves import Touches
+from gearjax.tolerance.measures import Measure, Measures
+from gearjax.tolerance.monte_carlo import EXAMPLES, Work
+from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.sampling import points
+from gearjax.tolerance.statistics import Estimate
+from gearjax.typing import Array, Float, Scalar
+
+STEPS = 60
+TEMPERATURES = 0.1, 0.0015  # shares of the measure at the start
+PER_TURN = 12  # samples of the fastest error that the descent looks at
+BLOCK = 1024  # gear sets whose phases are searched at once
+
+
+@dataclasses.dataclass(frozen=True)
+class MatchedAssembly:
+    """Gear sets as assembled at random, and with phases chosen for each.
+
+    Args:
+        measure: what was made small.
+        where: the phases that were chosen.
+        random: the measure as assembled at random, shape (units,).
+        matched: with the chosen phases, shape (units,).
+        phases: the chosen phases, shape (units, where) [rad].
+        seconds, compile_seconds: wall time, compilation apart [s].
+    """
+
+    measure: Measure
+    where: tuple[str, ...]
+    random: np.ndarray
+    matched: np.ndarray
+    phases: np.ndarray
+    seconds: float
+    compile_seconds: float
+
+    def quantiles(self, level: float) -> tuple[Estimate, Estimate]:
+        """A quantile at random and matched, each with its interval."""
+        sizes = np.array([len(self.random)])
+        return statistics.quantile(self.random, level, sizes), statistics.quantile(self.matched, level, sizes)
+
+    def shares(self) -> tuple[Estimate, Estimate]:
+        """Yield at random and matched, each with its interval."""
+        sizes = np.array([len(self.random)])
+        random, matched = (statistics.share(self.measure.holds(v), sizes) for v in (self.random, self.matched))
+        return random, matched
+
+
+def matched_assembly(
+    tolerances: Tolerances,
+    measure: str | Measure,
+    *,
+    where: tuple[str, ...],
+    units: int = 1000,
+    starts: int = 8,
+    key: int = 0,
+    progress: Progress = silent,
+    **options: Any,
+) -> MatchedAssembly:
+    """What choosing the phases of each gear set from its own errors buys.
+
+    For each gear set of the population the phases are searched from several starts at once, its own random ones among
+    them: smoothed descent over a part of the input angles, then the hard measure over all decides.
+
+    Args:
+        tolerances: the population; phases in ``where`` that it does not list are random too.
+        measure: of a quasi-static analysis with hard contacts.
+        where: paths of the phases.
+        units: how many gear sets.
+        starts: of each search.
+        key: seed.
+        progress: told how far it is.
+        options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
+
+    Raises:
+        SceneError: the measure does not allow a quick search.
+    """
+    from gearjax.tolerance.distributions import UniformPhase
+
+    added = {path: UniformPhase() for path in where if path not in tolerances.distributions}
+    population = Tolerances(tolerances.scene, {**tolerances.distributions, **added}, tolerances.correlations)
+    with Stopwatch() as watch:
+        work = Work(population, measure, number=units, seed=key, **options)
+        chosen = work.measures[0]
+        search = _Search(population, chosen, where, work.one.theta)
+        inputs = work.inputs(0, units)
+        random = work.evaluate(inputs)[0][:, 0]
+        begun = (
+            2
+            * np.pi
+            * (points("monte_carlo", key, [f"start of {p}" for p in where], units * starts, 0, units * starts) - 0.5)
+        )
+        begun = begun.reshape(units, starts, len(where))
+        begun[:, 0] = inputs[:, search.places]
+        ends = np.empty_like(begun)
+        for first in range(0, units, BLOCK):
+            rows = np.minimum(np.arange(first, first + BLOCK), units - 1)
+            ends[first : first + BLOCK] = search.run(inputs[rows], begun[rows])[: units - first]
+            progress(f"matched assembly: {min(first + BLOCK, units)} of {units} units searched")
+        rows = np.repeat(inputs[:, None], starts, axis=1)
+        rows[:, :, search.places] = ends
+        found = work.evaluate(rows.reshape(-1, rows.shape[2]))[0][:, 0].reshape(units, starts)
+        found = np.concatenate([found, random[:, None]], axis=1)  # nobody assembles worse than at random on purpose
+        ends = np.concatenate([ends, inputs[:, None, search.places]], axis=1)
+    lowest = chosen.limit is None and chosen.at_least is not None
+    ranked = np.where(np.isfinite(found), -found if lowest else found, np.inf)
+    best = np.argmin(ranked, axis=1)
+    line = np.arange(units)
+    phases = np.mod(ends[line, best] + np.pi, 2 * np.pi) - np.pi
+    return MatchedAssembly(chosen, where, random, found[line, best], phases, watch.seconds, watch.compile_seconds)
+
+
+class _Search:
+    """The descent of many gear sets at once."""
+
+    def __init__(self, population: Tolerances, measure: Measure, where: tuple[str, ...], theta: Float[Array, " n"]):
+        scene = population.scene
+        self.measure, self.where = measure, where
+        self.places = np.array([population.paths.index(path) for path in where])
+        turns = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
+        span = float(theta[-1] - theta[0])
+        number = min(len(theta), max(64, round(turns * span / (2 * np.pi) * PER_TURN)))
+        coarse = jnp.asarray(np.linspace(float(theta[0]), float(theta[-1]), number), scene.dtype)
+        examples = population.values(points("monte_carlo", 1, population.paths, EXAMPLES, 0, EXAMPLES))
+        self.measures = Measures([measure], population, coarse, "samples", examples)
+        if self.measures.curves is None:
+            raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
+        self.free = pick(scene, population.paths)
+        optimiser = default_optimiser(STEPS)
+
+        def unit(values: Array, starts: Array) -> Array:
+            def loss(phases: Array, temperature: Scalar) -> Scalar:
+                return self._smooth(values.at[self.places].set(phases), temperature)
+
+            def one(start: Array) -> Array:
+                scale = jnp.maximum(jnp.abs(self.measures(values.at[self.places].set(start))[0][0]), 1e-12)
+                hot, cold = (share * scale for share in TEMPERATURES)
+                return descend(loss, start, optimiser, STEPS, (hot, cold))[0]
+
+            return jax.vmap(one)(starts)
+
+        self._program: Callable = jax.jit(lambda v, s: jax.lax.map(lambda row: unit(*row), (v, s), batch_size=4))
+
+    def run(self, inputs: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Ends of the descents, shape (unit, start, where)."""
+        dtype = self.measures.theta.dtype
+        return np.array(self._program(jnp.asarray(inputs, dtype), jnp.asarray(starts, dtype)))
+
+    def _smooth(self, values: Array, temperature: Scalar) -> Scalar:
+        """The measure with smooth largest values, the smaller the better."""
+        assert self.measures.curves is not None
+        touches = self.measures.curves.touches(self.measures.free.set(self.measures.physics, values))
+        curve = _curve(touches, self.measure)
+
+        def largest(curve: Array) -> Scalar:
+            return temperature * jax.nn.logsumexp(curve / temperature)
+
+        metric = self.measure.metric
+        if metric in ("mean", "std"):
+            return jnp.abs(curve.mean()) if metric == "mean" else deviation(curve)
+        if metric == "peak_to_peak":
+            return largest(curve) + largest(-curve)
+        if metric == "amplitude":
+            return largest(jnp.concatenate([curve, -curve]))
+        wanted = -1 if self.measure.limit is None and self.measure.at_least is not None else 1
+        return wanted * (largest(curve) if metric == "maximum" else -largest(-curve))
+
+
+def _curve(touches: Touches, measure: Measure) -> Float[Array, " n"]:
+    if measure.torque is not None:
+        return touches.static(jnp.asarray(measure.torque, touches.position[0].dtype))
+    return touches.no_load() if measure.analysis == "no_load" else touches.backlash()

@@ -1,0 +1,407 @@
+"""Distributions of a toleranced number, each by its quantile function, so that every sampling method serves them all.
+
+All numbers are SI, in the unit of the parameter that is drawn. A distribution is static: it is compared by value, and
+what reaches a compiled program are the numbers drawn from it.
+"""
+
+import abc
+import dataclasses
+import functools
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy import special
+
+from gearjax.checks import ParameterError
+from gearjax.parameters import Parameter, check_value
+from gearjax.tolerance.grades import EDITIONS, it_tolerance, run_out_tolerance
+from gearjax.units import LENGTH, RATIO
+
+WITHIN = 0.9973
+"""Share of the parts within the limits of a grade: what three standard deviations hold of a normal distribution."""
+
+
+def _number(dimension: Any = None, *, kind: str = "number", default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
+    """A number of the distribution; without a dimension, in that of what is drawn."""
+    keywords = {} if default is dataclasses.MISSING else {"default": default}
+    return dataclasses.field(metadata={"parameter": Parameter(dimension, kind, **bounds)}, **keywords)
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractDistribution(abc.ABC):
+    """What every distribution offers."""
+
+    kind: ClassVar[str]
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            parameter, value = field.metadata.get("parameter"), getattr(self, field.name)
+            if parameter is not None:
+                check_value(field.name, parameter, value)
+
+    @abc.abstractmethod
+    def quantile(self, share: np.ndarray) -> np.ndarray:
+        """Values below which the given shares of the population lie, any shape; shares between 0 and 1."""
+
+    @property
+    @abc.abstractmethod
+    def deviation(self) -> float:
+        """Standard deviation."""
+
+    @property
+    @abc.abstractmethod
+    def centre(self) -> float:
+        """What a tolerance narrows to: zero for the size of an error, else the mean."""
+
+    @property
+    def is_tolerance(self) -> bool:
+        """Whether manufacturing could narrow it; a random assembly phase cannot be."""
+        return self.deviation > 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Normal(AbstractDistribution):
+    """Normal distribution.
+
+    Args:
+        mean: mean.
+        std: standard deviation.
+    """
+
+    kind: ClassVar[str] = "normal"
+    mean: float = _number()
+    std: float = _number(at_least=0.0)
+
+    def quantile(self, share):
+        return self.mean + self.std * special.ndtri(share)
+
+    @property
+    def deviation(self):
+        return self.std
+
+    @property
+    def centre(self):
+        return self.mean
+
+
+@dataclasses.dataclass(frozen=True)
+class TruncatedNormal(AbstractDistribution):
+    """Normal distribution of which only what lies between two limits is delivered.
+
+    Args:
+        mean, scale: mean and standard deviation before sorting.
+        low, high: limits.
+    """
+
+    kind: ClassVar[str] = "truncated_normal"
+    mean: float = _number()
+    scale: float = _number(above=0.0)
+    low: float = _number()
+    high: float = _number()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.low < self.high:
+            raise ParameterError("high", self.high, f"must be above low ({self.low:g})")
+        lower, upper = self._ends
+        if min(lower, -upper) > 8:  # a part so far out in the tail is a mistake, and its quantiles are lost in rounding
+            raise ParameterError("mean", self.mean, "must lie within 8 scale of the limits")
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        return (self.low - self.mean) / self.scale, (self.high - self.mean) / self.scale
+
+    @property
+    def _mirrored(self) -> float:
+        """-1 where the upper tail is the one that is kept: shares close to 1 lose their digits."""
+        lower, upper = self._ends
+        return -1.0 if lower + upper > 0 else 1.0
+
+    def quantile(self, share):
+        sign, ends = self._mirrored, self._ends
+        lower, upper = sorted(sign * np.array(ends))
+        low, high = special.ndtr(lower), special.ndtr(upper)
+        along = share if sign > 0 else 1 - share
+        found = self.mean + self.scale * sign * special.ndtri(low + along * (high - low))
+        return np.clip(found, self.low, self.high)
+
+    @property
+    def _moments(self) -> tuple[float, float]:
+        from scipy import stats  # takes a third of a second to import
+
+        mean, variance = stats.truncnorm.stats(*self._ends, loc=self.mean, scale=self.scale)
+        return float(mean), float(variance)
+
+    @property
+    def deviation(self):
+        return math.sqrt(self._moments[1])
+
+    @property
+    def centre(self):
+        return self._moments[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Uniform(AbstractDistribution):
+    """Uniform distribution between two limits.
+
+    Args:
+        low, high: limits.
+    """
+
+    kind: ClassVar[str] = "uniform"
+    low: float = _number()
+    high: float = _number()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.high < self.low:
+            raise ParameterError("high", self.high, f"must be at least low ({self.low:g})")
+
+    def quantile(self, share):
+        return self.low + (self.high - self.low) * share
+
+    @property
+    def deviation(self):
+        return (self.high - self.low) / math.sqrt(12)
+
+    @property
+    def centre(self):
+        return 0.5 * (self.low + self.high)
+
+
+@dataclasses.dataclass(frozen=True)
+class UniformPhase(AbstractDistribution):
+    """Any angle of a turn, as bodies are assembled where nobody looks: from -180 to 180 deg."""
+
+    kind: ClassVar[str] = "uniform_phase"
+
+    def quantile(self, share):
+        return 2 * np.pi * (share - 0.5)
+
+    @property
+    def deviation(self):
+        return 2 * math.pi / math.sqrt(12)
+
+    @property
+    def centre(self):
+        return 0.0
+
+    @property
+    def is_tolerance(self):
+        return False
+
+
+@dataclasses.dataclass(frozen=True)
+class Rayleigh(AbstractDistribution):
+    """Length of a vector whose two components are normal about zero: an eccentricity from two offsets.
+
+    Args:
+        scale: standard deviation of each component.
+    """
+
+    kind: ClassVar[str] = "rayleigh"
+    scale: float = _number(at_least=0.0)
+
+    def quantile(self, share):
+        return self.scale * np.sqrt(-2 * special.log1p(-share))
+
+    @property
+    def deviation(self):
+        return self.scale * math.sqrt(2 - math.pi / 2)
+
+    @property
+    def centre(self):
+        return 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Lognormal(AbstractDistribution):
+    """Distribution whose logarithm is normal.
+
+    Args:
+        median: median.
+        sigma: standard deviation of the natural logarithm.
+    """
+
+    kind: ClassVar[str] = "lognormal"
+    median: float = _number(above=0.0)
+    sigma: float = _number(RATIO, at_least=0.0, at_most=10.0)
+
+    def quantile(self, share):
+        return self.median * np.exp(self.sigma * special.ndtri(share))
+
+    @property
+    def deviation(self):
+        return self.median * math.exp(0.5 * self.sigma**2) * math.sqrt(math.expm1(self.sigma**2))
+
+    @property
+    def centre(self):
+        return 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Discrete(AbstractDistribution):
+    """Some values, each with its probability.
+
+    Args:
+        values: the values.
+        probabilities: their probabilities, adding to 1; equal ones without.
+    """
+
+    kind: ClassVar[str] = "discrete"
+    values: tuple[float, ...] = _number(kind="series")
+    probabilities: tuple[float, ...] = _number(RATIO, kind="series", default=(), at_least=0.0, at_most=1.0)
+
+    def __post_init__(self):
+        object.__setattr__(self, "values", tuple(float(value) for value in self.values))
+        object.__setattr__(self, "probabilities", tuple(float(value) for value in self.probabilities))
+        super().__post_init__()
+        if not self.values:
+            raise ParameterError("values", [], "needs at least one value")
+        if self.probabilities and len(self.probabilities) != len(self.values):
+            raise ParameterError("probabilities", self.probabilities, f"must be {len(self.values)}, one per value")
+        if self.probabilities and abs(sum(self.probabilities) - 1) > 1e-9:
+            raise ParameterError("probabilities", self.probabilities, "must add to 1")
+
+    @property
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        values = np.array(self.values)
+        shares = np.array(self.probabilities) if self.probabilities else np.full(len(values), 1 / len(values))
+        order = np.argsort(values, kind="stable")
+        return values[order], shares[order]
+
+    def quantile(self, share):
+        values, shares = self._table
+        place = np.searchsorted(np.cumsum(shares), share, side="left")
+        return values[np.minimum(place, len(values) - 1)]
+
+    @property
+    def deviation(self):
+        values, shares = self._table
+        return math.sqrt(shares @ (values - shares @ values) ** 2)
+
+    @property
+    def centre(self):
+        values, shares = self._table
+        return float(shares @ values)
+
+
+@dataclasses.dataclass(frozen=True)
+class Empirical(AbstractDistribution):
+    """Measured values, each as likely as another.
+
+    Args:
+        values: the measured values.
+    """
+
+    kind: ClassVar[str] = "empirical"
+    values: tuple[float, ...] = _number(kind="series")
+
+    def __post_init__(self):
+        object.__setattr__(self, "values", tuple(sorted(float(value) for value in self.values)))
+        super().__post_init__()
+        if not self.values:
+            raise ParameterError("values", [], "needs at least one value")
+
+    @functools.cached_property
+    def _ordered(self) -> np.ndarray:
+        return np.array(self.values)
+
+    def quantile(self, share):
+        place = np.floor(np.asarray(share) * len(self.values)).astype(np.int64)
+        return self._ordered[np.clip(place, 0, len(self.values) - 1)]
+
+    @property
+    def deviation(self):
+        return float(np.std(self.values))
+
+    @property
+    def centre(self):
+        return float(np.mean(self.values))
+
+
+@dataclasses.dataclass(frozen=True)
+class Iso1328RunOut(AbstractDistribution):
+    """Eccentricity of a gear of an accuracy grade: `Rayleigh`, with 99.73 % of the gears within the limit of run-out,
+    which is twice the eccentricity (`run_out_tolerance`).
+
+    Args:
+        grade: accuracy grade.
+        module: normal module [m].
+        diameter: reference diameter [m].
+        edition: of ISO 1328, ``"2013"`` or ``"1995"``.
+    """
+
+    kind: ClassVar[str] = "iso_1328_run_out"
+    grade: int = _number(kind="count", at_least=0, at_most=12)
+    module: float = _number(LENGTH, above=0.0)
+    diameter: float = _number(LENGTH, above=0.0)
+    edition: str = _number(kind="name", default=EDITIONS[0], names=EDITIONS)
+
+    def __post_init__(self):
+        super().__post_init__()
+        _ = self.law
+
+    @property
+    def law(self) -> Rayleigh:
+        """The distribution itself."""
+        limit = 0.5 * run_out_tolerance(self.grade, self.module, self.diameter, self.edition)
+        return Rayleigh(limit / math.sqrt(-2 * math.log(1 - WITHIN)))
+
+    def quantile(self, share):
+        return self.law.quantile(share)
+
+    @property
+    def deviation(self):
+        return self.law.deviation
+
+    @property
+    def centre(self):
+        return 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Iso286(AbstractDistribution):
+    """Size of a tolerance grade IT: `Normal`, its tolerance six standard deviations wide (`it_tolerance`).
+
+    Args:
+        mean: middle of the tolerance.
+        grade: IT 5 to 16.
+        size: nominal size that the grade refers to [m].
+    """
+
+    kind: ClassVar[str] = "iso_286"
+    mean: float = _number()
+    grade: int = _number(kind="count", at_least=1, at_most=18)
+    size: float = _number(LENGTH, above=0.0)
+
+    def __post_init__(self):
+        super().__post_init__()
+        _ = self.deviation
+
+    def quantile(self, share):
+        return Normal(self.mean, self.deviation).quantile(share)
+
+    @property
+    def deviation(self):
+        return it_tolerance(self.grade, self.size) / 6
+
+    @property
+    def centre(self):
+        return self.mean
+
+
+DISTRIBUTIONS: tuple[type[AbstractDistribution], ...] = (
+    Normal,
+    TruncatedNormal,
+    Uniform,
+    UniformPhase,
+    Rayleigh,
+    Lognormal,
+    Discrete,
+    Empirical,
+    Iso1328RunOut,
+    Iso286,
+)

@@ -1,0 +1,259 @@
+"""What is measured of each gear set: metrics of analyses as numbers, with a result code that says what failed."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis import Backlash, FixedStep, backlash, simulate, transmission_error
+from gearjax.analysis.dynamics import FAULTS, suitable_step
+from gearjax.analysis.metrics import deviation, top
+from gearjax.checks import ParameterError, nearest
+from gearjax.contact import HardContact
+from gearjax.scene import ANALYSES, METRICS, NEEDS, Scene, require
+from gearjax.studies.objective import SLOTS
+from gearjax.tolerance.curves import Curves, Touches
+from gearjax.tolerance.population import Tolerances
+from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
+
+MEASURED = (*METRICS, "minimum", "maximum")
+Extremes = Literal["samples", "between"]
+EXTREMES = get_args(Extremes)
+CODES = {
+    0: "good",
+    1: "a number lies outside of what it may be",
+    2: "a measure is not finite",
+    3: "no flank can carry the torque",
+    **{10 + code: f"dynamic: {words}" for code, words in FAULTS.items()},
+}
+"""What a result code says."""
+SAMPLES = 1581  # of one cycle, where nothing else is said
+TOGETHER = {"quick": 16, "other": 64, "dynamic": 64}  # gear sets side by side on one device
+
+
+@dataclasses.dataclass(frozen=True)
+class Measure:
+    """One metric of one analysis, and what it may be.
+
+    Args:
+        analysis: ``no_load``, ``static``, ``backlash`` or ``dynamic``.
+        metric: ``peak_to_peak``, ``amplitude`` (largest absolute value), ``mean``, ``std``, ``minimum`` or ``maximum``.
+        torque: of a static or dynamic analysis [N m].
+        limit: highest value of a good gear set [rad].
+        at_least: lowest value of a good gear set [rad].
+
+    Raises:
+        ParameterError: an unknown word, or a torque is missing or not wanted.
+    """
+
+    analysis: str
+    metric: str
+    torque: float | None = None
+    limit: float | None = None
+    at_least: float | None = None
+
+    def __post_init__(self):
+        if self.analysis not in ANALYSES:
+            raise ParameterError("analysis", self.analysis, nearest(self.analysis, ANALYSES))
+        if self.metric not in MEASURED:
+            raise ParameterError("metric", self.metric, nearest(self.metric, MEASURED))
+        loaded = self.analysis in ("static", "dynamic")
+        if loaded and (self.torque is None or not math.isfinite(self.torque)):
+            raise ParameterError("torque", self.torque, f"{self.analysis} needs a torque")
+        if not loaded and self.torque is not None:
+            raise ParameterError("torque", self.torque, f"{self.analysis} takes no torque")
+
+    @classmethod
+    def named(cls, name: str, **rest: Any) -> "Measure":
+        """From a name such as ``"no_load.peak_to_peak"``, or ``"static.std@100Nm"``."""
+        words, _, torque = name.partition("@")
+        analysis, _, metric = words.partition(".")
+        if torque:
+            try:
+                rest["torque"] = float(torque.removesuffix("Nm"))
+            except ValueError as fault:
+                raise ParameterError("measure", name, 'give the torque as in "static.std@100Nm"') from fault
+        if analysis not in ANALYSES or metric not in MEASURED:
+            names = [f"{one}.{other}" for one in ANALYSES for other in MEASURED]
+            raise ParameterError("measure", name, nearest(words, names))
+        return cls(analysis, metric, **rest)
+
+    @property
+    def name(self) -> str:
+        """Analysis, metric and torque."""
+        torque = "" if self.torque is None else f"@{self.torque:g}Nm"
+        return f"{self.analysis}.{self.metric}{torque}"
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether some values are not good."""
+        return self.limit is not None or self.at_least is not None
+
+    def holds(self, values: np.ndarray) -> np.ndarray:
+        """Which values are good; those that are not finite are not."""
+        good = np.isfinite(values)
+        if self.limit is not None:
+            good &= values <= self.limit
+        if self.at_least is not None:
+            good &= values >= self.at_least
+        return good
+
+
+class Record(NamedTuple):
+    """The metrics of one analysis of one gear set."""
+
+    metrics: dict[str, Callable[[], Scalar]]
+    code: Int[Array, ""]
+
+
+class Measures:
+    """Several measures of a scene over the same input angles.
+
+    Quasi-static records with hard contacts come quickly (`gearjax.tolerance.curves`), others from the analyses.
+
+    Args:
+        measures: what is measured.
+        tolerances: the population; its program knows all numbers that do not vary.
+        theta: input angles, shape (n,) [rad]; without, those of the scene's run section, or one cycle.
+        extremes: ``"samples"`` or ``"between"`` them too.
+        examples: numbers of some gear sets, shape (m, free), for what they have in common.
+
+    Raises:
+        ParameterError: two measures are the same.
+        SceneError: the scene lacks what a measure needs.
+    """
+
+    def __init__(
+        self,
+        measures: Sequence[Measure],
+        tolerances: Tolerances,
+        theta: ArrayLike | None,
+        extremes: Extremes,
+        examples: np.ndarray,
+    ):
+        scene = tolerances.scene
+        self.measures, self.extremes = tuple(measures), extremes
+        for index, measure in enumerate(self.measures):
+            require(scene, measure.name, *NEEDS[measure.analysis])
+            if measure.name in [other.name for other in self.measures[:index]]:
+                raise ParameterError("measures", measure.name, "is listed twice")
+        if extremes not in EXTREMES:
+            raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
+        self.theta = angles(scene, theta)
+        slots = {slot for measure in self.measures for slot in SLOTS[measure.analysis]}
+        self.free = tolerances.free
+        self.physics = scene.physics(*slots, *(path.split(".")[0] for path in self.free.paths))
+        analyses = {measure.analysis for measure in self.measures}
+        self.curves: Curves | None = None
+        if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
+            stiffness = "mean" if "static" in analyses else "rigid"
+            population = jax.vmap(lambda row: self.free.set(self.physics, row))(jnp.asarray(examples, scene.dtype))
+            fixed = not any(path.startswith("system.") for path in self.free.paths)
+            curves = Curves.of(population, self.theta, stiffness, fixed)
+            if extremes == "samples" or curves.series is not None:
+                self.curves = curves if extremes == "between" else dataclasses.replace(curves, series=None)
+        if "dynamic" in analyses:
+            self.motion = _Motion.of(scene, self.theta)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the measures."""
+        return tuple(measure.name for measure in self.measures)
+
+    @property
+    def together(self) -> int:
+        """How many gear sets are worked on side by side."""
+        dynamic = any(measure.analysis == "dynamic" for measure in self.measures)
+        return TOGETHER["dynamic" if dynamic else "quick" if self.curves is not None else "other"]
+
+    def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
+        """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
+        scene = self.free.set(self.physics, values)
+        records: dict[tuple, Record] = {}
+        touches = None if self.curves is None else self.curves.touches(scene)
+        for measure in self.measures:
+            key = measure.analysis, measure.torque
+            if key not in records:
+                if measure.analysis == "dynamic":
+                    records[key] = self.motion.record(scene, measure.torque)
+                elif touches is None:
+                    records[key] = _analysed(scene, self.theta, *key)
+                else:
+                    records[key] = _quick(touches, *key)
+        found = jnp.stack([records[m.analysis, m.torque].metrics[m.metric]() for m in self.measures])
+        codes = jnp.stack([record.code for record in records.values()])
+        worst = codes.max()
+        code = jnp.where((worst == 0) & ~jnp.isfinite(found).all(), 2, worst)
+        return jnp.where(code == 0, found, jnp.nan), code
+
+
+def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
+    """Input angles of the records: as given, of the scene's run section, or one cycle, shape (n,) [rad]."""
+    if theta is not None:
+        return jnp.asarray(theta, scene.dtype)
+    if scene.run is not None:
+        return jnp.asarray(float(scene.system.input_speed) * scene.run.times, scene.dtype)
+    return jnp.asarray(np.linspace(0.0, scene.system.cycle, SAMPLES), scene.dtype)
+
+
+def _quick(touches: Touches, analysis: str, torque: float | None) -> Record:
+    """Metrics of a quasi-static curve with hard contacts."""
+
+    def curve(touches: Touches) -> Float[Array, " n"]:
+        if torque is None:
+            return touches.no_load() if analysis == "no_load" else touches.backlash()
+        return touches.static(jnp.asarray(torque, touches.position[0].dtype))
+
+    values = curve(touches)
+    high = functools.cache(lambda: touches.highest(curve, values))
+    low = functools.cache(lambda: -touches.highest(lambda near: -curve(near), -values))
+    metrics = {
+        "maximum": high,
+        "minimum": low,
+        "peak_to_peak": lambda: high() - low(),
+        "amplitude": lambda: jnp.maximum(high(), -low()),
+        "mean": lambda: values.mean(),
+        "std": lambda: deviation(values),
+    }
+    lost = jnp.isnan(values[0]) if analysis == "static" else jnp.zeros((), bool)
+    return Record(metrics, jnp.where(lost, 3, 0))
+
+
+def _analysed(scene: Scene, theta: Float[Array, " n"], analysis: str, torque: float | None) -> Record:
+    """Metrics of a quasi-static analysis, with the extremes between the samples."""
+    found = backlash(scene, theta) if analysis == "backlash" else transmission_error(scene, theta, torque)
+    lost = jnp.zeros((), bool) if isinstance(found, Backlash) else (found.result != 0).any()
+    edges = {"minimum": lambda: found.extremes.minimum, "maximum": lambda: found.extremes.maximum}
+    return Record({**_metrics(found), **edges}, jnp.where(lost, 3, 0))
+
+
+def _metrics(found: Any) -> dict[str, Callable[[], Scalar]]:
+    return {name: functools.partial(getattr, found, name) for name in METRICS}
+
+
+class _Motion(NamedTuple):
+    """How the dynamic TE is simulated: the same for all gear sets."""
+
+    ts: np.ndarray
+    stepper: FixedStep
+    start: str
+    settle: float
+
+    @classmethod
+    def of(cls, scene: Scene, theta: Float[Array, " n"]) -> "_Motion":
+        ts = np.asarray(theta, dtype=float) / float(scene.system.input_speed)
+        steps = suitable_step(scene, float(ts[-1] - ts[0])).steps(jnp.asarray(ts))
+        run = scene.run
+        start, settle = ("equilibrium", 0.0) if run is None else (run.start, run.settle)
+        return cls(ts, FixedStep(per_sample=steps), start, settle)
+
+    def record(self, scene: Scene, torque: float | None) -> Record:
+        assert torque is not None  # the measure requires it
+        motion = simulate(scene, self.ts, torque, start=self.start, settle=self.settle, stepper=self.stepper)
+        edges = {"minimum": lambda: -top(-motion.bands[1]), "maximum": lambda: top(motion.bands[0])}
+        return Record({**_metrics(motion), **edges}, jnp.where(motion.result > 0, 10 + motion.result, 0))

@@ -1,0 +1,348 @@
+"""Monte Carlo studies: samples in chunks of one shape, side by side on all local devices."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax.timing import Stopwatch
+from gearjax.tolerance import statistics
+from gearjax.tolerance.measures import CODES, Extremes, Measure, Measures
+from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.sampling import SAMPLERS, Sampler, points, replicate_sizes
+from gearjax.tolerance.statistics import Estimate
+from gearjax.typing import Array, ArrayLike, Int
+
+CHUNK = 16384
+EXAMPLES = 64
+QUANTILES = (0.05, 0.5, 0.95)
+_EXAMPLE_SEED = 0x6561
+Evaluated = tuple[np.ndarray, np.ndarray]
+"""Measures, shape (n, measure), and result codes, shape (n,)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """What a Monte Carlo study found.
+
+    Args:
+        names: of the measures.
+        values: measures of each sample, nan where it failed, shape (n, measure).
+        result: code of each sample, 0 for good (`gearjax.tolerance.measures.CODES`), shape (n,).
+        sizes: numbers of samples of the independent designs, adding to n.
+        measures: with their limits; empty where the measure was a function.
+        seconds: wall time without compilation [s].
+        compile_seconds: of tracing and compiling [s].
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    result: np.ndarray
+    sizes: np.ndarray
+    measures: tuple[Measure, ...] = ()
+    seconds: float = 0.0
+    compile_seconds: float = 0.0
+
+    @property
+    def samples(self) -> int:
+        """How many gear sets were looked at."""
+        return len(self.result)
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Indices of the samples that failed."""
+        return np.flatnonzero(self.result)
+
+    @property
+    def faults(self) -> dict[str, int]:
+        """How many samples failed, by what failed."""
+        codes, counts = np.unique(self.result[self.failed], return_counts=True)
+        return {CODES.get(int(code), f"code {code}"): int(count) for code, count in zip(codes, counts, strict=True)}
+
+    def column(self, name: str) -> np.ndarray:
+        """Values of one measure, nan where it failed, shape (n,).
+
+        Raises:
+            ParameterError: no such measure.
+        """
+        if name not in self.names:
+            raise ParameterError("measure", name, nearest(name, self.names))
+        return self.values[:, self.names.index(name)]
+
+    def good(self, name: str) -> np.ndarray:
+        """Values of the samples that did not fail."""
+        column = self.column(name)
+        return column[np.isfinite(column)]
+
+    def mean(self, name: str) -> float:
+        """Mean of a measure."""
+        good = self.good(name)
+        return float(good.mean()) if good.size else math.nan
+
+    def std(self, name: str) -> float:
+        """Standard deviation of a measure."""
+        good = self.good(name)
+        return float(good.std(ddof=1)) if good.size > 1 else math.nan
+
+    def quantile(self, name: str, level: float) -> Estimate:
+        """Value below which a share of the gear sets lies, with its interval of 95 % confidence.
+
+        Raises:
+            ParameterError: the level is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise ParameterError("level", level, "must be above 0 and below 1")
+        good = self.good(name)
+        whole = len(good) == self.samples
+        return statistics.quantile(good, level, self.sizes if whole else np.array([len(good)]))
+
+    def share_within(self, name: str, limit: float | None = None) -> Estimate:
+        """Share of gear sets whose measure is within a limit, with its interval of 95 % confidence: the yield.
+
+        Args:
+            name: of the measure.
+            limit: highest good value; without, the limits of the measure itself. A sample that failed is not good.
+
+        Raises:
+            ParameterError: the measure has no limit.
+        """
+        column = self.column(name)
+        if limit is not None:
+            return statistics.share(column <= limit, self.sizes)
+        measure = next((m for m in self.measures if m.name == name and m.is_limited), None)
+        if measure is None:
+            raise ParameterError("limit", limit, f"{name} has no limit of its own: give one")
+        return statistics.share(measure.holds(column), self.sizes)
+
+    def worst(self, name: str) -> int:
+        """Index of the sample furthest out: the highest value, or the lowest where the measure has a lower limit
+        only; -1 where all failed."""
+        column = self.column(name)
+        if not np.isfinite(column).any():
+            return -1
+        measure = next((m for m in self.measures if m.name == name), None)
+        lowest = measure is not None and measure.limit is None and measure.at_least is not None
+        return int(np.nanargmin(column) if lowest else np.nanargmax(column))
+
+
+class Work:
+    """A study as independent chunks: what each yields depends on the study and its indices alone.
+
+    Args:
+        sample, measure, number, seed, sampler, theta, extremes, chunk, devices: as for `monte_carlo`.
+    """
+
+    def __init__(
+        self,
+        sample: Tolerances | Callable[[Any], Any],
+        measure: Any,
+        *,
+        number: int,
+        seed: Any = 0,
+        sampler: Sampler = "monte_carlo",
+        theta: ArrayLike | None = None,
+        extremes: Extremes = "between",
+        chunk: int = CHUNK,
+        devices: Sequence[Any] | None = None,
+    ):
+        self.number, self.sampler = _whole("n", number), sampler
+        if sampler not in SAMPLERS:
+            raise ParameterError("sampler", sampler, nearest(sampler, SAMPLERS))
+        self.seed = seed if isinstance(seed, int) else int.from_bytes(np.asarray(jax.random.key_data(seed)).tobytes())
+        self.measures: tuple[Measure, ...] = ()
+        self.sample, together = sample, 16
+        if isinstance(sample, Tolerances):
+            one, together = self._of_tolerances(sample, measure, theta, extremes)
+            self.sizes = replicate_sizes(sampler, self.number)
+        else:
+            one = self._of_functions(sample, measure, seed)
+            self.sizes = np.array([self.number])
+        self.devices = tuple(jax.local_devices() if devices is None else devices)
+        whole = together * len(self.devices)
+        self.chunk = -(-min(_whole("chunk", chunk), self.number) // whole) * whole
+        self.one, self.together = one, together
+        self._program, self._sharding = _sharded(one, self.devices, together)
+
+    def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: Extremes):
+        if callable(measure) and not isinstance(measure, Measure):
+            self.names = _names(measure, tolerances.scene)
+            free, scene = tolerances.free, tolerances.scene
+
+            def one(values: Array) -> tuple[Array, Array]:
+                return _coded(measure(free.set(scene, values)))
+
+            return one, 16
+        listed = [measure] if isinstance(measure, str | Measure) else list(measure)
+        given = [m if isinstance(m, Measure) else Measure.named(m) for m in listed]
+        if not given:
+            raise ParameterError("measure", [], 'needs at least one, such as "no_load.peak_to_peak"')
+        examples = tolerances.values(points("monte_carlo", _EXAMPLE_SEED, tolerances.paths, EXAMPLES, 0, EXAMPLES))
+        found = Measures(given, tolerances, theta, extremes, examples)
+        self.measures, self.names = found.measures, found.names
+        return found, found.together
+
+    def _of_functions(self, sample: Callable[[Any], Any], measure: Any, seed: Any):
+        if not callable(sample) or not callable(measure):
+            raise GearjaxError(
+                "monte_carlo: give Tolerances and measures, or functions sample(key) and measure(what sample returns)"
+            )
+        key = jax.random.key(seed) if isinstance(seed, int) else seed
+        self.names = _names(lambda key: measure(sample(key)), key, named=measure)
+
+        def one(index: Int[Array, "1"]) -> tuple[Array, Array]:
+            return _coded(measure(sample(jax.random.fold_in(key, index[0]))))
+
+        return one
+
+    @property
+    def chunks(self) -> list[tuple[int, int]]:
+        """First index of each chunk, and the one after its last."""
+        return [(begin, min(begin + self.chunk, self.number)) for begin in range(0, self.number, self.chunk)]
+
+    def inputs(self, begin: int, end: int) -> np.ndarray:
+        """What the samples from one index to another are made of, shape (n, ...)."""
+        if not isinstance(self.sample, Tolerances):
+            return np.arange(begin, end, dtype=np.uint32)[:, None]
+        paths = self.sample.paths
+        return self.sample.values(points(self.sampler, self.seed, paths, self.number, begin, end))
+
+    def evaluate(self, inputs: np.ndarray) -> Evaluated:
+        """Measures and result codes of given inputs, any number of rows."""
+        parts = [self._finish(*self._begin(inputs[i : i + self.chunk])) for i in range(0, len(inputs), self.chunk)]
+        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+
+    def each(self, chunks: Sequence[tuple[int, int]]) -> Iterator[tuple[tuple[int, int], Evaluated]]:
+        """Chunks with their results, in order; the host draws the next samples while the devices work."""
+        waiting = None
+        for chunk in chunks:
+            begun = self._begin(self.inputs(*chunk))
+            if waiting is not None:
+                yield waiting[0], self._finish(*waiting[1])
+            waiting = chunk, begun
+        if waiting is not None:
+            yield waiting[0], self._finish(*waiting[1])
+
+    def _begin(self, inputs: np.ndarray) -> tuple[Any, np.ndarray]:
+        rows = np.minimum(np.arange(self.chunk), len(inputs) - 1)
+        dtype = self.sample.scene.dtype if isinstance(self.sample, Tolerances) else inputs.dtype
+        return self._program(jax.device_put(inputs[rows].astype(dtype), self._sharding)), inputs
+
+    def _finish(self, begun: Any, inputs: np.ndarray) -> Evaluated:
+        values, codes = (np.array(part)[: len(inputs)] for part in begun)
+        if isinstance(self.sample, Tolerances):
+            outside = ~self.sample.allowed(inputs)
+            values[outside], codes[outside] = np.nan, 1
+        return values.astype(float), codes.astype(np.int32)
+
+    def study(self, values: np.ndarray, result: np.ndarray, watch: Stopwatch | None = None) -> Study:
+        """The study from the results of all samples."""
+        seconds = (0.0, 0.0) if watch is None else (watch.seconds, watch.compile_seconds)
+        return Study(self.names, values, result, self.sizes, self.measures, *seconds)
+
+
+def monte_carlo(
+    sample: Tolerances | Callable[[Any], Any],
+    measure: Any,
+    *,
+    n: int = 10_000,
+    key: Any = 0,
+    sampler: Sampler = "monte_carlo",
+    theta: ArrayLike | None = None,
+    extremes: Extremes = "between",
+    chunk: int = CHUNK,
+    devices: Sequence[Any] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Study:
+    """How measures are distributed over a population of gear sets.
+
+    Each sample is a function of the key and its own index: chunks, devices and their number change none of them.
+
+    Args:
+        sample: `Tolerances`, or a function from a random key to a scene or anything else.
+        measure: a name such as ``"no_load.peak_to_peak"``, a `Measure`, or several; or a function of the sample that
+            returns a number or a dict of numbers.
+        n: number of samples.
+        key: seed, or random key.
+        sampler: ``"monte_carlo"``, ``"latin_hypercube"`` or ``"sobol"``; the last two with `Tolerances`.
+        theta: input angles, shape (m,) [rad]; without, those of the scene's run section, or one cycle.
+        extremes: of quasi-static measures: ``"between"`` the samples too, or of the ``"samples"`` alone, which is
+            quicker.
+        chunk: how many samples are worked on at once.
+        devices: that share the work; all local ones without.
+        progress: told how many samples are done, and of how many.
+
+    Returns:
+        The study; samples that failed have a result code and nan.
+
+    Raises:
+        ParameterError: a name or a number is wrong.
+        SceneError: the scene lacks what a measure needs.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> tolerances = gj.Tolerances(scene, {"errors.planet_1.amplitude": gj.Rayleigh(6e-6)})
+        >>> study = gj.monte_carlo(tolerances, "no_load.peak_to_peak", n=1000)
+        >>> estimate = study.share_within("no_load.peak_to_peak", 2.5 * gj.units.arcmin)
+        >>> bool(0 < estimate.low < estimate.value < estimate.high < 1)
+        True
+    """
+    with Stopwatch() as watch:
+        work = Work(
+            sample,
+            measure,
+            number=n,
+            seed=key,
+            sampler=sampler,
+            theta=theta,
+            extremes=extremes,
+            chunk=chunk,
+            devices=devices,
+        )
+        values, result = np.full((work.number, len(work.names)), np.nan), np.zeros(work.number, np.int32)
+        for (begin, end), (found, codes) in work.each(work.chunks):
+            values[begin:end], result[begin:end] = found, codes
+            if progress is not None:
+                progress(end, work.number)
+    return work.study(values, result, watch)
+
+
+def _whole(name: str, given: Any) -> int:
+    if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**32:
+        raise ParameterError(name, given, "must be a whole number from 1 to 4294967295")
+    return int(given)
+
+
+def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[str, ...]:
+    """Names of what a measure returns: keys of a dict, or the function's own."""
+    shape = jax.eval_shape(function, of)
+    if isinstance(shape, dict):
+        return tuple(sorted(shape))
+    return (getattr(named or function, "__name__", "measure"),)
+
+
+def _coded(found: Any) -> tuple[Array, Array]:
+    """Numbers in the order of their names, and the code of a sample."""
+    parts = [found[name] for name in sorted(found)] if isinstance(found, dict) else [found]
+    values = jnp.stack([jnp.asarray(part) for part in parts])
+    if values.ndim != 1:
+        raise ParameterError("measure", values.shape[1:], "must return numbers, not arrays")
+    return values, jnp.where(jnp.isfinite(values).all(), 0, 2)
+
+
+def _sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Callable, NamedSharding]:
+    """A program for chunks of rows, its devices each working on their own part, and how the rows are laid out."""
+    mesh = Mesh(np.array(devices), ("sample",))
+    spec = PartitionSpec("sample")
+
+    def part(rows: Array) -> Any:
+        return jax.lax.map(one, rows, batch_size=together)
+
+    spread = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+    return cast(Callable, jax.jit(spread)), NamedSharding(mesh, spec)

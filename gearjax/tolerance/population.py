@@ -1,0 +1,145 @@
+"""A population of gear sets: one scene, and the distributions of its toleranced numbers."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from gearjax.checks import ParameterError, SceneError
+from gearjax.scene import Scene
+from gearjax.studies.select import Free, numbers, pick
+from gearjax.tolerance.distributions import AbstractDistribution
+from gearjax.typing import Array, Float
+
+
+@dataclasses.dataclass(frozen=True)
+class Correlation:
+    """Two numbers that vary together.
+
+    Args:
+        first, second: paths of the numbers.
+        coefficient: correlation of their normal scores (a Gaussian copula), between -1 and 1.
+    """
+
+    first: str
+    second: str
+    coefficient: float
+
+
+class Tolerances:
+    """How the numbers of a scene vary from one gear set to the next.
+
+    Args:
+        scene: the gear set; numbers that are not listed keep its values.
+        distributions: distribution of each toleranced number, by path such as ``errors.planet_1.amplitude``.
+        correlations: pairs of numbers that vary together; the others are independent.
+
+    Raises:
+        ParameterError: a path leads nowhere, most of a distribution lies outside of what its number may be, or the
+            correlations contradict each other.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> tolerances = gj.Tolerances(scene, {"errors.planet_1.amplitude": gj.Rayleigh(6e-6)})
+        >>> tolerances.values(np.array([[0.5]])).round(9).tolist()
+        [[7.064e-06]]
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        distributions: Mapping[str, AbstractDistribution],
+        correlations: Sequence[Correlation] = (),
+    ):
+        self.scene, self.distributions = scene, dict(distributions)
+        self.correlations = tuple(correlations)
+        self.free: Free = pick(scene, list(distributions))
+        self._check_ranges()
+        self._mixing = self._factor()
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The toleranced numbers."""
+        return tuple(self.distributions)
+
+    @property
+    def tolerated(self) -> tuple[str, ...]:
+        """Those that manufacturing could narrow: all but random assembly phases."""
+        return tuple(path for path, spread in self.distributions.items() if spread.is_tolerance)
+
+    @property
+    def centres(self) -> np.ndarray:
+        """What each number narrows to, shape (free,), SI."""
+        return np.array([spread.centre for spread in self.distributions.values()])
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviation of each number, shape (free,), SI."""
+        return np.array([spread.deviation for spread in self.distributions.values()])
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """Numbers of gear sets from points of the unit cube, shape (n, free) both, SI."""
+        points = self._correlated(np.asarray(points, dtype=float))
+        columns = [spread.quantile(points[:, i]) for i, spread in enumerate(self.distributions.values())]
+        return np.stack(columns, axis=1)
+
+    def with_values(self, values: Float[Array, " free"]) -> Scene:
+        """The gear set with given numbers, shape (free,), SI."""
+        return self.free.set(self.scene, jnp.asarray(values, self.scene.dtype))
+
+    def allowed(self, values: np.ndarray) -> np.ndarray:
+        """Which gear sets have numbers that their declarations allow, shape (n,)."""
+        known = numbers(self.scene)
+        good = np.array(np.isfinite(values).all(axis=1))
+        for column, path in zip(values.T, self.paths, strict=True):
+            low, high = known[path].range
+            if not known[path].periodic:
+                good &= (column >= low) & (column <= high)
+        return good
+
+    def _check_ranges(self) -> None:
+        known = numbers(self.scene)
+        for path, spread in self.distributions.items():
+            middle = float(spread.quantile(np.array(0.5)))
+            if not known[path].holds(middle):
+                words = f"its median {middle:.6g} must be {known[path].allowed()}"
+                raise ParameterError(path, spread.kind, words)
+
+    def _factor(self) -> np.ndarray | None:
+        if not self.correlations:
+            return None
+        place = {path: index for index, path in enumerate(self.paths)}
+        matrix = np.eye(len(place))
+        for pair in self.correlations:
+            for path in (pair.first, pair.second):
+                if path not in place:
+                    raise ParameterError("correlated", path, f"is not toleranced; valid: {', '.join(place)}")
+            if pair.first == pair.second:
+                raise ParameterError("correlated", pair.first, "is correlated with itself")
+            if not -1 < pair.coefficient < 1:
+                raise ParameterError("coefficient", pair.coefficient, "must be above -1 and below 1")
+            i, j = place[pair.first], place[pair.second]
+            matrix[i, j] = matrix[j, i] = pair.coefficient
+        try:
+            return np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError as fault:
+            raise SceneError(
+                "correlated: the coefficients contradict each other (no such correlation matrix)"
+            ) from fault
+
+    def _correlated(self, points: np.ndarray) -> np.ndarray:
+        """The same points with the normal scores mixed; column by column, so that no sum depends on how many points
+        are worked on at once."""
+        if self._mixing is None:
+            return points
+        scores = special.ndtri(points)
+        mixed = points.copy()
+        for row, weights in enumerate(self._mixing):
+            if weights[row] != 1.0:
+                used = np.flatnonzero(weights)
+                total = sum(weights[column] * scores[:, column] for column in used)
+                mixed[:, row] = np.clip(special.ndtr(total), 2.0**-53, 1 - 2.0**-53)
+        return mixed

@@ -1,0 +1,98 @@
+"""Estimates from samples with 95 % intervals that mean what they say.
+
+Independent samples: a quantile lies between order statistics by the binomial law, a share in Wilson's interval (1927).
+Latin hypercube and Sobol samples are not independent: the spread between their independent designs gives the standard
+error of a share, hence an effective number of samples for Wilson's interval; a quantile lies where the share of samples
+below it does (Woodruff 1952).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+CONFIDENCE = 0.95
+
+
+class Estimate(NamedTuple):
+    """A value with its interval of 95 % confidence."""
+
+    value: float
+    low: float
+    high: float
+
+
+def share(good: np.ndarray, sizes: np.ndarray) -> Estimate:
+    """Share of the population that is good.
+
+    Args:
+        good: whether each sample is, shape (n,).
+        sizes: numbers of samples of the independent designs, adding to n (one design: independent samples).
+    """
+    value = float(np.mean(good))
+    number, multiple = _effective(good, sizes, value)
+    return Estimate(value, *wilson(value, number, multiple))
+
+
+def wilson(value: float, number: float, multiple: float) -> tuple[float, float]:
+    """Wilson's interval of a share.
+
+    Args:
+        value: the share found.
+        number: of samples, or the effective one.
+        multiple: standard deviations that the interval reaches to each side.
+    """
+    square = multiple * multiple / number
+    middle = (value + 0.5 * square) / (1 + square)
+    half = multiple / (1 + square) * math.sqrt(value * (1 - value) / number + 0.25 * square / number)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def _effective(good: np.ndarray, sizes: np.ndarray, value: float) -> tuple[float, float]:
+    """Effective number of samples, and standard deviations that an interval reaches."""
+    if len(sizes) < 2:
+        return float(len(good)), float(special.ndtri(0.5 + CONFIDENCE / 2))
+    means = np.add.reduceat(good.astype(float), np.concatenate([[0], np.cumsum(sizes)[:-1]])) / sizes
+    square = float(((means - value) ** 2 * sizes).sum() / (sizes.sum() * (len(sizes) - 1)))
+    number = len(good) if square == 0 else value * (1 - value) / square
+    return float(max(number, 1.0)), float(special.stdtrit(len(sizes) - 1, 0.5 + CONFIDENCE / 2))
+
+
+def quantile(values: np.ndarray, level: float, sizes: np.ndarray) -> Estimate:
+    """Value below which a share of the population lies; nan where there are no values.
+
+    Args:
+        values: finite samples in the order of their designs, shape (n,).
+        level: the share, between 0 and 1.
+        sizes: as for `share`.
+    """
+    if not len(values):
+        return Estimate(math.nan, math.nan, math.nan)
+    ordered = np.sort(values)
+    found = _interpolated(ordered, level)
+    if len(sizes) < 2:
+        tail = 0.5 - CONFIDENCE / 2
+        low, high = (_binomial(tail, len(values), level), _binomial(1 - tail, len(values), level) + 1)
+    else:
+        number, multiple = _effective(values <= found, sizes, float(np.mean(values <= found)))
+        low, high = (len(values) * edge for edge in wilson(level, number, multiple))
+        low, high = math.floor(low), math.ceil(high) + 1
+    return Estimate(found, *(float(ordered[np.clip(rank - 1, 0, len(values) - 1)]) for rank in (low, high)))
+
+
+def _binomial(tail: float, number: int, level: float) -> int:
+    """Quantile of the binomial law."""
+    from scipy import stats
+
+    return int(stats.binom.ppf(tail, number, level))
+
+
+def _interpolated(ordered: np.ndarray, level: float) -> float:
+    """Quantile of ordered samples, linear between them (Hyndman and Fan 1996, type 8: unbiased for its median)."""
+    number = len(ordered)
+    place = level * (number + 1 / 3) + 1 / 3 - 1
+    below = int(np.clip(math.floor(place), 0, number - 1))
+    above = min(below + 1, number - 1)
+    part = float(np.clip(place - below, 0.0, 1.0))
+    return float(ordered[below] * (1 - part) + ordered[above] * part)

@@ -1,0 +1,187 @@
+"""Which tolerance matters: shares of the variance of a measure, found in three ways, and what tightening would buy.
+
+- linear: mean of the squared derivatives times the variance of the number, over the variance of the measure; exact for
+  a linear measure, and for normal numbers an upper bound of the total index (Sobol and Kucherenko 2009);
+- Sobol first and total indices from Saltelli's design (SALib): what a number explains alone, and with all others;
+- one at a time, as papers do: the range of the measure while one number runs through its middle 95 % and the others
+  stay at their medians, squared and scaled to shares.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import GearjaxError
+from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.statistics import Estimate, share
+from gearjax.typing import Array, Float
+
+DERIVATIVES = 1024  # samples that the linear shares are averaged over, at most
+LEVELS = np.linspace(0.025, 0.975, 39)
+OFF = 0.1  # by which a linear share may miss the total index
+MISSED = 0.2  # by which linear shares may miss adding to the whole variance
+TIGHTER = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensitivities:
+    """Shares of the variance of one measure, one entry for each number.
+
+    Args:
+        name: of the measure.
+        paths: the toleranced numbers.
+        linear: share by derivatives, shape (number,).
+        first, total: Sobol indices, shape (number,).
+        first_error, total_error: half widths of their 95 % intervals, shape (number,).
+        one_at_a_time: share by ranges, shape (number,).
+        samples: gear sets evaluated for the Sobol indices.
+    """
+
+    name: str
+    paths: tuple[str, ...]
+    linear: np.ndarray
+    first: np.ndarray
+    first_error: np.ndarray
+    total: np.ndarray
+    total_error: np.ndarray
+    one_at_a_time: np.ndarray
+    samples: int
+
+    @property
+    def linear_fails(self) -> str:
+        """Why the linear shares mislead; empty where they do not."""
+        whole = float(self.linear.sum())
+        apart = np.abs(self.linear - self.total) - self.total_error
+        worst = int(np.argmax(apart))
+        if apart[worst] > OFF:
+            return (
+                f"linear shares mislead: {self.paths[worst]} {self.linear[worst]:.2f}, its total index is "
+                f"{self.total[worst]:.2f}"
+            )
+        if abs(whole - 1) > MISSED:
+            return f"linear shares add to {whole:.2f}, not 1: the measure is not linear in the errors"
+        return ""
+
+
+def sensitivities(
+    tolerances: Tolerances, measure: Any, *, n: int = 1024, key: int = 0, **options: Any
+) -> list[Sensitivities]:
+    """Shares of the variance, for each measure.
+
+    The numbers are taken as independent, whatever their correlations.
+
+    Args:
+        tolerances: the population.
+        measure: as for `monte_carlo`.
+        n: base samples of Saltelli's design, which has n (numbers + 2); a power of two is best.
+        key: seed.
+        options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
+
+    Raises:
+        GearjaxError: too many gear sets failed.
+    """
+    independent = Tolerances(tolerances.scene, tolerances.distributions)
+    work = Work(independent, measure, number=max(n, 2), seed=key, **options)
+    slopes, spread = _linear(work, min(n, DERIVATIVES))
+    ranges = _one_at_a_time(work)
+    found, problem = _saltelli(work, n, key)
+    from SALib.analyze import sobol
+
+    results = []
+    for index, name in enumerate(work.names):
+        column = found[:, index].reshape(n, -1)
+        column = column[np.isfinite(column).all(axis=1)]
+        if len(column) < max(2, n // 2):
+            raise GearjaxError(f"sensitivity of {name}: more than half of the gear sets failed")
+        varies = np.ptp(column) > 0
+        indices = sobol.analyze(problem, column.reshape(-1), calc_second_order=False, seed=key) if varies else None
+        none = np.zeros(len(independent.paths))
+        first, first_error, total, total_error = (none if indices is None else indices[part] for part in _PARTS)
+        squares = ranges[:, index] ** 2
+        variance = max(spread[index], 1e-300)
+        results.append(
+            Sensitivities(
+                name,
+                independent.paths,
+                linear=slopes[index] * independent.deviations**2 / variance,
+                first=first,
+                first_error=first_error,
+                total=total,
+                total_error=total_error,
+                one_at_a_time=squares / max(squares.sum(), 1e-300),
+                samples=found.shape[0],
+            )
+        )
+    return results
+
+
+_PARTS = ("S1", "S1_conf", "ST", "ST_conf")
+
+
+def _saltelli(work: Work, number: int, seed: int) -> tuple[np.ndarray, dict]:
+    """Measures of Saltelli's design, shape (number (free + 2), measure), and the design."""
+    from SALib.sample import sobol  # its import takes a second
+
+    paths = work.sample.paths
+    problem = {"num_vars": len(paths), "names": list(paths), "bounds": [[0.0, 1.0]] * len(paths)}
+    cube = sobol.sample(problem, number, calc_second_order=False, seed=seed)
+    cube = np.clip(cube, 2.0**-33, 1 - 2.0**-33)
+    return work.evaluate(work.sample.values(cube))[0], problem
+
+
+def _linear(work: Work, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means of the squared derivatives, shape (measure, free), and variances of the measures, shape (measure,)."""
+    inputs = work.inputs(0, min(number, work.number))
+
+    def both(values: Float[Array, " free"]) -> tuple[Array, Array]:
+        return work.one(values)[0], jax.jacrev(lambda v: work.one(v)[0])(values)
+
+    rows = jnp.asarray(inputs, work.sample.scene.dtype)
+    found, slopes = jax.jit(lambda rows: jax.lax.map(both, rows, batch_size=work.together))(rows)
+    found, slopes = np.asarray(found, dtype=float), np.asarray(slopes, dtype=float)
+    good = np.isfinite(found).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+    return (slopes[good] ** 2).mean(axis=0), found[good].var(axis=0, ddof=1)
+
+
+def _one_at_a_time(work: Work) -> np.ndarray:
+    """Range of each measure while one number varies alone, shape (free, measure)."""
+    spreads = list(work.sample.distributions.values())
+    medians = np.array([float(spread.quantile(np.array(0.5))) for spread in spreads])
+    rows = np.repeat(medians[None], len(spreads) * len(LEVELS), axis=0).reshape(len(spreads), len(LEVELS), -1)
+    for index, spread in enumerate(spreads):
+        rows[index, :, index] = spread.quantile(LEVELS)
+    found = work.evaluate(rows.reshape(-1, len(spreads)))[0].reshape(len(spreads), len(LEVELS), -1)
+    return np.nan_to_num(np.nanmax(found, axis=1) - np.nanmin(found, axis=1))
+
+
+def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
+    """Yield as it is and with one tolerance tightened, of the same gear sets.
+
+    Args:
+        work: the study; its measures with limits are looked at.
+        number: of gear sets.
+        factor: on the tolerance.
+
+    Returns:
+        By measure and path: the yield, and the yield with that tolerance narrowed about its centre.
+    """
+    number = min(number, work.number)
+    inputs, paths, centres = work.inputs(0, number), work.sample.paths, work.sample.centres
+    sizes = np.array([number])
+    limited = [measure for measure in work.measures if measure.is_limited]
+    before, _ = work.evaluate(inputs)
+    found: dict[str, dict[str, tuple[Estimate, Estimate]]] = {measure.name: {} for measure in limited}
+    for path in work.sample.tolerated if limited else ():
+        place = paths.index(path)
+        moved = inputs.copy()
+        moved[:, place] = centres[place] + factor * (inputs[:, place] - centres[place])
+        after, _ = work.evaluate(moved)
+        for measure in limited:
+            column = work.names.index(measure.name)
+            pair = (share(measure.holds(part[:, column]), sizes) for part in (before, after))
+            found[measure.name][path] = (next(pair), next(pair))
+    return found
