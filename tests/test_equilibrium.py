@@ -17,6 +17,7 @@ from gearjax.contact import (
     equilibrium,
     first_contact,
 )
+from gearjax.contact.equilibrium import hard_edges, hard_rest
 
 LEVER = 0.06
 
@@ -153,3 +154,27 @@ def test_more_than_one_degree_of_freedom_is_refused():
     wide = ContactSet(jnp.ones((2, 3)), jnp.zeros(2), jnp.ones(2), 2)
     with pytest.raises(ValueError, match="one degree of freedom"):
         equilibrium(wide, jnp.asarray(-1.0), HardContact())
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.tuples(rises, st.floats(1e6, 1e9)), min_size=1, max_size=4),
+    st.floats(-3000.0, 3000.0),
+    st.booleans(),
+)
+def test_contacts_written_out_rest_where_contact_sets_do(pairs, torque, has_back):
+    drive, springs = (list(part) for part in zip(*pairs, strict=True))
+    back = [10e-6 - rise for rise in drive] if has_back else []
+    contacts = contact_set(drive, back, springs * (2 if has_back else 1))
+    touch = list(contacts.gap / contacts.lever)
+    strength = list(contacts.stiffness * contacts.lever**2)
+    found = hard_rest(touch, strength, len(drive), jnp.asarray(-torque))
+    rest = equilibrium(contacts, jnp.asarray(-torque), HardContact())
+    if int(rest.result):
+        assert np.isnan(found)
+    elif torque:  # at rest without a load the driving flanks touch, here and there
+        np.testing.assert_allclose(found, rest.position, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(
+        [edge for edge in hard_edges(touch, len(drive)) if edge is not None],
+        [edge for edge in first_contact(contacts, HardContact()) if edge is not None],
+    )

@@ -13,9 +13,9 @@ from gearjax.config.tables import known_keys, read_whole
 from gearjax.scene import Scene
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
-from gearjax.tolerance.measures import EXTREMES, Extremes
+from gearjax.tolerance.measures import EXTREMES
 from gearjax.tolerance.monte_carlo import CHUNK
-from gearjax.tolerance.sampling import SAMPLERS, Sampler
+from gearjax.tolerance.sampling import SAMPLERS
 
 MOST_SAMPLES = 1_000_000_000
 PRECISIONS = ("float64", "float32")
@@ -76,8 +76,8 @@ class ToleranceSection:
     measures: tuple[Measure, ...]
     samples: int
     seed: int
-    sampler: Sampler
-    extremes: Extremes
+    sampler: str
+    extremes: str
     chunk: int
     precision: str
     sensitivity: int

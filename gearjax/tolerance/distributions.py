@@ -105,7 +105,7 @@ class TruncatedNormal(AbstractDistribution):
         if not self.low < self.high:
             raise ParameterError("high", self.high, f"must be above low ({self.low:g})")
         lower, upper = self._ends
-        if min(lower, -upper) > 8:  # a part so far out in the tail is a mistake, and its quantiles are lost in rounding
+        if max(lower, -upper) > 8:  # a part so far out in the tail is a mistake, and its quantiles are lost in rounding
             raise ParameterError("mean", self.mean, "must lie within 8 scale of the limits")
 
     @property
@@ -335,7 +335,7 @@ class Iso1328RunOut(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "iso_1328_run_out"
-    grade: int = _number(kind="count", at_least=0, at_most=12)
+    grade: int = _number(kind="count", at_least=0.0, at_most=12.0)
     module: float = _number(LENGTH, above=0.0)
     diameter: float = _number(LENGTH, above=0.0)
     edition: str = _number(kind="name", default=EDITIONS[0], names=EDITIONS)
@@ -374,7 +374,7 @@ class Iso286(AbstractDistribution):
 
     kind: ClassVar[str] = "iso_286"
     mean: float = _number()
-    grade: int = _number(kind="count", at_least=1, at_most=18)
+    grade: int = _number(kind="count", at_least=1.0, at_most=18.0)
     size: float = _number(LENGTH, above=0.0)
 
     def __post_init__(self):

@@ -98,7 +98,7 @@ def _iso_1328(given: tuple[int, float, float, str], now: Formula, before: Formul
     return _rounded(base * math.sqrt(2) ** (grade - 5)) * um
 
 
-def _middle(size: float, bounds: tuple[float, ...]) -> float:
+def _middle(size: float, bounds: tuple[int | float, ...]) -> float:
     """Geometric mean of the range that a size lies in (ISO 1328-1:1995, clause 6.2)."""
     place = max(1, bisect_left(bounds, size * (1 - 1e-12)))
     return math.sqrt(bounds[place - 1] * bounds[place])

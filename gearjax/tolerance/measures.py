@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +22,7 @@ from gearjax.tolerance.population import Tolerances
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 MEASURED = (*METRICS, "minimum", "maximum")
-Extremes = Literal["samples", "between"]
-EXTREMES = get_args(Extremes)
+EXTREMES = ("samples", "between")
 CODES = {
     0: "good",
     1: "a number lies outside of what it may be",
@@ -133,7 +132,7 @@ class Measures:
         measures: Sequence[Measure],
         tolerances: Tolerances,
         theta: ArrayLike | None,
-        extremes: Extremes,
+        extremes: str,
         examples: np.ndarray,
     ):
         scene = tolerances.scene

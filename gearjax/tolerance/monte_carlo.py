@@ -13,11 +13,11 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from gearjax.checks import GearjaxError, ParameterError, nearest
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
-from gearjax.tolerance.measures import CODES, Extremes, Measure, Measures
+from gearjax.tolerance.measures import CODES, Measure, Measures
 from gearjax.tolerance.population import Tolerances
-from gearjax.tolerance.sampling import SAMPLERS, Sampler, points, replicate_sizes
+from gearjax.tolerance.sampling import SAMPLERS, points, replicate_sizes
 from gearjax.tolerance.statistics import Estimate
-from gearjax.typing import Array, ArrayLike, Int
+from gearjax.typing import Array, ArrayLike
 
 CHUNK = 16384
 EXAMPLES = 64
@@ -140,14 +140,14 @@ class Work:
 
     def __init__(
         self,
-        sample: Tolerances | Callable[[Any], Any],
+        sample: Any,
         measure: Any,
         *,
         number: int,
         seed: Any = 0,
-        sampler: Sampler = "monte_carlo",
+        sampler: str = "monte_carlo",
         theta: ArrayLike | None = None,
-        extremes: Extremes = "between",
+        extremes: str = "between",
         chunk: int = CHUNK,
         devices: Sequence[Any] | None = None,
     ):
@@ -169,7 +169,7 @@ class Work:
         self.one, self.together = one, together
         self._program, self._sharding = _sharded(one, self.devices, together)
 
-    def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: Extremes):
+    def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: str):
         if callable(measure) and not isinstance(measure, Measure):
             self.names = _names(measure, tolerances.scene)
             free, scene = tolerances.free, tolerances.scene
@@ -187,7 +187,7 @@ class Work:
         self.measures, self.names = found.measures, found.names
         return found, found.together
 
-    def _of_functions(self, sample: Callable[[Any], Any], measure: Any, seed: Any):
+    def _of_functions(self, sample: Any, measure: Any, seed: Any):
         if not callable(sample) or not callable(measure):
             raise GearjaxError(
                 "monte_carlo: give Tolerances and measures, or functions sample(key) and measure(what sample returns)"
@@ -195,7 +195,7 @@ class Work:
         key = jax.random.key(seed) if isinstance(seed, int) else seed
         self.names = _names(lambda key: measure(sample(key)), key, named=measure)
 
-        def one(index: Int[Array, "1"]) -> tuple[Array, Array]:
+        def one(index: Array) -> tuple[Array, Array]:
             return _coded(measure(sample(jax.random.fold_in(key, index[0]))))
 
         return one
@@ -247,14 +247,14 @@ class Work:
 
 
 def monte_carlo(
-    sample: Tolerances | Callable[[Any], Any],
+    sample: Any,
     measure: Any,
     *,
     n: int = 10_000,
     key: Any = 0,
-    sampler: Sampler = "monte_carlo",
+    sampler: str = "monte_carlo",
     theta: ArrayLike | None = None,
-    extremes: Extremes = "between",
+    extremes: str = "between",
     chunk: int = CHUNK,
     devices: Sequence[Any] | None = None,
     progress: Callable[[int, int], None] | None = None,

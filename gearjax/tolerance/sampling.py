@@ -11,14 +11,12 @@ import functools
 import hashlib
 import warnings
 from collections.abc import Sequence
-from typing import Literal, get_args
 
 import numpy as np
 
 from gearjax.checks import ParameterError, nearest
 
-Sampler = Literal["monte_carlo", "latin_hypercube", "sobol"]
-SAMPLERS = get_args(Sampler)
+SAMPLERS = ("monte_carlo", "latin_hypercube", "sobol")
 REPLICATES = 16
 
 

@@ -1,9 +1,8 @@
 """Estimates from samples with 95 % intervals that mean what they say.
 
-Independent samples: a quantile lies between order statistics by the binomial law, a share in Wilson's interval (1927).
-Latin hypercube and Sobol samples are not independent: the spread between their independent designs gives the standard
-error of a share, hence an effective number of samples for Wilson's interval; a quantile lies where the share of samples
-below it does (Woodruff 1952).
+A share lies in Wilson's interval (1927). Latin hypercube and Sobol samples are not independent: the spread between
+their independent designs gives the standard error of a share, hence an effective number of samples. A quantile lies
+between the quantiles of the ends of the interval of its share (Woodruff 1952).
 """
 
 import math
@@ -71,21 +70,10 @@ def quantile(values: np.ndarray, level: float, sizes: np.ndarray) -> Estimate:
         return Estimate(math.nan, math.nan, math.nan)
     ordered = np.sort(values)
     found = _interpolated(ordered, level)
-    if len(sizes) < 2:
-        tail = 0.5 - CONFIDENCE / 2
-        low, high = (_binomial(tail, len(values), level), _binomial(1 - tail, len(values), level) + 1)
-    else:
-        number, multiple = _effective(values <= found, sizes, float(np.mean(values <= found)))
-        low, high = (len(values) * edge for edge in wilson(level, number, multiple))
-        low, high = math.floor(low), math.ceil(high) + 1
-    return Estimate(found, *(float(ordered[np.clip(rank - 1, 0, len(values) - 1)]) for rank in (low, high)))
-
-
-def _binomial(tail: float, number: int, level: float) -> int:
-    """Quantile of the binomial law."""
-    from scipy import stats
-
-    return int(stats.binom.ppf(tail, number, level))
+    below = values <= found
+    number, multiple = _effective(below, sizes, float(np.mean(below)))
+    low, high = wilson(level, number, multiple)
+    return Estimate(found, _interpolated(ordered, low), _interpolated(ordered, high))
 
 
 def _interpolated(ordered: np.ndarray, level: float) -> float:

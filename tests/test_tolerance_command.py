@@ -1,0 +1,288 @@
+"""``gearjax tolerance``: its JSON, its files, resuming, clusters and devices, and what it refuses."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.cli import main
+from gearjax.config import loads_tolerance
+from gearjax.results.store import NAME, Store, held
+from gearjax.results.tolerance import prepared
+from tests.conftest import ROOT
+
+CONFIG = ROOT / "configs" / "two_kv" / "wang_2020_tolerance.toml"
+STUDIES = "[tolerance.sensitivity]"
+
+
+def small(text: str | None = None, **words) -> str:
+    """The example's own configuration without the further studies, on few samples."""
+    text = CONFIG.read_text(encoding="utf-8") if text is None else text
+    text = text[: text.index(STUDIES)]
+    options = {"samples": 200, "chunk": 64, **words}
+    for key in options:
+        text = "\n".join(line for line in text.splitlines() if not line.startswith(f"{key} = ") or key == "samples")
+    text = text.replace("samples = 20000", "\n".join(f"{key} = {json.dumps(v)}" for key, v in options.items()))
+    return text.replace("samples = 1581", "samples = 201")
+
+
+def command(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["tolerance", *arguments])
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def config(tmp_path) -> Path:
+    path = tmp_path / "study.toml"
+    path.write_text(small(), encoding="utf-8")
+    return path
+
+
+def test_json_is_what_it_promises(config, capsys):
+    assert command(str(config), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["samples"], found["failed"], found["seed"]) == (200, 0, 0)
+    entry = found["measures"]["no_load.peak_to_peak"]
+    assert (entry["unit"], entry["limit"]) == ("arcmin", pytest.approx(2.0))
+    for level in ("0.05", "0.5", "0.95"):
+        value, low, high = entry["quantiles"][level]
+        assert low <= value <= high
+    share, low, high = entry["yield"]
+    assert 0 <= low <= share <= high <= 1
+    assert found["measures"]["backlash.minimum"]["at_least"] == pytest.approx(4.0)
+    assert "yield" not in found["measures"]["static.peak_to_peak@30Nm"]
+    assert found["sensitivity"] == {}
+    assert found["seconds"] > 0
+    assert found["samples_per_second"] == pytest.approx(200 / found["seconds"])
+    section = loads_tolerance(config.read_text())[2]
+    study = gj.monte_carlo(section.tolerances, section.measures, n=200, sampler="sobol")
+    name = "no_load.peak_to_peak"
+    assert entry["mean"] == pytest.approx(study.mean(name) / gj.units.arcmin, rel=1e-12)
+    assert entry["quantiles"]["0.5"][1] == pytest.approx(study.quantile(name, 0.5).low / gj.units.arcmin, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_the_example_answers_everything(tmp_path, capsys):
+    text = CONFIG.read_text(encoding="utf-8").replace("samples = 20000", "samples = 500").replace("= 1024 ", "= 64 ")
+    config = tmp_path / "whole.toml"
+    config.write_text(text.replace("units = 1000", "units = 16").replace("samples = 1581", "samples = 401"))
+    assert command(str(config), "--out", str(tmp_path / "out")) == 0
+    printed = capsys.readouterr().out
+    for words in ("500 gear sets", "Sobol first", "mislead", "halved", "Cheapest tolerances", "matched", "at random"):
+        assert words in printed
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    pictures = {"histograms.png", "convergence.png", "sensitivity.png", "allocation.png", "assembly.png"}
+    assert pictures | {"tolerance.json", NAME} <= names
+    found = json.loads((tmp_path / "out" / "tolerance.json").read_text())
+    one = found["sensitivity"]["no_load.peak_to_peak"]["numbers"]["errors.revolution.phase"]
+    assert set(one) == {"linear", "first", "first_error", "total", "total_error", "one_at_a_time"}
+    assert found["assembly"]["matched"]["mean"] < found["assembly"]["random"]["mean"]
+    assert set(found["allocation"]) >= {"factors", "cost", "cost_before", "yield", "met"}
+
+
+def test_the_worst_sample_is_a_configuration(config, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert command(str(config), "--out", str(out), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    scene = gj.load(out / "worst_no_load.peak_to_peak.toml")
+    theta = scene.system.input_speed * np.asarray(scene.run.times)
+    value = float(gj.transmission_error(scene, theta).peak_to_peak)
+    section = loads_tolerance(config.read_text())[2]
+    study = gj.monte_carlo(section.tolerances, section.measures, n=200, sampler="sobol")
+    assert value == pytest.approx(study.column("no_load.peak_to_peak").max(), rel=3e-3)
+    assert found["measures"]["no_load.peak_to_peak"]["worst_sample"] == study.worst("no_load.peak_to_peak")
+    assert study.worst("backlash.minimum") == int(np.argmin(study.column("backlash.minimum")))
+
+
+def stored(config: Path, out: Path) -> Store:
+    tables, _, section = loads_tolerance(config.read_text(), config.parent)
+    return Store(out, tables, prepared(section), config.read_text())
+
+
+def test_what_is_there_is_not_worked_out_again(config, tmp_path):
+    out = tmp_path / "out"
+    first = stored(config, out)
+    assert len(first.pending) == 4
+    for chunk, found in first.work.each(first.pending[1:3]):
+        first.put(chunk, found)
+    begun = stored(config, out)
+    assert begun.pending == [(0, 64), (192, 200)]
+    assert begun.samples_done == 128
+    other = np.full((64, len(begun.work.names)), 7.0), np.zeros(64, np.int32)
+    begun.put((64, 128), other)  # is there already
+    for chunk, found in begun.work.each(begun.pending):
+        begun.put(chunk, found)
+    values, codes = stored(config, out).load()
+    whole = Store(tmp_path / "other", loads_tolerance(config.read_text())[0], begun.work, "")
+    for chunk, found in whole.work.each(whole.pending):
+        whole.put(chunk, found)
+    np.testing.assert_array_equal(values, whole.load()[0])
+    assert (codes == 0).all()
+
+
+@pytest.mark.slow
+def test_a_killed_run_ends_with_the_same_numbers(tmp_path):
+    config = tmp_path / "study.toml"
+    config.write_text(small(samples=60_000, chunk=256), encoding="utf-8")
+    line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json", "--out"]
+    killed = subprocess.Popen([*line, str(tmp_path / "killed")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    flags = tmp_path / "killed" / NAME / "done" / "c"
+    deadline = time.monotonic() + 120
+    while (len(list(flags.iterdir())) if flags.exists() else 0) < 3:
+        assert time.monotonic() < deadline
+        assert killed.poll() is None
+        time.sleep(0.02)
+    refused = subprocess.run([*line, str(tmp_path / "killed")], capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "another run is writing there" in refused.stderr
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    results = []
+    for folder in ("killed", "whole"):
+        ended = subprocess.run([*line, str(tmp_path / folder)], capture_output=True, check=True)
+        results.append(json.loads(ended.stdout))
+    assert results[0]["measures"] == results[1]["measures"]
+    assert 0 < results[0]["computed"] < results[1]["computed"] == 60_000
+
+
+def test_another_study_is_refused_and_differences_named(config, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert command(str(config), "--out", str(out), "--json") == 0
+    for old, new, words in (
+        ('scale = "6 um"', 'scale = "7 um"', "errors.planet_1.amplitude"),
+        ("seed = 0", "seed = 1", "tolerance.seed: 0 there, 1 now"),
+        ("ratio = 0.1", "ratio = 0.2", "damping.ratio: 0.1 there, 0.2 now"),
+    ):
+        config.write_text(small().replace(old, new, 1))
+        assert command(str(config), "--out", str(out)) == 2
+        assert words in capsys.readouterr().err
+    config.write_text(small())
+    with held(out):
+        assert command(str(config), "--out", str(out)) == 2
+    assert "another run is writing there" in capsys.readouterr().err
+    (out / NAME / "zarr.json").write_text("{}")
+    assert command(str(config), "--out", str(out)) == 2
+    assert "not a study of gearjax" in capsys.readouterr().err
+
+
+def test_measured_values_come_from_a_file(tmp_path, capsys):
+    (tmp_path / "measured.csv").write_text("unit,e\n1,5.0\n2,7.5\n3,6.0\n", encoding="utf-8")
+    spread = '{ kind = "empirical", file = "measured.csv", column = "e", unit = "um" }'
+    text = small().replace('{ kind = "rayleigh", scale = "6 um" }', spread, 1)
+    config = tmp_path / "measured.toml"
+    config.write_text(text)
+    tables, _, section = loads_tolerance(text, tmp_path)
+    assert section.tolerances.distributions["errors.planet_1.amplitude"].values == pytest.approx((5e-6, 6e-6, 7.5e-6))
+    assert tables["tolerance"]["errors.planet_1.amplitude"]["values"][0].endswith(" m")
+    assert gj.load(config).run.samples == 201
+    assert command(str(config), "--json") == 0
+    capsys.readouterr()
+    for old, new, words in (
+        ('column = "e"', 'column = "f"', "valid: unit, e"),
+        ('unit = "um"', 'unit = "kg"', "wrong dimension"),
+        ("measured.csv", "missing.csv", "cannot be read"),
+    ):
+        config.write_text(text.replace(old, new))
+        assert command(str(config), "--json") == 2
+        assert words in capsys.readouterr().err
+    (tmp_path / "measured.csv").write_text("unit,e\n1,5.0\n2,oops\n", encoding="utf-8")
+    config.write_text(text)
+    assert command(str(config), "--json") == 2
+    assert "line 3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('scale = "6 um"', 'scale = "6 kg"', "tolerance.errors.planet_1.amplitude.scale"),
+        ('scale = "6 um"', 'sigma = "6 um"', "unknown key"),
+        ('kind = "rayleigh"', 'kind = "releigh"', 'did you mean "rayleigh"'),
+        ('"errors.planet_1.amplitude" =', '"errors.planet_7.amplitude" =', "did you mean"),
+        ('"backlash.initial" = {', '"backlash.initial" = { kind = "uniform_phase" } #', "whole turn"),
+        ("no_load.peak_to_peak", "no_load.peaktopeak", "did you mean"),
+        ('limit = "2 arcmin"', 'limit = "2 um"', "wrong dimension"),
+        (', torque = "30 N*m"', "", "needs a torque"),
+        ('sampler = "sobol"', 'sampler = "sobel"', "did you mean"),
+        ("samples = 200", "samples = 0", "whole number"),
+        ("seed = 0", "seed = -1", "whole number"),
+        ('low = "0.135 mm"', 'low = "0.2 mm"', "must be above low"),
+    ],
+)
+def test_mistakes_are_named_in_one_line(config, capsys, old, new, words):
+    text = config.read_text()
+    assert old in text
+    config.write_text(text.replace(old, new, 1))
+    assert command(str(config), "--json") == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.startswith("gearjax: error: ")
+    assert shown.err.count("\n") == 1
+    assert words in shown.err
+
+
+def test_options_that_contradict_each_other(config, capsys):
+    assert command(str(config), "--workers", "2", "--scheduler", "tcp://127.0.0.1:1") == 2
+    assert "--workers" in capsys.readouterr().err
+    assert command(str(config), "--workers", "0") == 2
+    assert "at least 1" in capsys.readouterr().err
+    assert command(str(ROOT / "configs" / "two_kv" / "wang_2020.toml")) == 2
+    assert "no [tolerance]" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_two_devices_find_what_one_finds(tmp_path):
+    config = tmp_path / "study.toml"
+    config.write_text(small(samples=500), encoding="utf-8")
+    code = (
+        "import sys, json, jax; jax.config.update('jax_enable_x64', True);"
+        "jax.config.update('jax_num_cpu_devices', int(sys.argv[2]));"
+        "from gearjax.config import loads_tolerance; from gearjax.results.tolerance import prepared;"
+        "work = prepared(loads_tolerance(open(sys.argv[1]).read())[2]);"
+        "found = [v for _, v in work.each(work.chunks)];"
+        "print(json.dumps([len(work.devices), [part[0].tolist() for part in found]]))"
+    )
+    found = {}
+    for number in (1, 2):
+        line = [sys.executable, "-c", code, str(config), str(number)]
+        ended = subprocess.run(line, capture_output=True, text=True, check=True, env={**os.environ, "XLA_FLAGS": ""})
+        devices, parts = json.loads(ended.stdout)
+        assert devices == number
+        found[number] = np.concatenate(parts)
+    assert found[1].shape == (500, 5)
+    np.testing.assert_allclose(found[2], found[1], rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_a_cluster_survives_the_death_of_a_worker(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    config = tmp_path / "study.toml"
+    config.write_text(small(samples=40_000, chunk=512), encoding="utf-8")
+    line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json"]
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="") as cluster:
+        out = tmp_path / "out"
+        run = subprocess.Popen(
+            [*line, "--out", str(out), "--scheduler", cluster.scheduler_address], stdout=subprocess.PIPE, text=True
+        )
+        flags = out / NAME / "done" / "c"
+        deadline = time.monotonic() + 120
+        while (len(list(flags.iterdir())) if flags.exists() else 0) < 4:
+            assert time.monotonic() < deadline
+            assert run.poll() is None
+            time.sleep(0.02)
+        os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+        printed, _ = run.communicate(timeout=300)
+    assert run.returncode == 0
+    alone = json.loads(subprocess.run(line, capture_output=True, check=True).stdout)
+    spread = json.loads(printed)
+    assert (spread["samples"], spread["failed"], spread["computed"]) == (40_000, 0, 40_000)
+    for name, entry in alone["measures"].items():
+        assert spread["measures"][name]["mean"] == pytest.approx(entry["mean"], rel=1e-12)
+        assert spread["measures"][name]["quantiles"]["0.95"] == pytest.approx(entry["quantiles"]["0.95"], rel=1e-10)

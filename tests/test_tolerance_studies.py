@@ -1,0 +1,162 @@
+"""Sensitivities, allocation of tolerances and matched assembly, against exact answers and slower ways."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import gearjax as gj
+from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.variance import tightened
+from gearjax.units import arcmin, um
+
+BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
+AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
+PHASES = [f"errors.{body}.phase" for body in BODIES]
+
+
+@pytest.fixture(scope="module")
+def population(scene):
+    amplitudes = dict.fromkeys(AMPLITUDES, gj.Rayleigh(6 * um))
+    return gj.Tolerances(scene, amplitudes | dict.fromkeys(PHASES, gj.UniformPhase()))
+
+
+@pytest.fixture(scope="module")
+def angles(scene):
+    return np.linspace(0.0, scene.system.cycle, 801)
+
+
+def test_sobol_indices_of_the_ishigami_function(scene):
+    angles = gj.Tolerances(scene, dict.fromkeys(PHASES[:3], gj.UniformPhase()))
+
+    def ishigami(scene):
+        x, y, z = (scene.errors[body].phase for body in BODIES[:3])
+        return jnp.sin(x) + 7 * jnp.sin(y) ** 2 + 0.1 * z**4 * jnp.sin(x)
+
+    (found,) = gj.sensitivities(angles, ishigami, n=4096)
+    # Ishigami and Homma 1990: V = a^2/8 + b pi^4/5 + b^2 pi^8/18 + 1/2
+    alone = np.array([0.5 * (1 + 0.1 * np.pi**4 / 5) ** 2, 49 / 8, 0.0])
+    together = 0.1**2 * np.pi**8 * (1 / 18 - 1 / 50)
+    whole = alone.sum() + together
+    np.testing.assert_allclose(found.first, alone / whole, atol=0.02)
+    np.testing.assert_allclose(found.total, (alone + np.array([together, 0, together])) / whole, atol=0.02)
+    assert (np.abs(found.first - alone / whole) < 1.5 * found.first_error + 1e-3).all()
+    assert "mislead" in found.linear_fails
+    assert found.samples == 4096 * 5
+
+
+def test_all_ways_agree_on_a_linear_measure(scene):
+    sizes = np.array([1.0, 2.0, 4.0])
+    spreads = {path: gj.Normal(20 * um, size * um) for path, size in zip(AMPLITUDES[:3], sizes, strict=True)}
+
+    def total(scene):
+        return sum(scene.errors[body].amplitude for body in BODIES[:3])
+
+    (found,) = gj.sensitivities(gj.Tolerances(scene, spreads), total, n=2048)
+    shares = sizes**2 / (sizes**2).sum()
+    np.testing.assert_allclose(found.linear, shares, rtol=0.1)
+    np.testing.assert_allclose(found.first, shares, atol=0.02)
+    np.testing.assert_allclose(found.total, shares, atol=0.02)
+    np.testing.assert_allclose(found.one_at_a_time, shares, rtol=1e-6)
+    assert found.linear_fails == ""
+
+
+def test_phases_of_no_load_errors_mislead_linear_shares(population, angles):
+    (found,) = gj.sensitivities(population, "no_load.peak_to_peak", n=256, theta=angles)
+    assert found.linear[4:].max() > 1
+    assert found.total.max() < 0.6
+    assert "mislead" in found.linear_fails
+
+
+def test_derivatives_of_measures_are_those_of_the_analyses(population, angles):
+    work = Work(population, "static.peak_to_peak@100Nm", number=8, theta=angles, extremes="samples")
+    inputs = work.inputs(0, 8)
+    slopes = jax.vmap(jax.jacrev(lambda v: work.one(v)[0][0]))(jnp.asarray(inputs))
+    step = 1e-7
+    for index in range(8):
+        for place in range(8):
+            size = um if place < 4 else 1.0
+            moved = [inputs[index].copy() for _ in range(2)]
+            moved[0][place] += step * size
+            moved[1][place] -= step * size
+            high, low = work.evaluate(np.stack(moved))[0][:, 0]
+            expected = (high - low) / (2 * step * size)
+            assert float(slopes[index, place]) == pytest.approx(expected, rel=2e-5, abs=2e-5 * arcmin / size)
+
+
+def test_halving_a_tolerance_never_makes_a_normal_sum_worse(scene):
+    spreads = {path: gj.Normal(20 * um, 2 * um) for path in AMPLITUDES[:2]}
+    tolerances = gj.Tolerances(scene, spreads)
+    work = Work(tolerances, gj.Measure("no_load", "mean", limit=1.0), number=4000, theta=np.arange(3.0))
+    found = tightened(work, 4000)["no_load.mean"]
+    assert list(found) == AMPLITUDES[:2]
+    assert all(before.value == after.value == 1.0 for before, after in found.values())
+
+
+def test_allocation_of_a_single_tolerance_is_the_quantile(scene):
+    # one eccentricity e, limit L: P(c e <= L) = 0.9 gives the factor; the reciprocal law its cost
+    alone = dataclasses.replace(scene, errors={"revolution": scene.errors["revolution"]}, reference=None)
+    alone = dataclasses.replace(alone, system=dataclasses.replace(alone.system, planets=1), backlash=None)
+    path = "errors.revolution.amplitude"
+    theta = np.linspace(0.0, alone.system.cycle, 801)
+    per_metre = float(gj.transmission_error(alone, theta).peak_to_peak / alone.errors["revolution"].amplitude)
+    limit = 6 * um * per_metre
+    found = gj.allocate(
+        gj.Tolerances(alone, {path: gj.Rayleigh(6 * um)}),
+        gj.Measure("no_load", "peak_to_peak", limit=limit),
+        required=0.9,
+        costs={path: ((1.0, 3.0),)},
+        theta=theta,
+    )
+    exact = 1 / stats.rayleigh.ppf(0.9)
+    assert found.met
+    assert found.after.low >= 0.9
+    assert found.factors[0] == pytest.approx(exact, rel=0.035)  # proved: the yield's interval lies above
+    assert found.factors[0] < exact
+    assert found.cost == pytest.approx(3.0 / found.factors[0], rel=1e-9)
+    assert found.before.low < stats.rayleigh.cdf(1.0) < found.before.high
+
+
+@pytest.mark.slow
+def test_allocation_buys_the_cheap_tolerance(population, angles):
+    measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
+    costs = dict(zip(AMPLITUDES, (((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 100.0),)), strict=True))
+    found = gj.allocate(population, measure, required=0.8, costs=costs, theta=angles, judged=10_000)
+    assert found.met
+    assert found.factors[3] > 1.2 * found.factors[:3].max()
+    table = dict.fromkeys(AMPLITUDES, ((0.5, 10.0), (1.0, 2.0), (2.0, 1.0)))
+    stepped = gj.allocate(population, measure, required=0.8, costs=table, theta=angles, judged=10_000)
+    assert stepped.met
+    impossible = gj.allocate(
+        population, measure, required=0.99, costs={AMPLITUDES[0]: ((1.0, 1.0),)}, theta=angles, judged=5000
+    )
+    assert not impossible.met
+    assert impossible.after.high < 0.99
+
+
+def test_matched_assembly_finds_what_a_long_search_finds(population, angles):
+    measure = gj.Measure("no_load", "peak_to_peak", limit=1 * arcmin)
+    found = gj.matched_assembly(population, measure, where=tuple(PHASES), units=24, theta=angles)
+    assert (found.matched <= found.random).all()
+    assert np.median(found.matched) < 0.6 * np.median(found.random)
+    inputs = Work(population, measure, number=24, theta=angles).inputs(0, 24)
+    for index in (0, 7, 20):
+        scene = population.with_values(jnp.asarray(inputs[index]))
+        best = gj.minimise("no_load_peak_to_peak", scene, where=PHASES, starts=32, theta=angles)
+        assert found.matched[index] < 1.05 * best.objective
+        row = inputs[index].copy()
+        row[4:] = found.phases[index]
+        exact = gj.transmission_error(population.with_values(jnp.asarray(row)), angles).peak_to_peak
+        assert found.matched[index] == pytest.approx(float(exact), rel=2e-3)
+    random, matched = found.shares()
+    assert matched.value > random.value
+    assert found.quantiles(0.5)[1].value == pytest.approx(np.median(found.matched), rel=0.05)
+
+
+def test_matched_assembly_needs_a_quick_analysis(population, with_contact):
+    soft = gj.Tolerances(with_contact(population.scene, gj.SoftplusContact(1e-7)), population.distributions)
+    with pytest.raises(gj.SceneError, match="hard contacts"):
+        gj.matched_assembly(soft, "no_load.std", where=tuple(PHASES), units=2, theta=np.arange(3.0))
