@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import gearjax as gj
-from gearjax.tolerance.distributions import DISTRIBUTIONS
+from gearjax.tolerance import DISTRIBUTIONS
 from gearjax.tolerance.grades import it_tolerance, run_out_tolerance, single_pitch_tolerance, total_pitch_tolerance
 
 SHARES = np.array([1e-12, 1e-4, 0.05, 0.3, 0.5, 0.77, 0.95, 1 - 1e-4, 1 - 1e-12])

@@ -286,3 +286,14 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path):
     for name, entry in alone["measures"].items():
         assert spread["measures"][name]["mean"] == pytest.approx(entry["mean"], rel=1e-12)
         assert spread["measures"][name]["quantiles"]["0.95"] == pytest.approx(entry["quantiles"]["0.95"], rel=1e-10)
+
+
+def test_the_tradeoff_tells_what_float32_costs(config, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["tradeoff", str(config), "--json"])
+    assert not ended.value.code
+    rows = json.loads(capsys.readouterr().out)["float32_quantiles"]
+    assert len(rows) == 15
+    for row in rows:
+        assert row["relative_shift"] < 1e-3
+        assert row["float32_arcmin"] == pytest.approx(row["float64_arcmin"], rel=1e-3)

@@ -11,8 +11,8 @@ import typer
 from rich.console import Console
 
 from gearjax.checks import ParameterError, nearest, writing
-from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_tradeoff
-from gearjax.config import loads, loads_optimise, read_file
+from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_shifts, print_tradeoff
+from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
 from gearjax.reproduce import PAPERS, Row
 from gearjax.results import (
     growth_remark,
@@ -149,10 +149,25 @@ def tradeoff(
 ) -> None:
     """Speed against accuracy of the dynamic TE for this scene, measured: solvers, steps, contact laws, precision.
 
+    With a tolerance section also how far float32 shifts the quantiles of its measures.
+
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
-    _, scene = _read(config)
-    found = run_tradeoff(scene, _positive("--error", error), _say)
+    text, scene = _read(config)
+    allowed, moving = _positive("--error", error), scene.run is not None and "dynamic" in scene.run.analyses
+    shifted = []
+    if "tolerance" in read_tables(text):
+        from gearjax.results.tolerance import shifts, shifts_as_json
+
+        _say("float32 against float64: quantiles of the tolerance study")
+        shifted = shifts(loads_tolerance(text, config.parent)[2])
+        if not moving:
+            if json_:
+                print(json.dumps({"config": str(config), "float32_quantiles": shifts_as_json(shifted)}))
+            else:
+                print_shifts(shifted)
+            return
+    found = run_tradeoff(scene, allowed, _say)
     folder = out if out is not None else None if json_ else Path("out") / config.stem
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
@@ -160,9 +175,14 @@ def tradeoff(
         written = save_tradeoff(found, folder) + save_tradeoff_figure(found, folder)
         _say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
-        print(json.dumps(tradeoff_as_json(str(config), found), allow_nan=False))
+        entries = tradeoff_as_json(str(config), found)
+        if shifted:
+            entries["float32_quantiles"] = shifts_as_json(shifted)
+        print(json.dumps(entries, allow_nan=False))
     else:
         print_tradeoff(found)
+        if shifted:
+            print_shifts(shifted)
 
 
 @app.command()
@@ -217,7 +237,7 @@ def _read_text(config: Path) -> str:
 def _read(config: Path) -> tuple[str, Scene]:
     """Text and scene of a configuration, or of a results file's own configuration."""
     text = _read_text(config)
-    return text, loads(text)
+    return text, loads(text, config.parent)
 
 
 def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:

@@ -11,6 +11,7 @@ from gearjax.results import Case, Optimisation, highest_load_sharing
 from gearjax.scene import METRICS
 from gearjax.studies.select import pick
 from gearjax.studies.tradeoff import Tradeoff
+from gearjax.tolerance.precision import PrecisionShift
 from gearjax.units import arcmin, deg
 
 
@@ -120,3 +121,14 @@ def print_rows(paper: str, rows: list[Row]) -> None:
     for why in dict.fromkeys(row.why for row in rows if row.why):
         items = dict.fromkeys(row.item.rpartition(",")[0] for row in rows if row.why == why)
         console.print(f"{'; '.join(items)}: {why}", style="dim", soft_wrap=True)
+
+
+def print_shifts(found: list[PrecisionShift]) -> None:
+    """Quantiles of a tolerance study in both precisions."""
+    table = Table(title="Quantiles of the tolerance study, the same gear sets; in arcmin")
+    for column in ("measure", "quantile", "float64", "float32", "shift [%]"):
+        table.add_column(escape(column), justify="left" if column == "measure" else "right")
+    for shift in found:
+        values = [f"{value / arcmin:.6f}" for value in (shift.double, shift.single)]
+        table.add_row(shift.name, f"{100 * shift.level:g} %", *values, f"{100 * shift.relative:.5f}")
+    output().print(table)

@@ -5,8 +5,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import writing
@@ -17,12 +15,14 @@ from gearjax.tolerance import Study, Tolerances, Work
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
 from gearjax.tolerance.monte_carlo import QUANTILES
+from gearjax.tolerance.precision import PrecisionShift, in_float32, precision_shifts
 from gearjax.tolerance.statistics import Estimate
 from gearjax.tolerance.variance import Sensitivities, sensitivities, tightened
 from gearjax.units import arcmin
 
 TIGHTENED_SAMPLES = 10_000
 CHECKED = 256  # samples whose extremes between the input angles are looked at
+SHIFTED = 10_000  # samples that float32 is compared with float64 on
 LISTED = 20  # failed samples that the JSON lists
 NO_MOTION = ("no_load", "static", "backlash")
 
@@ -164,8 +164,7 @@ def prepared(section: ToleranceSection) -> Work:
 def _in_precision(section: ToleranceSection) -> tuple[Tolerances, dict[str, Any]]:
     tolerances = section.tolerances
     if section.precision == "float32":
-        single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), tolerances.scene)
-        tolerances = Tolerances(single, tolerances.distributions, tolerances.correlations)
+        tolerances = in_float32(tolerances)
     return tolerances, {"extremes": section.extremes, "chunk": section.chunk}
 
 
@@ -219,6 +218,27 @@ def finished(
         )
     missed = _missed(section, work) if section.extremes == "samples" else {}
     return ToleranceResults(section, study, missed, found, narrowed, bought, matched, seconds, computed)
+
+
+def shifts(section: ToleranceSection) -> list[PrecisionShift]:
+    """How far float32 shifts the quantiles of a section's measures."""
+    options = {"sampler": section.sampler, "extremes": section.extremes, "chunk": section.chunk}
+    number = min(SHIFTED, section.samples)
+    return precision_shifts(section.tolerances, section.measures, n=number, key=section.seed, **options)
+
+
+def shifts_as_json(found: list[PrecisionShift]) -> list[dict[str, Any]]:
+    """The entry of ``gearjax tradeoff --json`` for a tolerance study."""
+    return [
+        {
+            "measure": shift.name,
+            "quantile": shift.level,
+            "float64_arcmin": shift.double / arcmin,
+            "float32_arcmin": shift.single / arcmin,
+            "relative_shift": shift.relative,
+        }
+        for shift in found
+    ]
 
 
 def _named(section: ToleranceSection, name: str):

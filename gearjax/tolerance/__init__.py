@@ -1,12 +1,9 @@
 """Tolerance studies: populations of gear sets, their distributions, yields and sensitivities."""
 
 from gearjax.tolerance.distributions import (
-    DISTRIBUTIONS,
     AbstractDistribution,
     Discrete,
     Empirical,
-    Iso286,
-    Iso1328RunOut,
     Lognormal,
     Normal,
     Rayleigh,
@@ -14,10 +11,24 @@ from gearjax.tolerance.distributions import (
     Uniform,
     UniformPhase,
 )
+from gearjax.tolerance.graded import Iso286, Iso1328RunOut
 from gearjax.tolerance.grades import it_tolerance, run_out_tolerance, single_pitch_tolerance, total_pitch_tolerance
 from gearjax.tolerance.measures import Measure
 from gearjax.tolerance.monte_carlo import Study, Work, monte_carlo
 from gearjax.tolerance.population import Correlation, Tolerances
+
+DISTRIBUTIONS: tuple[type[AbstractDistribution], ...] = (
+    Normal,
+    TruncatedNormal,
+    Uniform,
+    UniformPhase,
+    Rayleigh,
+    Lognormal,
+    Discrete,
+    Empirical,
+    Iso1328RunOut,
+    Iso286,
+)
 
 __all__ = [
     "DISTRIBUTIONS",

@@ -15,14 +15,12 @@ from scipy import special
 
 from gearjax.checks import ParameterError
 from gearjax.parameters import Parameter, check_value
-from gearjax.tolerance.grades import EDITIONS, it_tolerance, run_out_tolerance
-from gearjax.units import LENGTH, RATIO
-
-WITHIN = 0.9973
-"""Share of the parts within the limits of a grade: what three standard deviations hold of a normal distribution."""
+from gearjax.units import RATIO
 
 
-def _number(dimension: Any = None, *, kind: str = "number", default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
+def declared_number(
+    dimension: Any = None, *, kind: str = "number", default: Any = dataclasses.MISSING, **bounds: Any
+) -> Any:
     """A number of the distribution; without a dimension, in that of what is drawn."""
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return dataclasses.field(metadata={"parameter": Parameter(dimension, kind, **bounds)}, **keywords)
@@ -70,8 +68,8 @@ class Normal(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "normal"
-    mean: float = _number()
-    std: float = _number(at_least=0.0)
+    mean: float = declared_number()
+    std: float = declared_number(at_least=0.0)
 
     def quantile(self, share):
         return self.mean + self.std * special.ndtri(share)
@@ -95,10 +93,10 @@ class TruncatedNormal(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "truncated_normal"
-    mean: float = _number()
-    scale: float = _number(above=0.0)
-    low: float = _number()
-    high: float = _number()
+    mean: float = declared_number()
+    scale: float = declared_number(above=0.0)
+    low: float = declared_number()
+    high: float = declared_number()
 
     def __post_init__(self):
         super().__post_init__()
@@ -151,8 +149,8 @@ class Uniform(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "uniform"
-    low: float = _number()
-    high: float = _number()
+    low: float = declared_number()
+    high: float = declared_number()
 
     def __post_init__(self):
         super().__post_init__()
@@ -202,7 +200,7 @@ class Rayleigh(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "rayleigh"
-    scale: float = _number(at_least=0.0)
+    scale: float = declared_number(at_least=0.0)
 
     def quantile(self, share):
         return self.scale * np.sqrt(-2 * special.log1p(-share))
@@ -226,8 +224,8 @@ class Lognormal(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "lognormal"
-    median: float = _number(above=0.0)
-    sigma: float = _number(RATIO, at_least=0.0, at_most=10.0)
+    median: float = declared_number(above=0.0)
+    sigma: float = declared_number(RATIO, at_least=0.0, at_most=10.0)
 
     def quantile(self, share):
         return self.median * np.exp(self.sigma * special.ndtri(share))
@@ -251,8 +249,8 @@ class Discrete(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "discrete"
-    values: tuple[float, ...] = _number(kind="series")
-    probabilities: tuple[float, ...] = _number(RATIO, kind="series", default=(), at_least=0.0, at_most=1.0)
+    values: tuple[float, ...] = declared_number(kind="series")
+    probabilities: tuple[float, ...] = declared_number(RATIO, kind="series", default=(), at_least=0.0, at_most=1.0)
 
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(float(value) for value in self.values))
@@ -297,7 +295,7 @@ class Empirical(AbstractDistribution):
     """
 
     kind: ClassVar[str] = "empirical"
-    values: tuple[float, ...] = _number(kind="series")
+    values: tuple[float, ...] = declared_number(kind="series")
 
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(sorted(float(value) for value in self.values)))
@@ -320,88 +318,3 @@ class Empirical(AbstractDistribution):
     @property
     def centre(self):
         return float(np.mean(self.values))
-
-
-@dataclasses.dataclass(frozen=True)
-class Iso1328RunOut(AbstractDistribution):
-    """Eccentricity of a gear of an accuracy grade: `Rayleigh`, with 99.73 % of the gears within the limit of run-out,
-    which is twice the eccentricity (`run_out_tolerance`).
-
-    Args:
-        grade: accuracy grade.
-        module: normal module [m].
-        diameter: reference diameter [m].
-        edition: of ISO 1328, ``"2013"`` or ``"1995"``.
-    """
-
-    kind: ClassVar[str] = "iso_1328_run_out"
-    grade: int = _number(kind="count", at_least=0.0, at_most=12.0)
-    module: float = _number(LENGTH, above=0.0)
-    diameter: float = _number(LENGTH, above=0.0)
-    edition: str = _number(kind="name", default=EDITIONS[0], names=EDITIONS)
-
-    def __post_init__(self):
-        super().__post_init__()
-        _ = self.law
-
-    @property
-    def law(self) -> Rayleigh:
-        """The distribution itself."""
-        limit = 0.5 * run_out_tolerance(self.grade, self.module, self.diameter, self.edition)
-        return Rayleigh(limit / math.sqrt(-2 * math.log(1 - WITHIN)))
-
-    def quantile(self, share):
-        return self.law.quantile(share)
-
-    @property
-    def deviation(self):
-        return self.law.deviation
-
-    @property
-    def centre(self):
-        return 0.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Iso286(AbstractDistribution):
-    """Size of a tolerance grade IT: `Normal`, its tolerance six standard deviations wide (`it_tolerance`).
-
-    Args:
-        mean: middle of the tolerance.
-        grade: IT 5 to 16.
-        size: nominal size that the grade refers to [m].
-    """
-
-    kind: ClassVar[str] = "iso_286"
-    mean: float = _number()
-    grade: int = _number(kind="count", at_least=1.0, at_most=18.0)
-    size: float = _number(LENGTH, above=0.0)
-
-    def __post_init__(self):
-        super().__post_init__()
-        _ = self.deviation
-
-    def quantile(self, share):
-        return Normal(self.mean, self.deviation).quantile(share)
-
-    @property
-    def deviation(self):
-        return it_tolerance(self.grade, self.size) / 6
-
-    @property
-    def centre(self):
-        return self.mean
-
-
-DISTRIBUTIONS: tuple[type[AbstractDistribution], ...] = (
-    Normal,
-    TruncatedNormal,
-    Uniform,
-    UniformPhase,
-    Rayleigh,
-    Lognormal,
-    Discrete,
-    Empirical,
-    Iso1328RunOut,
-    Iso286,
-)

@@ -1,0 +1,62 @@
+"""What float32 costs a tolerance study: how far it shifts the quantiles that are reported."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+from gearjax.tolerance.measures import Measure
+from gearjax.tolerance.monte_carlo import QUANTILES, Work
+from gearjax.tolerance.population import Tolerances
+
+
+@dataclasses.dataclass(frozen=True)
+class PrecisionShift:
+    """A quantile of a measure in both precisions.
+
+    Args:
+        name: of the measure.
+        level: of the quantile.
+        double, single: the quantile in float64 and in float32 [rad].
+    """
+
+    name: str
+    level: float
+    double: float
+    single: float
+
+    @property
+    def relative(self) -> float:
+        """Shift over the value."""
+        return abs(self.single - self.double) / max(abs(self.double), 1e-300)
+
+
+def in_float32(tolerances: Tolerances) -> Tolerances:
+    """The same population with every number of its scene in float32."""
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), tolerances.scene)
+    return Tolerances(single, tolerances.distributions, tolerances.correlations)
+
+
+def precision_shifts(
+    tolerances: Tolerances, measures: Sequence[Measure], *, n: int = 10_000, key: int = 0, **options
+) -> list[PrecisionShift]:
+    """Quantiles of the same gear sets in float64 and in float32.
+
+    Args:
+        tolerances: the population, in float64.
+        measures: what is measured.
+        n: number of gear sets.
+        key: seed.
+        options: ``theta``, ``sampler``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
+    """
+    studies = []
+    for population in (tolerances, in_float32(tolerances)):
+        work = Work(population, measures, number=n, seed=key, **options)
+        studies.append(work.study(*work.evaluate(work.inputs(0, n))))
+    double, single = studies
+    return [
+        PrecisionShift(name, level, double.quantile(name, level).value, single.quantile(name, level).value)
+        for name in double.names
+        for level in QUANTILES
+    ]
