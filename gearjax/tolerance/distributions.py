@@ -26,17 +26,22 @@ def declared_number(
     return dataclasses.field(metadata={"parameter": Parameter(dimension, kind, **bounds)}, **keywords)
 
 
+def check_declared(part: Any) -> None:
+    """Refuse values that the fields of a distribution do not allow.
+
+    Raises:
+        ParameterError: naming the field.
+    """
+    for field in dataclasses.fields(part):
+        if "parameter" in field.metadata:
+            check_value(field.name, field.metadata["parameter"], getattr(part, field.name))
+
+
 @dataclasses.dataclass(frozen=True)
 class AbstractDistribution(abc.ABC):
     """What every distribution offers."""
 
     kind: ClassVar[str]
-
-    def __post_init__(self):
-        for field in dataclasses.fields(self):
-            parameter, value = field.metadata.get("parameter"), getattr(self, field.name)
-            if parameter is not None:
-                check_value(field.name, parameter, value)
 
     @abc.abstractmethod
     def quantile(self, share: np.ndarray) -> np.ndarray:
@@ -71,6 +76,9 @@ class Normal(AbstractDistribution):
     mean: float = declared_number()
     std: float = declared_number(at_least=0.0)
 
+    def __post_init__(self):
+        check_declared(self)
+
     def quantile(self, share):
         return self.mean + self.std * special.ndtri(share)
 
@@ -99,7 +107,7 @@ class TruncatedNormal(AbstractDistribution):
     high: float = declared_number()
 
     def __post_init__(self):
-        super().__post_init__()
+        check_declared(self)
         if not self.low < self.high:
             raise ParameterError("high", self.high, f"must be above low ({self.low:g})")
         lower, upper = self._ends
@@ -153,7 +161,7 @@ class Uniform(AbstractDistribution):
     high: float = declared_number()
 
     def __post_init__(self):
-        super().__post_init__()
+        check_declared(self)
         if self.high < self.low:
             raise ParameterError("high", self.high, f"must be at least low ({self.low:g})")
 
@@ -202,6 +210,9 @@ class Rayleigh(AbstractDistribution):
     kind: ClassVar[str] = "rayleigh"
     scale: float = declared_number(at_least=0.0)
 
+    def __post_init__(self):
+        check_declared(self)
+
     def quantile(self, share):
         return self.scale * np.sqrt(-2 * special.log1p(-share))
 
@@ -226,6 +237,9 @@ class Lognormal(AbstractDistribution):
     kind: ClassVar[str] = "lognormal"
     median: float = declared_number(above=0.0)
     sigma: float = declared_number(RATIO, at_least=0.0, at_most=10.0)
+
+    def __post_init__(self):
+        check_declared(self)
 
     def quantile(self, share):
         return self.median * np.exp(self.sigma * special.ndtri(share))
@@ -255,7 +269,7 @@ class Discrete(AbstractDistribution):
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(float(value) for value in self.values))
         object.__setattr__(self, "probabilities", tuple(float(value) for value in self.probabilities))
-        super().__post_init__()
+        check_declared(self)
         if not self.values:
             raise ParameterError("values", [], "needs at least one value")
         if self.probabilities and len(self.probabilities) != len(self.values):
@@ -299,7 +313,7 @@ class Empirical(AbstractDistribution):
 
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(sorted(float(value) for value in self.values)))
-        super().__post_init__()
+        check_declared(self)
         if not self.values:
             raise ParameterError("values", [], "needs at least one value")
 

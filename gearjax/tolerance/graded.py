@@ -4,7 +4,13 @@ import dataclasses
 import math
 from typing import ClassVar
 
-from gearjax.tolerance.distributions import AbstractDistribution, Normal, Rayleigh, declared_number
+from gearjax.tolerance.distributions import (
+    AbstractDistribution,
+    Normal,
+    Rayleigh,
+    check_declared,
+    declared_number,
+)
 from gearjax.tolerance.grades import EDITIONS, it_tolerance, run_out_tolerance
 from gearjax.units import LENGTH
 
@@ -31,7 +37,7 @@ class Iso1328RunOut(AbstractDistribution):
     edition: str = declared_number(kind="name", default=EDITIONS[0], names=EDITIONS)
 
     def __post_init__(self):
-        super().__post_init__()
+        check_declared(self)
         _ = self.law
 
     @property
@@ -68,7 +74,7 @@ class Iso286(AbstractDistribution):
     size: float = declared_number(LENGTH, above=0.0)
 
     def __post_init__(self):
-        super().__post_init__()
+        check_declared(self)
         _ = self.deviation
 
     def quantile(self, share):
