@@ -14,6 +14,7 @@ from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import Evaluated
 
 CONNECT = "30s"
+LOCAL = "local"
 LOST = 5  # workers that a chunk may take with it before it is given up
 
 
@@ -41,7 +42,7 @@ def each_on_cluster(
     Args:
         text: the configuration, measured values inside.
         chunks: what to work out.
-        scheduler: address of a running scheduler, or ``None`` for a local cluster.
+        scheduler: address of a running scheduler; ``None`` or ``"local"`` for a local cluster.
         workers: processes of the local cluster.
         say: for lines of progress.
 
@@ -54,7 +55,7 @@ def each_on_cluster(
     except ImportError as fault:
         raise GearjaxError('--scheduler and --workers need dask: pip install "gearjax[dask]"') from fault
     cluster: Any = None
-    if scheduler is None:
+    if scheduler is None or scheduler == LOCAL:
         cluster = LocalCluster(
             n_workers=workers or os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=""
         )

@@ -191,7 +191,7 @@ def tolerance(
     out: OutOption = None,
     json_: JsonOption = False,
     scheduler: Annotated[
-        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://10.0.0.1:8786")
+        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler: tcp://HOST:8786, or local")
     ] = None,
     workers: Annotated[
         int | None, typer.Option("--workers", metavar="N", help="processes of a Dask cluster on this machine")

@@ -44,7 +44,7 @@ def study(
         text: the configuration.
         base: folder that files named in it are relative to.
         folder: where the samples are kept; ``None`` for nowhere.
-        scheduler: address of a Dask scheduler, or ``None``.
+        scheduler: address of a Dask scheduler, ``"local"`` for one on this machine, or ``None``.
         workers: of a local Dask cluster, or ``None``.
         console: for the progress bar.
         say: for lines of progress.
@@ -77,7 +77,7 @@ def study(
                 source = each_on_cluster(tomli_w.dumps(tables), pending, scheduler, workers, say)
             for chunk, found in source:
                 kept.put(chunk, found)
-                advance(chunk[1] - chunk[0])
+                advance(chunk[1] - chunk[0], _good(work, found))
         done = work.study(*kept.load(), watch)
         return finished(section, work, done, watch.seconds, computed, say), work
 
@@ -104,21 +104,27 @@ class Kept:
         return self.values, self.codes
 
 
+def _good(work: Work, found: Evaluated) -> int:
+    """How many samples of a chunk are within all limits."""
+    within = [measure.holds(found[0][:, i]) for i, measure in enumerate(work.measures) if measure.is_limited]
+    return int(np.all(within, axis=0).sum()) if within else 0
+
+
 @contextlib.contextmanager
-def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar with samples per second and time left; nothing where nobody looks."""
+def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar with samples per second, share within all limits and time left; nothing where nobody looks."""
     if not console.is_terminal:
-        yield lambda _: None
+        yield lambda *_: None
         return
-    began, reached = time.monotonic(), [0]
+    began, reached = time.monotonic(), [0, 0]
     columns = (TextColumn("samples"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"))
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
         task = progress.add_task("samples", total=total, completed=done, rate="")
 
-        def advance(number: int) -> None:
-            reached[0] += number
-            rate = reached[0] / max(time.monotonic() - began, 1e-9)
-            progress.update(task, advance=number, rate=f"{rate:,.0f} samples/s")
+        def advance(number: int, good: int) -> None:
+            reached[0], reached[1] = reached[0] + number, reached[1] + good
+            rate, share = reached[0] / max(time.monotonic() - began, 1e-9), 100 * reached[1] / reached[0]
+            progress.update(task, advance=number, rate=f"{rate:,.0f} samples/s, {share:.2f} % within all limits")
 
         yield advance
 

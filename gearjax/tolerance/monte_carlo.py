@@ -21,6 +21,7 @@ from gearjax.typing import Array, ArrayLike
 
 CHUNK = 16384
 EXAMPLES = 64
+ACCELERATED = 1024  # samples side by side on an accelerator, at least
 QUANTILES = (0.05, 0.5, 0.95)
 _EXAMPLE_SEED = 0x6561
 Evaluated = tuple[np.ndarray, np.ndarray]
@@ -164,8 +165,11 @@ class Work:
             one = self._of_functions(sample, measure, seed)
             self.sizes = np.array([self.number])
         self.devices = tuple(jax.local_devices() if devices is None else devices)
+        if self.devices[0].platform != "cpu":
+            together = max(together, ACCELERATED)
         whole = together * len(self.devices)
-        self.chunk = -(-min(_whole("chunk", chunk), self.number) // whole) * whole
+        self.chunk = min(_whole("chunk", chunk), self.number)  # the same on every machine
+        self._rows = -(-self.chunk // whole) * whole  # filled up to what the devices share evenly
         self.one, self.together = one, together
         self._program, self._sharding = _sharded(one, self.devices, together)
 
@@ -188,6 +192,8 @@ class Work:
         return found, found.together
 
     def _of_functions(self, sample: Any, measure: Any, seed: Any):
+        if self.sampler != "monte_carlo":
+            raise ParameterError("sampler", self.sampler, "needs Tolerances: a function of a key draws by itself")
         if not callable(sample) or not callable(measure):
             raise GearjaxError(
                 "monte_carlo: give Tolerances and measures, or functions sample(key) and measure(what sample returns)"
@@ -229,7 +235,7 @@ class Work:
             yield waiting[0], self._finish(*waiting[1])
 
     def _begin(self, inputs: np.ndarray) -> tuple[Any, np.ndarray]:
-        rows = np.minimum(np.arange(self.chunk), len(inputs) - 1)
+        rows = np.minimum(np.arange(self._rows), len(inputs) - 1)
         dtype = self.sample.scene.dtype if isinstance(self.sample, Tolerances) else inputs.dtype
         return self._program(jax.device_put(inputs[rows].astype(dtype), self._sharding)), inputs
 
