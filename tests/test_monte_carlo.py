@@ -175,6 +175,7 @@ def test_functions_of_a_key():
     four_sigma(study.mean("first"), 0.0, np.sqrt(1.0 / 4000))
 
 
+@pytest.mark.slow
 def test_other_contact_laws_and_free_systems_take_the_analyses(scene, angles, with_contact):
     theta = angles[:101]
     soft = with_contact(scene, gj.QuadraticContact(1e-9))
@@ -212,6 +213,7 @@ def test_failed_samples_are_counted_and_the_others_untouched(scene, angles):
     assert list(half.faults) == ["a measure is not finite"]
 
 
+@pytest.mark.slow
 def test_float32_shifts_quantiles_by_less_than_a_thousandth(population, angles):
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), population.scene)
     narrow = gj.Tolerances(single, population.distributions)

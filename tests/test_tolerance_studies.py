@@ -64,6 +64,7 @@ def test_all_ways_agree_on_a_linear_measure(scene):
     assert found.linear_fails == ""
 
 
+@pytest.mark.slow
 def test_phases_of_no_load_errors_mislead_linear_shares(population, angles):
     (found,) = gj.sensitivities(population, "no_load.peak_to_peak", n=256, theta=angles)
     assert found.linear[4:].max() > 1
@@ -71,6 +72,7 @@ def test_phases_of_no_load_errors_mislead_linear_shares(population, angles):
     assert "mislead" in found.linear_fails
 
 
+@pytest.mark.slow
 def test_derivatives_of_measures_are_those_of_the_analyses(population, angles):
     work = Work(population, "static.peak_to_peak@100Nm", number=8, theta=angles, extremes="samples")
     inputs = work.inputs(0, 8)
@@ -137,6 +139,7 @@ def test_allocation_buys_the_cheap_tolerance(population, angles):
     assert impossible.after.high < 0.99
 
 
+@pytest.mark.slow
 def test_matched_assembly_finds_what_a_long_search_finds(population, angles):
     measure = gj.Measure("no_load", "peak_to_peak", limit=1 * arcmin)
     found = gj.matched_assembly(population, measure, where=tuple(PHASES), units=24, theta=angles)
