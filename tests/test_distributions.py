@@ -25,6 +25,7 @@ KNOWN = [
 def test_quantiles_and_moments_are_those_of_scipy(ours, known):
     np.testing.assert_allclose(ours.quantile(SHARES), known.ppf(SHARES), rtol=1e-7, atol=1e-12 * known.std())
     assert ours.deviation == pytest.approx(known.std(), rel=1e-9)
+    assert ours.expected == pytest.approx(known.mean(), rel=1e-9, abs=1e-12)
 
 
 def test_discrete_values_come_with_their_probabilities():
@@ -33,7 +34,7 @@ def test_discrete_values_come_with_their_probabilities():
     values, counts = np.unique(spread.quantile(shares), return_counts=True)
     assert values.tolist() == [1.0, 2.0, 5.0]
     assert counts.tolist() == [200, 300, 500]
-    assert spread.centre == pytest.approx(3.3)
+    assert spread.expected == pytest.approx(3.3)
     assert spread.deviation == pytest.approx(np.sqrt(0.2 * 1 + 0.3 * 4 + 0.5 * 25 - 3.3**2))
     assert gj.Discrete((1.0, 2.0)).quantile(np.array([0.2, 0.8])).tolist() == [1.0, 2.0]
 
@@ -41,7 +42,7 @@ def test_discrete_values_come_with_their_probabilities():
 def test_measured_values_are_drawn_as_often_as_each_other():
     spread = gj.Empirical((3.0, 1.0, 7.0, 5.0))
     assert spread.quantile(np.array([0.1, 0.3, 0.6, 0.99, 1.0])).tolist() == [1.0, 3.0, 5.0, 7.0, 7.0]
-    assert (spread.centre, spread.deviation) == (4.0, pytest.approx(np.std([1, 3, 5, 7])))
+    assert (spread.expected, spread.deviation) == (4.0, pytest.approx(np.std([1, 3, 5, 7])))
 
 
 @pytest.mark.parametrize(

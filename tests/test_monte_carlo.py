@@ -270,3 +270,22 @@ def test_one_input_angle_and_two(population):
         )
         assert (study.values[:, 0] == 0).all() == (number == 1)
         assert np.isfinite(study.values).all()
+
+
+def test_rare_values_are_right_and_strangers_told(scene, angles):
+    rare = {path: gj.Rayleigh(6 * um) for path in AMPLITUDES[:3]} | dict.fromkeys(PHASES, gj.UniformPhase())
+    rare[AMPLITUDES[3]] = gj.Discrete((0.0, 30 * um), (0.995, 0.005))
+    tolerances = gj.Tolerances(scene, rare)
+    work = Work(tolerances, "no_load.std", number=2000, theta=angles)
+    rows = work.inputs(0, 2000)
+    rows = rows[rows[:, tolerances.paths.index(AMPLITUDES[3])] > 0][:5]
+    found, codes = work.evaluate(rows)
+    assert (codes == 0).all()
+    for row, value in zip(rows, found[:, 0], strict=True):
+        exact = gj.transmission_error(tolerances.with_values(jnp.asarray(row)), angles).std
+        assert value == pytest.approx(float(exact), rel=1e-9)
+    narrow = gj.Tolerances(scene, rare | {AMPLITUDES[3]: gj.Uniform(0.0, 0.0)})
+    assert narrow.paths == tolerances.paths
+    strangers = Work(narrow, "no_load.std", number=10, theta=angles).evaluate(rows)
+    assert (strangers[1] == 4).all()  # unlike all examples: not good
+    assert np.isnan(strangers[0]).all()

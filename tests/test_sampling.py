@@ -109,4 +109,14 @@ def test_wilson_is_the_published_interval():
 
 def test_quantiles_of_nothing_and_of_one():
     assert np.isnan(statistics.quantile(np.empty(0), 0.5, np.array([0]))).all()
-    assert statistics.quantile(np.array([3.0]), 0.5, np.array([1])) == (3.0, 3.0, 3.0)
+    assert statistics.quantile(np.array([3.0]), 0.5, np.array([1])) == (3.0, -np.inf, np.inf)
+
+
+@pytest.mark.parametrize("number", [3, 10, 20, 40])
+def test_intervals_of_few_samples_are_open_where_they_cannot_tell(number):
+    rng = np.random.default_rng(number)
+    held = []
+    for _ in range(1000):
+        found = statistics.quantile(rng.normal(size=number), 0.05, np.array([number]))
+        held.append(found.low <= stats.norm.ppf(0.05) <= found.high)
+    assert np.mean(held) > 0.92

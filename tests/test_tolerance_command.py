@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 import gearjax as gj
 from gearjax.cli import main
@@ -163,6 +164,10 @@ def test_another_study_is_refused_and_differences_named(config, tmp_path, capsys
         config.write_text(small().replace(old, new, 1))
         assert command(str(config), "--out", str(out)) == 2
         assert words in capsys.readouterr().err
+    config.write_text(small().replace('limit = "2 arcmin"', 'limit = "1 arcmin"'))
+    assert command(str(config), "--out", str(out), "--json") == 0  # the same samples, judged anew
+    found = json.loads(capsys.readouterr().out)
+    assert (found["computed"], found["measures"]["no_load.peak_to_peak"]["limit"]) == (0, 1.0)
     config.write_text(small())
     with held(out):
         assert command(str(config), "--out", str(out)) == 2
@@ -178,6 +183,11 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
     text = small().replace('{ kind = "rayleigh", scale = "6 um" }', spread, 1)
     config = tmp_path / "measured.toml"
     config.write_text(text)
+    for written in ('"errors.planet_1".amplitude', "errors.planet_1.amplitude", "errors.planet_1.'amplitude'"):
+        other = text.replace('"errors.planet_1.amplitude"', written)
+        again = loads_tolerance(tomli_w.dumps(loads_tolerance(other, tmp_path)[0]))[2]
+        values = again.tolerances.distributions["errors.planet_1.amplitude"].values
+        assert values == pytest.approx((5e-6, 6e-6, 7.5e-6))
     tables, _, section = loads_tolerance(text, tmp_path)
     assert section.tolerances.distributions["errors.planet_1.amplitude"].values == pytest.approx((5e-6, 6e-6, 7.5e-6))
     assert tables["tolerance"]["errors.planet_1.amplitude"]["values"][0].endswith(" m")
@@ -212,6 +222,12 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
         ('sampler = "sobol"', 'sampler = "sobel"', "did you mean"),
         ("samples = 200", "samples = 0", "whole number"),
         ("seed = 0", "seed = -1", "whole number"),
+        ('kind = "rayleigh"', 'kind = ["rayleigh"]', "tolerance.errors.planet_1.amplitude.kind"),
+        ("[run]", "[tolerance.asembly]\n[run]", 'did you mean "assembly"'),
+        ("[run]", "[tolerance.assembly]\nunits = 1\n[run]", "tolerance.assembly.units"),
+        ('limit = "2 arcmin"', 'limit = "2 arcmin", at_least = "3 arcmin"', "above at_least"),
+        ('"static.peak_to_peak", torque', '"static.peak_to_peak@3Nm", torque', "gives one already"),
+        ("# correlated = [{ between", 'correlated = [{ between = ["a", "b"], coefficient = 0.5 }] #', "correlated[0]"),
         ('low = "0.135 mm"', 'low = "0.2 mm"', "must be above low"),
     ],
 )

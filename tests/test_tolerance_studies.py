@@ -163,3 +163,38 @@ def test_matched_assembly_needs_a_quick_analysis(population, with_contact):
     soft = gj.Tolerances(with_contact(population.scene, gj.SoftplusContact(1e-7)), population.distributions)
     with pytest.raises(gj.SceneError, match="hard contacts"):
         gj.matched_assembly(soft, "no_load.std", where=tuple(PHASES), units=2, theta=np.arange(3.0))
+
+
+@pytest.mark.slow
+def test_matched_assembly_follows_the_limits(population, angles):
+    def searched(**limits):
+        measure = gj.Measure("backlash", "minimum", **limits)
+        return gj.matched_assembly(population, measure, where=tuple(PHASES), units=24, theta=angles)
+
+    widest = searched(at_least=5.5 * arcmin)
+    assert (widest.matched >= widest.random).all()
+    assert np.median(widest.matched) > np.median(widest.random) + 0.3 * arcmin
+    between = searched(at_least=5.5 * arcmin, limit=7.0 * arcmin)
+    random, matched = between.shares()
+    assert matched.value > max(random.value, 0.9)
+
+
+def test_a_tolerance_of_a_size_narrows_to_none(scene):
+    spreads = {AMPLITUDES[0]: gj.Uniform(0.0, 16 * um), "backlash.initial": gj.Normal(1e-4, 1e-6)}
+    assert gj.Tolerances(scene, spreads).centres.tolist() == [0.0, 1e-4]
+
+
+@pytest.mark.slow
+def test_allocation_stays_within_tables_and_keeps_what_is_good(population, angles):
+    measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
+    table = dict.fromkeys(AMPLITUDES, ((0.8, 3.0), (1.0, 1.0)))
+    found = gj.allocate(population, measure, required=0.9, costs=table, theta=angles, judged=5000)
+    assert not found.met
+    assert found.factors.min() >= 0.8 - 1e-9
+    spreads = dict.fromkeys(AMPLITUDES, gj.Normal(6 * um, 1.5 * um)) | dict.fromkeys(PHASES, gj.UniformPhase())
+    steady = gj.Tolerances(population.scene, spreads)
+    easy = gj.Measure("no_load", "peak_to_peak", limit=4 * arcmin)
+    costs = dict.fromkeys(AMPLITUDES, ((1.0, 1.0),))
+    loose = gj.allocate(steady, easy, required=0.9, costs=costs, theta=angles, loosest=10.0, judged=5000)
+    assert loose.met
+    assert loose.cost <= loose.cost_before

@@ -15,7 +15,6 @@ from gearjax.tolerance.monte_carlo import Evaluated
 
 CONNECT = "30s"
 LOCAL = "local"
-LOST = 5  # workers that a chunk may take with it before it is given up
 
 
 @functools.lru_cache(maxsize=2)
@@ -66,12 +65,15 @@ def each_on_cluster(
     try:
         say(f"cluster: {client.scheduler.address if client.scheduler else scheduler}")  # type: ignore[union-attr]
         config = client.scatter(text, broadcast=True) if len(text) > 100_000 else text
-        futures = {client.submit(evaluate, config, chunk, pure=False, retries=LOST): chunk for chunk in chunks}
+        futures = {client.submit(evaluate, config, chunk, pure=False): chunk for chunk in chunks}
         for future in as_completed(list(futures)):
             try:
                 found = future.result()
             except KilledWorker as fault:
-                raise GearjaxError(f"the workers died on samples {futures[future]}: is there memory enough?") from fault
+                words = "the workers that took them died: is there memory enough?"
+                raise GearjaxError(f"samples {futures[future]}: {words}") from fault
+            except Exception as fault:  # whatever a worker raised: a missing package, a lost scheduler
+                raise GearjaxError(f"samples {futures[future]}: {type(fault).__name__}: {fault}") from fault
             yield futures.pop(future), found
     finally:
         client.close()

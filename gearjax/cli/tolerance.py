@@ -19,7 +19,7 @@ from gearjax.checks import ParameterError
 from gearjax.cli.tables import output
 from gearjax.config import loads_tolerance
 from gearjax.results.store import Store, held
-from gearjax.results.tolerance import ToleranceResults, finished, prepared
+from gearjax.results.tolerance import LISTED, ToleranceResults, finished, prepared
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import QUANTILES, Evaluated
@@ -105,9 +105,9 @@ class Kept:
 
 
 def _good(work: Work, found: Evaluated) -> int:
-    """How many samples of a chunk are within all limits."""
+    """How many samples of a chunk are within all limits, -1 where there are none."""
     within = [measure.holds(found[0][:, i]) for i, measure in enumerate(work.measures) if measure.is_limited]
-    return int(np.all(within, axis=0).sum()) if within else 0
+    return int(np.all(within, axis=0).sum()) if within else -1
 
 
 @contextlib.contextmanager
@@ -123,8 +123,9 @@ def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int, int
 
         def advance(number: int, good: int) -> None:
             reached[0], reached[1] = reached[0] + number, reached[1] + good
-            rate, share = reached[0] / max(time.monotonic() - began, 1e-9), 100 * reached[1] / reached[0]
-            progress.update(task, advance=number, rate=f"{rate:,.0f} samples/s, {share:.2f} % within all limits")
+            words = f"{reached[0] / max(time.monotonic() - began, 1e-9):,.0f} samples/s"
+            words += f", {100 * reached[1] / reached[0]:.2f} % within all limits" if good >= 0 else ""
+            progress.update(task, advance=number, rate=words)
 
         yield advance
 
@@ -146,6 +147,12 @@ def print_tolerance(found: ToleranceResults) -> None:
     console.print(table)
     for words, count in study_.faults.items():
         console.print(f"failed: {count} of {study_.samples}: {words}", soft_wrap=True)
+    if len(study_.failed):
+        listed = ", ".join(map(str, study_.failed[:LISTED].tolist()))
+        more = "" if len(study_.failed) <= LISTED else " and more: code and number of each are in samples.zarr"
+        console.print(f"failed samples: {listed}{more}", soft_wrap=True)
+    for words in found.problems:
+        console.print(f"not done: {words}", soft_wrap=True)
     for name, missed in found.missed.items():
         console.print(
             f"{name}: extremes between the samples are {missed / arcmin:+.2g} arcmin off on average", style="dim"
@@ -177,8 +184,11 @@ def _print_sensitivity(console: Console, found: ToleranceResults) -> None:
                 cells.append("" if pair is None else f"{100 * pair[0].value:.2f} to {100 * pair[1].value:.2f}")
             table.add_row(path, *cells)
         console.print(table)
-        if one.linear_fails:
-            console.print(one.linear_fails, soft_wrap=True)
+        notes = [one.linear_fails] if one.linear_fails else []
+        notes += ["correlations are left out here"] if one.correlated else []
+        notes += [f"{one.failed} of {one.samples} gear sets failed and count as average ones"] if one.failed else []
+        for words in notes:
+            console.print(words, soft_wrap=True)
 
 
 def _print_allocation(console: Console, found: ToleranceResults) -> None:
@@ -211,3 +221,5 @@ def _print_assembly(console: Console, found: ToleranceResults) -> None:
         cells = [_interval(matched.quantiles(level)[place], 1 / arcmin, 3) for level in QUANTILES]
         table.add_row(name, *cells, "" if good is None else _interval(good, 100.0, 1))
     console.print(table)
+    if matched.failed:
+        console.print(f"{matched.failed} units failed", soft_wrap=True)

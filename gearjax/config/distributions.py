@@ -30,7 +30,7 @@ def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, fol
     """
     kinds = {kind.kind: kind for kind in DISTRIBUTIONS}
     kind = given.get("kind", MISSING)
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         raise ParameterError(f"{key}.kind", kind, nearest(kind, kinds))
     table = {name: value for name, value in given.items() if name != "kind"}
     if kind == Empirical.kind and "file" in table:

@@ -40,3 +40,11 @@ def read_parameter(key: str, given: Any, parameter: Parameter) -> float:
     assert parameter.dimension is not None
     plain = parameter.dimension is units.RATIO
     return read_plain(key, given) if plain else read_quantity(key, given, parameter.dimension)
+
+
+def flattened(tables: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Tables in tables as one table of dotted keys."""
+    found: dict[str, Any] = {}
+    for key, value in tables.items():
+        found |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found

@@ -9,7 +9,8 @@ from gearjax import units
 from gearjax.checks import MISSING, GearjaxError, ParameterError, SceneError, nearest
 from gearjax.config.distributions import read_distribution
 from gearjax.config.quantities import read_plain, read_quantity
-from gearjax.config.tables import known_keys, read_whole
+from gearjax.config.tables import flattened, known_keys, read_whole
+from gearjax.contact import HardContact
 from gearjax.scene import Scene
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
@@ -19,7 +20,9 @@ from gearjax.tolerance.sampling import SAMPLERS
 
 MOST_SAMPLES = 1_000_000_000
 PRECISIONS = ("float64", "float32")
+MOST_YIELD = 0.9995  # more would need more gear sets to prove
 _KEYS = ("samples", "seed", "sampler", "extremes", "chunk", "precision", "measures", "correlated")
+_LIMITS = ("limit", "at_least")
 _STUDIES = ("sensitivity", "allocation", "assembly")
 
 
@@ -136,19 +139,29 @@ def inlined(tables: dict[str, Any], scene: Scene, folder: Path) -> dict[str, Any
             assert isinstance(spread, Empirical)
             unit = f" {parameter.dimension.unit}" if parameter.dimension.unit else ""
             values = [f"{value!r}{unit}" if unit else value for value in spread.values]
-            _forget(section, path)
+            section = _forget(section, path)
             section[path] = {"kind": Empirical.kind, "values": values}
     return {**tables, "tolerance": section}
 
 
-def _forget(section: dict[str, Any], path: str) -> None:
-    """Remove a leaf, wherever its dotted path was written."""
-    section.pop(path, None)
-    table = section
-    *parents, last = path.split(".")
-    for parent in parents:
-        table = table.get(parent, {})
-    table.pop(last, None)
+def sampled(tables: dict[str, Any]) -> dict[str, Any]:
+    """What of the tables of a configuration the samples depend on: no limits, no further studies."""
+    section = {key: value for key, value in tables["tolerance"].items() if key not in _STUDIES}
+    measures = [{"name": entry} if isinstance(entry, str) else entry for entry in section["measures"]]
+    section["measures"] = [{k: v for k, v in entry.items() if k not in _LIMITS} for entry in measures]
+    others = {key: value for key, value in tables.items() if key not in ("optimise", "published")}
+    return {**others, "tolerance": section}
+
+
+def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
+    """The table without a leaf, however its dotted path was written."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if key == path:
+            continue
+        inside = path.startswith(f"{key}.") and isinstance(value, dict)
+        found[key] = _forget(value, path.removeprefix(f"{key}.")) if inside else value
+    return found
 
 
 def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, Any]]]:
@@ -156,7 +169,7 @@ def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, An
     known, found = numbers(scene), []
 
     def visit(path: str, given: Any) -> None:
-        if isinstance(given, dict) and "kind" not in given and path not in known:
+        if isinstance(given, dict) and given and "kind" not in given and path not in known:
             for key, value in given.items():
                 visit(f"{path}.{key}", value)
             return
@@ -199,9 +212,6 @@ def _measures(given: Any) -> tuple[Measure, ...]:
             raise ParameterError(key, measure.name, "is listed twice")
         found.append(measure)
     return tuple(found)
-
-
-_LIMITS = ("limit", "at_least")
 
 
 def _correlations(given: Any) -> list[Correlation]:
@@ -256,28 +266,23 @@ def _allocation(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...
     table = _section("allocation", given, ("measure", "yield", "cost", "tightest", "loosest"))
     measure = _limited(f"{key}.measure", table.get("measure", MISSING), measures)
     required = read_plain(f"{key}.yield", table.get("yield", MISSING))
-    if not 0 < required < 1:
-        raise ParameterError(f"{key}.yield", required, "must be above 0 and below 1")
+    if not 0 < required <= MOST_YIELD:
+        raise ParameterError(f"{key}.yield", required, f"must be above 0 and at most {MOST_YIELD}, which can be proved")
     tightest = read_plain(f"{key}.tightest", table.get("tightest", 0.1))
     loosest = read_plain(f"{key}.loosest", table.get("loosest", 2.0))
     if not 0 < tightest < loosest <= 1000:
         raise ParameterError(f"{key}.tightest", tightest, "must be above 0 and below loosest, at most 1000")
+    if not tolerances.tolerated:
+        raise SceneError(f"{key}: no tolerance can be bought: all numbers that vary are assembly phases")
     given_costs = table.get("cost", dict.fromkeys(tolerances.tolerated, 1.0))
     if not isinstance(given_costs, dict) or not given_costs:
         raise ParameterError(f"{key}.cost", given_costs, "must be a section of costs by path")
     costs = {}
-    for path, cost in _flat(given_costs).items():
+    for path, cost in flattened(given_costs).items():
         if path not in tolerances.tolerated:
             raise ParameterError(f"{key}.cost.{path}", cost, nearest(path, tolerances.tolerated))
         costs[path] = _cost(f"{key}.cost.{path}", cost)
     return Allocation(measure, required, costs, tightest, loosest)
-
-
-def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in table.items():
-        found |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return found
 
 
 def _cost(key: str, given: Any) -> tuple[tuple[float, float], ...]:
@@ -306,6 +311,8 @@ def _assembly(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...])
     measure = table.get("measure", names[0] if names else MISSING)
     if measure not in names:
         raise ParameterError(f"{key}.measure", measure, f"must be a measure without motion; {nearest(measure, names)}")
+    if not isinstance(tolerances.scene.contact, HardContact):
+        raise SceneError(f'{key}: needs [contact] kind = "hard"')
     known = numbers(tolerances.scene)
     phases = [path for path in known if known[path].periodic]
     where = table.get("where", [path for path in phases if path.startswith("errors.")])

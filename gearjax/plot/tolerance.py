@@ -57,8 +57,7 @@ def convergence_figure(study: Study) -> Figure:
     """Quantiles, and yields where there are limits, with their intervals over the number of samples."""
     limited = [measure.name for measure in study.measures if measure.is_limited]
     figure, axes = new_figure(len(study.names) + len(limited), width=9.0, height=2.6)
-    numbers = np.unique(np.geomspace(32, max(study.samples, 33), MARKS).astype(int))
-    numbers = numbers[numbers <= study.samples]
+    numbers = np.unique(np.geomspace(min(32, study.samples), study.samples, MARKS).round().astype(int))
     for ax, name in zip(axes, study.names, strict=False):
         column = study.column(name) / arcmin
         for level, colour in zip(QUANTILES, ("tab:blue", "black", "tab:red"), strict=True):
@@ -111,7 +110,7 @@ def assembly_figure(found: MatchedAssembly) -> Figure:
     """The same gear sets assembled at random and matched: distributions, shares within any limit, and each unit."""
     figure, axes = new_figure(1, 3, width=15.0, height=4.6)
     parts = {"at random": (found.random, "0.55"), "matched": (found.matched, "tab:green")}
-    top = float(np.nanmax(found.random)) / arcmin
+    top = float(np.nanmax([found.random, found.matched])) / arcmin
     bins = np.linspace(min(0.0, float(np.nanmin(found.matched)) / arcmin), top, 60).tolist()
     for label, (values, colour) in parts.items():
         good = np.sort(values[np.isfinite(values)]) / arcmin

@@ -1,7 +1,7 @@
 """Samples of a study on disk: a zarr group, read and written through xarray, chunk by chunk.
 
 A chunk counts once its flag is written, after its data: a killed run leaves at most one chunk to be worked out again.
-The configuration is inside; another one does not go on with its samples. One run at a time holds the folder.
+The configuration is inside; one with other samples does not go on with them. One run at a time holds the folder.
 """
 
 import contextlib
@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from gearjax.checks import GearjaxError, writing
+from gearjax.config.tables import flattened
+from gearjax.config.tolerance import sampled
 from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import Evaluated
 from gearjax.units import arcmin
@@ -37,7 +39,7 @@ class Store:
 
     def __init__(self, folder: Path, definition: dict[str, Any], work: Work, config: str):
         self.path, self.work = folder / NAME, work
-        wanted = {"format": _FORMAT, "chunk": work.chunk, **_flat(definition)}
+        wanted = {"format": _FORMAT, "chunk": work.chunk, **flattened(sampled(definition))}
         with writing(folder):
             if not self.path.exists():
                 self._create(wanted, config)
@@ -102,7 +104,7 @@ class Store:
             words = "; ".join(f"{key}: {_shown(stored, key)} there, {_shown(wanted, key)} now" for key in differing[:3])
             more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
             raise GearjaxError(
-                f"--out {self.path.parent}: holds another study ({words}{more}): choose another folder or remove {NAME}"
+                f"{self.path.parent} holds another study ({words}{more}): choose another --out, or remove {NAME}"
             )
 
     def _write(self, dimension: str, region: tuple[int, int], variables: dict[str, np.ndarray]) -> None:
@@ -153,16 +155,6 @@ def _remove(path: Path) -> None:
     import shutil
 
     shutil.rmtree(path, ignore_errors=True)
-
-
-def _flat(tables: Any, prefix: str = "") -> dict[str, Any]:
-    """Tables as one table of dotted keys."""
-    if not isinstance(tables, dict):
-        return {prefix: tables}
-    found: dict[str, Any] = {}
-    for key, value in tables.items():
-        found |= _flat(value, f"{prefix}.{key}" if prefix else key)
-    return found
 
 
 def _shown(table: dict[str, Any], key: str) -> str:

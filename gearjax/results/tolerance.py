@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gearjax.checks import writing
+from gearjax.checks import GearjaxError, writing
 from gearjax.config import ToleranceSection, with_numbers
 from gearjax.progress import Progress
 from gearjax.studies.select import numbers
@@ -41,6 +42,7 @@ class ToleranceResults:
         allocation, assembly: or ``None``.
         seconds: wall time of the Monte Carlo study without compilation [s], of the samples of this run.
         computed: samples of this run; the others were there before.
+        problems: what could not be done, and why.
     """
 
     section: ToleranceSection
@@ -52,6 +54,7 @@ class ToleranceResults:
     assembly: MatchedAssembly | None
     seconds: float
     computed: int
+    problems: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The object that ``gearjax tolerance --json`` prints."""
@@ -71,8 +74,10 @@ class ToleranceResults:
             "samples_per_second": self.computed / self.seconds if self.seconds > 0 else None,
             "computed": self.computed,
         }
+        if self.problems:
+            found["problems"] = list(self.problems)
         if self.missed:
-            found["missed_between_samples_arcmin"] = {name: value / arcmin for name, value in self.missed.items()}
+            found["missed_between_samples_arcmin"] = {n: _finite(value / arcmin) for n, value in self.missed.items()}
         if self.tightened:
             found["halved_tolerance_yield"] = {
                 name: {path: {"before": list(pair[0]), "after": list(pair[1])} for path, pair in rows.items()}
@@ -97,7 +102,7 @@ class ToleranceResults:
         }
         for word, limit in (("limit", measure.limit), ("at_least", measure.at_least)):
             if limit is not None:
-                found[word] = limit / arcmin
+                found[word] = float(f"{limit / arcmin:.12g}")
         if measure.is_limited:
             found["yield"] = list(study.share_within(name))
         return found
@@ -108,7 +113,8 @@ class ToleranceResults:
             path: {column: _finite(float(getattr(found, column)[i])) for column in columns}
             for i, path in enumerate(found.paths)
         }
-        return {"numbers": rows, "samples": found.samples, "linear_fails": found.linear_fails or None}
+        about = {"samples": found.samples, "failed": found.failed, "correlations_left_out": found.correlated}
+        return {"numbers": rows, **about, "linear_fails": found.linear_fails or None}
 
 
 def _finite(value: float) -> float | None:
@@ -129,12 +135,13 @@ def _allocation(found: AllocatedTolerances) -> dict[str, Any]:
 
 
 def _assembly(found: MatchedAssembly) -> dict[str, Any]:
-    entry: dict[str, Any] = {"measure": found.measure.name, "units": len(found.random), "where": list(found.where)}
+    entry: dict[str, Any] = {"measure": found.measure.name, "units": len(found.random), "failed": found.failed}
+    entry["where"] = list(found.where)
     for place, name in enumerate(("random", "matched")):
         values = (found.random, found.matched)[place]
         entry[name] = {
-            "mean": float(np.nanmean(values)) / arcmin,
-            "std": float(np.nanstd(values)) / arcmin,
+            "mean": _finite(float(np.nanmean(values)) / arcmin),
+            "std": _finite(float(np.nanstd(values)) / arcmin),
             "quantiles": {
                 f"{level:g}": [_finite(x / arcmin) for x in found.quantiles(level)[place]] for level in QUANTILES
             },
@@ -179,45 +186,70 @@ def finished(
         seconds, computed: wall time without compilation, and samples of this run.
         progress: told how far it is.
     """
-    tolerances, options = _in_precision(section)
-    measures = [measure for measure in section.measures if measure.analysis in NO_MOTION]
-    found: list[Sensitivities] = []
-    narrowed: dict = {}
-    if section.sensitivity and measures:
-        progress("sensitivities: by derivatives, Sobol indices, one at a time")
-        found = sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
-        if any(measure.is_limited for measure in measures):
-            progress("each tolerance halved")
-            number = min(TIGHTENED_SAMPLES, section.samples)
-            narrowed = tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
-    bought = matched = None
-    if section.allocation is not None:
-        asked = section.allocation
-        bought = allocate(
-            tolerances,
-            _named(section, asked.measure),
-            required=asked.required,
-            costs=asked.costs,
-            tightest=asked.tightest,
-            loosest=asked.loosest,
-            key=section.seed,
-            progress=progress,
-            **options,
-        )
-    if section.assembly is not None:
-        chosen = section.assembly
-        matched = matched_assembly(
-            tolerances,
-            _named(section, chosen.measure),
-            where=chosen.where,
-            units=chosen.units,
-            starts=chosen.starts,
-            key=section.seed,
-            progress=progress,
-            **options,
-        )
+    problems: list[str] = []
+
+    def tried(study: Callable[[ToleranceSection, Progress], Any], otherwise: Any) -> Any:
+        """A further study; what is found already is not lost where it fails."""
+        try:
+            return study(section, progress)
+        except GearjaxError as fault:
+            problems.append(str(fault))
+            return otherwise
+
+    shares, narrowed = tried(_sensitivities, ([], {}))
+    bought, matched = tried(_allocated, None), tried(_matched, None)
     missed = _missed(section, work) if section.extremes == "samples" else {}
-    return ToleranceResults(section, study, missed, found, narrowed, bought, matched, seconds, computed)
+    told = tuple(problems)
+    return ToleranceResults(section, study, missed, shares, narrowed, bought, matched, seconds, computed, told)
+
+
+def _sensitivities(section: ToleranceSection, progress: Progress) -> tuple[list[Sensitivities], dict]:
+    measures = [measure for measure in section.measures if measure.analysis in NO_MOTION]
+    if not section.sensitivity or not measures:
+        return [], {}
+    tolerances, options = _in_precision(section)
+    progress("sensitivities: by derivatives, Sobol indices, one at a time")
+    found = sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
+    if not any(measure.is_limited for measure in measures):
+        return found, {}
+    progress("each tolerance halved")
+    number = min(TIGHTENED_SAMPLES, section.samples)
+    return found, tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
+
+
+def _allocated(section: ToleranceSection, progress: Progress) -> AllocatedTolerances | None:
+    asked = section.allocation
+    if asked is None:
+        return None
+    tolerances, options = _in_precision(section)
+    bounds = {"tightest": asked.tightest, "loosest": asked.loosest}
+    return allocate(
+        tolerances,
+        _named(section, asked.measure),
+        required=asked.required,
+        costs=asked.costs,
+        key=section.seed,
+        progress=progress,
+        **bounds,
+        **options,
+    )
+
+
+def _matched(section: ToleranceSection, progress: Progress) -> MatchedAssembly | None:
+    asked = section.assembly
+    if asked is None:
+        return None
+    tolerances, options = _in_precision(section)
+    return matched_assembly(
+        tolerances,
+        _named(section, asked.measure),
+        where=asked.where,
+        units=asked.units,
+        starts=asked.starts,
+        key=section.seed,
+        progress=progress,
+        **options,
+    )
 
 
 def shifts(section: ToleranceSection) -> list[PrecisionShift]:

@@ -1,9 +1,9 @@
 """Which tolerances to buy: the cheapest ones that reach a required yield.
 
-Every tolerance is scaled by a factor about its centre. The yield of a set of gear sets is smoothed (a sigmoid in place
-of the step at the limit), which gives it a gradient; sequential quadratic programming (scipy's SLSQP) finds the
-cheapest factors for it. What is reported is judged hard on fresh gear sets, and where their yield is not proved the
-smoothed one is asked for more.
+Every tolerance is scaled by a factor: the size of an error as a whole, other numbers about their means. The yield of a
+set of gear sets is smoothed (a sigmoid in place of the step at the limit), which gives it a gradient; sequential
+quadratic programming (scipy's SLSQP) finds the cheapest factors for it. What is reported is judged hard on fresh gear
+sets, and where their yield is not proved the smoothed one is asked for more.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ from gearjax.tolerance import statistics
 from gearjax.tolerance.measures import Measure
 from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, Scalar
 
@@ -39,7 +40,7 @@ class AllocatedTolerances:
         factors: on the tolerances, shape (number,).
         cost: of the tolerances found.
         cost_before: of the tolerances as given.
-        before, after: yield as given and as found, judged hard on gear sets that the search has not seen.
+        before, after: yield as given and as found, judged hard on gear sets that the search for it has not seen.
         met: whether the whole interval of the yield found lies above what was asked for.
     """
 
@@ -93,22 +94,29 @@ def allocate(
     for path in costs:
         if path not in tolerances.tolerated:
             raise ParameterError("costs", path, nearest(path, tolerances.tolerated))
+    if not costs:
+        raise ParameterError("costs", dict(costs), "names no tolerance")
     paths = tuple(costs)
     places = np.array([tolerances.paths.index(path) for path in paths])
-    fresh = Work(tolerances, measure, number=judged, seed=key + 1, **options)
+    judging = Work(tolerances, measure, number=judged, seed=key, **options)
     price = _price(list(costs.values()))
 
-    def judge(factors: np.ndarray) -> Estimate:
-        moved = _scaled(fresh.inputs(0, judged), tolerances.centres, places, factors)
-        return statistics.share(measure.holds(fresh.evaluate(moved)[0][:, 0]), fresh.sizes)
+    def judge(factors: np.ndarray, turn: int) -> Estimate:
+        """Of gear sets that no turn before has seen."""
+        seed = key + 1 + turn
+        drawn = tolerances.values(points(judging.sampler, seed, tolerances.paths, judged, 0, judged))
+        moved = _scaled(drawn, tolerances.centres, places, factors)
+        return statistics.share(measure.holds(judging.evaluate(moved)[0][:, 0]), judging.sizes)
 
     smooth = _smooth_yield(tolerances, measure, places, n, key, options)
-    ones = np.clip(np.ones(len(paths)), tightest, loosest)
-    bounds = [(np.log(tightest), np.log(loosest))] * len(paths)
-    before, target = judge(np.ones(len(paths))), required
-    start = np.log(ones)
-    best: tuple | None = None
-    for turn in range(CORRECTIONS):
+    bounds = np.log([_range(rows, tightest, loosest) for rows in costs.values()])
+    ones = np.ones(len(paths))
+    before, target = judge(ones, 0), required
+    start = np.clip(0 * ones, *bounds.T)
+    best: tuple = ((before.low >= required, -price(ones)[0]), before, ones)
+    if not best[0][0]:
+        best = ((False, before.value), before, ones)
+    for turn in range(1, CORRECTIONS + 1):
         found = optimize.minimize(
             lambda logs: price(np.exp(logs)),
             start,
@@ -122,23 +130,29 @@ def allocate(
             },
             options={"maxiter": 60, "ftol": 1e-6},
         )
-        factors = np.exp(np.clip(found.x, *np.array(bounds[0])))
-        after = judge(factors)
+        factors = np.exp(np.clip(found.x, *bounds.T))
+        after = judge(factors, turn)
         cost = price(factors)[0]
-        progress(f"allocation {turn + 1}: cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]")
+        progress(f"allocation {turn}: cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]")
         met = after.low >= required
         # proved before not proved; then the cheaper, or the closer to being proved
         rank = (met, -cost if met else after.value)
-        if best is None or rank > best[0]:
-            best = (rank, cost, after, factors)
+        if rank > best[0]:
+            best = (rank, after, factors)
         if met and after.low < required + 0.25 * (after.high - after.low):
             break  # proved, and no more than that
         target = float(np.clip(target + (required - after.low) * 1.05, 0.0, 1 - 1e-4))
         start = np.log(factors)
-    assert best is not None
-    (met, _), cost, after, factors = best
-    before_cost = price(np.ones(len(paths)))[0]
-    return AllocatedTolerances(measure.name, required, paths, factors, cost, before_cost, before, after, met)
+    (met, _), after, factors = best
+    costs_found = price(factors)[0], price(ones)[0]
+    return AllocatedTolerances(measure.name, required, paths, factors, *costs_found, before, after, met)
+
+
+def _range(rows: Cost, tightest: float, loosest: float) -> tuple[float, float]:
+    """Factors that can be had: no others than those of a table, where there is one."""
+    if len(rows) == 1:
+        return tightest, loosest
+    return max(tightest, rows[0][0]), max(tightest, min(loosest, rows[-1][0]))
 
 
 def _scaled(inputs: np.ndarray, centres: np.ndarray, places: np.ndarray, factors: np.ndarray) -> np.ndarray:
@@ -160,8 +174,7 @@ def _price(costs: Sequence[Cost]) -> Callable[[np.ndarray], tuple[float, np.ndar
                 known, prices = np.array(rows).T
                 cost = float(np.interp(factor, known, prices))
                 part = int(np.clip(np.searchsorted(known, factor), 1, len(known) - 1))
-                inside = known[0] <= factor <= known[-1]
-                slope = inside * (prices[part] - prices[part - 1]) / (known[part] - known[part - 1])
+                slope = (prices[part] - prices[part - 1]) / (known[part] - known[part - 1])
             total += cost
             slopes[index] = slope * factor
         return total, slopes
@@ -178,6 +191,7 @@ def _smooth_yield(
     dtype = tolerances.scene.dtype
     width = WIDTH * float(np.nanstd(work.evaluate(inputs)[0][:, 0])) + 1e-15
     rows, centres = jnp.asarray(inputs, dtype), jnp.asarray(tolerances.centres, dtype)
+    low, high = (jnp.asarray(bound, dtype) for bound in tolerances.bounds)
 
     def good(row: Array, factors: Array) -> Scalar:
         moved = row.at[places].set(centres[places] + factors * (row[places] - centres[places]))
@@ -187,7 +201,8 @@ def _smooth_yield(
             share = share * jax.nn.sigmoid((measure.limit - value) / width)
         if measure.at_least is not None:
             share = share * jax.nn.sigmoid((value - measure.at_least) / width)
-        return jnp.where(jnp.isfinite(value), share, 0.0)
+        allowed = (jnp.isfinite(moved) & (moved >= low) & (moved <= high)).all()
+        return jnp.where(jnp.isfinite(value) & allowed, share, 0.0)
 
     @jax.jit
     def total(factors: Array) -> tuple[Array, Array]:

@@ -15,9 +15,8 @@ from gearjax.studies.descent import default_optimiser, descend
 from gearjax.studies.select import pick
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
-from gearjax.tolerance.curves import Touches
 from gearjax.tolerance.measures import Measure, Measures
-from gearjax.tolerance.monte_carlo import EXAMPLES, Work
+from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import Tolerances
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
@@ -34,7 +33,7 @@ class MatchedAssembly:
     """Gear sets as assembled at random, and with phases chosen for each.
 
     Args:
-        measure: what was made small.
+        measure: what was made small, or brought within its limits (`Measure.excess`).
         where: the phases that were chosen.
         random: the measure as assembled at random, shape (units,).
         matched: with the chosen phases, shape (units,).
@@ -51,9 +50,17 @@ class MatchedAssembly:
     compile_seconds: float
 
     def quantiles(self, level: float) -> tuple[Estimate, Estimate]:
-        """A quantile at random and matched, each with its interval."""
-        sizes = np.array([len(self.random)])
-        return statistics.quantile(self.random, level, sizes), statistics.quantile(self.matched, level, sizes)
+        """A quantile at random and matched, each with its interval, of the units that did not fail."""
+        random, matched = (part[np.isfinite(part)] for part in (self.random, self.matched))
+        return (
+            statistics.quantile(random, level, np.array([len(random)])),
+            statistics.quantile(matched, level, np.array([len(matched)])),
+        )
+
+    @property
+    def failed(self) -> int:
+        """Units that failed at random or matched."""
+        return int((~np.isfinite(self.random + self.matched)).sum())
 
     def shares(self) -> tuple[Estimate, Estimate]:
         """Yield at random and matched, each with its interval."""
@@ -101,12 +108,9 @@ def matched_assembly(
         search = _Search(population, chosen, where, work.one.theta)
         inputs = work.inputs(0, units)
         random = work.evaluate(inputs)[0][:, 0]
-        begun = (
-            2
-            * np.pi
-            * (points("monte_carlo", key, [f"start of {p}" for p in where], units * starts, 0, units * starts) - 0.5)
-        )
-        begun = begun.reshape(units, starts, len(where))
+        names = [f"start of {path}" for path in where]
+        drawn = points("monte_carlo", key, names, units * starts, 0, units * starts)
+        begun = (2 * np.pi * (drawn - 0.5)).reshape(units, starts, len(where))
         begun[:, 0] = inputs[:, search.places]
         ends = np.empty_like(begun)
         for first in range(0, units, BLOCK):
@@ -118,8 +122,7 @@ def matched_assembly(
         found = work.evaluate(rows.reshape(-1, rows.shape[2]))[0][:, 0].reshape(units, starts)
         found = np.concatenate([found, random[:, None]], axis=1)  # nobody assembles worse than at random on purpose
         ends = np.concatenate([ends, inputs[:, None, search.places]], axis=1)
-    lowest = chosen.limit is None and chosen.at_least is not None
-    ranked = np.where(np.isfinite(found), -found if lowest else found, np.inf)
+    ranked = np.where(np.isfinite(found), chosen.excess(found), np.inf)
     best = np.argmin(ranked, axis=1)
     line = np.arange(units)
     phases = np.mod(ends[line, best] + np.pi, 2 * np.pi) - np.pi
@@ -137,8 +140,7 @@ class _Search:
         span = float(theta[-1] - theta[0])
         number = min(len(theta), max(64, round(turns * span / (2 * np.pi) * PER_TURN)))
         coarse = jnp.asarray(np.linspace(float(theta[0]), float(theta[-1]), number), scene.dtype)
-        examples = population.values(points("monte_carlo", 1, population.paths, EXAMPLES, 0, EXAMPLES))
-        self.measures = Measures([measure], population, coarse, "samples", examples)
+        self.measures = Measures([measure], population, coarse, "samples", population.examples)
         if self.measures.curves is None:
             raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
         self.free = pick(scene, population.paths)
@@ -163,26 +165,20 @@ class _Search:
         return np.array(self._program(jnp.asarray(inputs, dtype), jnp.asarray(starts, dtype)))
 
     def _smooth(self, values: Array, temperature: Scalar) -> Scalar:
-        """The measure with smooth largest values, the smaller the better."""
+        """What the measure has too much of (`Measure.excess`), with smooth largest values."""
         assert self.measures.curves is not None
         touches = self.measures.curves.touches(self.measures.free.set(self.measures.physics, values))
-        curve = _curve(touches, self.measure)
+        curve = touches.curve(self.measure.analysis, self.measure.torque)
 
         def largest(curve: Array) -> Scalar:
             return temperature * jax.nn.logsumexp(curve / temperature)
 
-        metric = self.measure.metric
-        if metric in ("mean", "std"):
-            return jnp.abs(curve.mean()) if metric == "mean" else deviation(curve)
-        if metric == "peak_to_peak":
-            return largest(curve) + largest(-curve)
-        if metric == "amplitude":
-            return largest(jnp.concatenate([curve, -curve]))
-        wanted = -1 if self.measure.limit is None and self.measure.at_least is not None else 1
-        return wanted * (largest(curve) if metric == "maximum" else -largest(-curve))
-
-
-def _curve(touches: Touches, measure: Measure) -> Float[Array, " n"]:
-    if measure.torque is not None:
-        return touches.static(jnp.asarray(measure.torque, touches.position[0].dtype))
-    return touches.no_load() if measure.analysis == "no_load" else touches.backlash()
+        found = {
+            "mean": lambda: curve.mean(),
+            "std": lambda: deviation(curve),
+            "peak_to_peak": lambda: largest(curve) + largest(-curve),
+            "amplitude": lambda: largest(jnp.concatenate([curve, -curve])),
+            "maximum": lambda: largest(curve),
+            "minimum": lambda: -largest(-curve),
+        }[self.measure.metric]()
+        return self.measure.excess(found)

@@ -4,7 +4,8 @@ Where a contact touches, ``gap / lever`` as a function of the input angle, lies 
 gear sets of a population: sums of a few harmonics, for example. A pivoted QR factorisation of sampled curves finds the
 input angles that determine a curve and the weights that give the rest (interpolative decomposition; Cheng,
 Gimbutas, Martinsson, Rokhlin 2005), exact to rounding, whatever the kinds of errors. Each gear set is then looked at
-in full at these few angles alone. Where there are no such few angles, or levers vary, it is looked at at all of them.
+in full at these few angles alone, and at three more that tell whether it is like the examples. Where there are no such
+few angles, or levers vary, it is looked at at all of them.
 
 Extremes between the samples: around the best samples each contact is a polynomial of the angle, and the curve is worked
 out again, closer.
@@ -28,6 +29,7 @@ from gearjax.contact.frame import Pose
 from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array, Float, Int, Scalar
 
+CHECKS = 3  # angles at which every gear set is compared with what the few angles say
 ACCURACY = 1e-12  # of the interpolation, relative to the largest deviation from the ideal position
 MOST = 0.1  # share of the angles above which interpolation is not worth it
 GROUPS = 32  # of the samples; of each, the highest one is looked at closely
@@ -42,6 +44,8 @@ class Curves(eqx.Module):
     Args:
         poses: at the angles that determine a curve, or at all angles.
         weights: of these in all angles, shape (n, angle); ``None`` where all angles are looked at.
+        checks: of the angles that are looked at besides, shape (check, angle).
+        allowed: how far a gear set may be off there [rad].
         series: the same as polynomials of the place near each sample in spacings, shape (n, term, angle).
         pairs: number of driving contacts.
         stiffness: ``"rigid"``, or ``"mean"`` where torques are looked at.
@@ -49,6 +53,8 @@ class Curves(eqx.Module):
 
     poses: Pose
     weights: Float[Array, "n angle"] | None
+    checks: Float[Array, "check angle"] | None
+    allowed: float = eqx.field(static=True)
     series: Float[Array, "n term angle"] | None
     pairs: int = eqx.field(static=True)
     stiffness: Stiffness = eqx.field(static=True)
@@ -65,18 +71,19 @@ class Curves(eqx.Module):
         """
         first = jax.tree.map(lambda leaf: leaf[0], examples)
         pairs = jax.eval_shape(first.contacts, theta[0]).pairs
-        everywhere = cls(_poses(first, theta), None, None, pairs, stiffness)
+        everywhere = cls(_poses(first, theta), None, None, 0.0, None, pairs, stiffness)
         if not fixed_system or not isinstance(first.contact, HardContact) or len(theta) < 3:
             return everywhere
         between = np.interp(np.arange(FINE * (len(theta) - 1) + 1) / FINE, np.arange(len(theta)), np.asarray(theta))
         chosen: np.ndarray | None = None
         weights = fine = np.empty(0)
+        accuracy, largest = max(ACCURACY, 16 * float(np.finfo(theta.dtype).eps)), 0.0
         for part in (np.asarray(theta), between):
             touch, lever = _sampled(examples, _poses(first, jnp.asarray(part, theta.dtype)))
             if np.ptp(np.asarray(lever), axis=1).any():
                 return everywhere
             curves = np.asarray(touch, dtype=float)
-            accuracy = max(ACCURACY, 16 * float(np.finfo(theta.dtype).eps))
+            largest = max(largest, float(np.abs(curves).max()))
             if chosen is None:
                 chosen = _chosen(curves, accuracy)
                 if chosen is None:
@@ -87,7 +94,10 @@ class Curves(eqx.Module):
         if weights is None or fine is None or chosen is None:
             return everywhere
         weights, series = (jnp.asarray(part, theta.dtype) for part in (weights, _series(fine, len(theta))))
-        return cls(_poses(first, theta[chosen]), weights, series, pairs, stiffness)
+        besides = np.linspace(0, len(theta) - 1, CHECKS + 2).round().astype(int)[1:-1]
+        poses = _poses(first, theta[np.concatenate([chosen, besides])])
+        allowed = 100 * accuracy * largest
+        return cls(poses, weights, weights[besides], allowed, series, pairs, stiffness)
 
     def touches(self, scene: Scene) -> "Touches":
         """Where the contacts of one gear set touch, in all angles."""
@@ -96,9 +106,14 @@ class Curves(eqx.Module):
         if self.weights is None:
             strengths = None if strength is None else [strength[:, i] for i in range(touch.shape[1])]
             return Touches(columns, strengths, self.pairs)
+        assert self.checks is not None
+        number = self.weights.shape[1]
         strengths = None if strength is None else [strength[0, i] for i in range(touch.shape[1])]
+        besides = [column[number:] - _weighted(self.checks, column[:number]) for column in columns]
+        alike = (jnp.abs(jnp.stack(besides)) <= self.allowed).all()
+        columns = [column[:number] for column in columns]
         spread = [_weighted(self.weights, column) for column in columns]
-        return Touches(spread, strengths, self.pairs, None if self.series is None else (self.series, columns))
+        return Touches(spread, strengths, self.pairs, None if self.series is None else (self.series, columns), alike)
 
     def _looked_at(self, scene: Scene) -> tuple[Array, Array | None]:
         anchored = scene.anchored()
@@ -124,12 +139,14 @@ class Touches(eqx.Module):
         strength: stiffness on the output, shape (n,) or () each [N m/rad].
         pairs: number of driving contacts; they come first.
         closer: weights of closer angles, and what they weigh for each contact; ``None`` where there are none.
+        alike: whether the gear set is like the examples, so that its curves are right; ``None`` where all is seen.
     """
 
     position: Sequence[Float[Array, " n"]]
     strength: Sequence[Array] | None
     pairs: int = eqx.field(static=True)
     closer: tuple[Array, Sequence[Array]] | None = None
+    alike: Array | None = None
 
     def near(self, samples: Int[Array, " m"]) -> "Touches":
         """The same close to some samples, at `OFFSETS` from each."""
@@ -155,6 +172,12 @@ class Touches(eqx.Module):
         places = jnp.argmax(jax.lax.stop_gradient(filled).reshape(GROUPS, size), axis=1)
         samples = jnp.minimum(jnp.arange(GROUPS) * size + places, values.shape[0] - 1)
         return top(curve(self.near(samples)))
+
+    def curve(self, analysis: str, torque: float | None) -> Float[Array, " n"]:
+        """The curve of an analysis, shape (n,) [rad]."""
+        if torque is not None:
+            return self.static(jnp.asarray(torque, self.position[0].dtype))
+        return self.no_load() if analysis == "no_load" else self.backlash()
 
     def no_load(self) -> Float[Array, " n"]:
         """No-load TE, shape (n,) [rad]."""

@@ -54,8 +54,8 @@ class AbstractDistribution(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def centre(self) -> float:
-        """What a tolerance narrows to: zero for the size of an error, else the mean."""
+    def expected(self) -> float:
+        """Mean."""
 
     @property
     def is_tolerance(self) -> bool:
@@ -87,7 +87,7 @@ class Normal(AbstractDistribution):
         return self.std
 
     @property
-    def centre(self):
+    def expected(self):
         return self.mean
 
 
@@ -144,7 +144,7 @@ class TruncatedNormal(AbstractDistribution):
         return math.sqrt(self._moments[1])
 
     @property
-    def centre(self):
+    def expected(self):
         return self._moments[0]
 
 
@@ -173,7 +173,7 @@ class Uniform(AbstractDistribution):
         return (self.high - self.low) / math.sqrt(12)
 
     @property
-    def centre(self):
+    def expected(self):
         return 0.5 * (self.low + self.high)
 
 
@@ -191,7 +191,7 @@ class UniformPhase(AbstractDistribution):
         return 2 * math.pi / math.sqrt(12)
 
     @property
-    def centre(self):
+    def expected(self):
         return 0.0
 
     @property
@@ -221,8 +221,8 @@ class Rayleigh(AbstractDistribution):
         return self.scale * math.sqrt(2 - math.pi / 2)
 
     @property
-    def centre(self):
-        return 0.0
+    def expected(self):
+        return self.scale * math.sqrt(0.5 * math.pi)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -249,8 +249,8 @@ class Lognormal(AbstractDistribution):
         return self.median * math.exp(0.5 * self.sigma**2) * math.sqrt(math.expm1(self.sigma**2))
 
     @property
-    def centre(self):
-        return 0.0
+    def expected(self):
+        return self.median * math.exp(0.5 * self.sigma**2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -295,7 +295,7 @@ class Discrete(AbstractDistribution):
         return math.sqrt(shares @ (values - shares @ values) ** 2)
 
     @property
-    def centre(self):
+    def expected(self):
         values, shares = self._table
         return float(shares @ values)
 
@@ -330,5 +330,5 @@ class Empirical(AbstractDistribution):
         return float(np.std(self.values))
 
     @property
-    def centre(self):
+    def expected(self):
         return float(np.mean(self.values))

@@ -54,8 +54,8 @@ class Iso1328RunOut(AbstractDistribution):
         return self.law.deviation
 
     @property
-    def centre(self):
-        return 0.0
+    def expected(self):
+        return self.law.expected
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,5 +85,5 @@ class Iso286(AbstractDistribution):
         return it_tolerance(self.grade, self.size) / 6
 
     @property
-    def centre(self):
+    def expected(self):
         return self.mean

@@ -28,6 +28,7 @@ CODES = {
     1: "a number lies outside of what it may be",
     2: "a measure is not finite",
     3: "no flank can carry the torque",
+    4: "its curve is not like those of the others: report it, and use other contacts or extremes",
     **{10 + code: f"dynamic: {words}" for code, words in FAULTS.items()},
 }
 """What a result code says."""
@@ -66,12 +67,16 @@ class Measure:
             raise ParameterError("torque", self.torque, f"{self.analysis} needs a torque")
         if not loaded and self.torque is not None:
             raise ParameterError("torque", self.torque, f"{self.analysis} takes no torque")
+        if self.limit is not None and self.at_least is not None and self.limit <= self.at_least:
+            raise ParameterError("limit", self.limit, f"must be above at_least ({self.at_least:g})")
 
     @classmethod
     def named(cls, name: str, **rest: Any) -> "Measure":
         """From a name such as ``"no_load.peak_to_peak"``, or ``"static.std@100Nm"``."""
         words, _, torque = name.partition("@")
         analysis, _, metric = words.partition(".")
+        if torque and rest.get("torque") is not None:
+            raise ParameterError("torque", rest["torque"], f'"{name}" gives one already')
         if torque:
             try:
                 rest["torque"] = float(torque.removesuffix("Nm"))
@@ -92,6 +97,17 @@ class Measure:
     def is_limited(self) -> bool:
         """Whether some values are not good."""
         return self.limit is not None or self.at_least is not None
+
+    def excess(self, values: Any) -> Any:
+        """What a good gear set has little of: how far a value is beyond its limits, or where there is none, its size;
+        of numpy or JAX arrays."""
+        if self.at_least is None:
+            return abs(values) if self.limit is None and self.metric == "mean" else values
+        below = self.at_least - values
+        if self.limit is None:
+            return below
+        above = values - self.limit
+        return 0.5 * (above + below + abs(above - below))
 
     def holds(self, values: np.ndarray) -> np.ndarray:
         """Which values are good; those that are not finite are not."""
@@ -181,14 +197,14 @@ class Measures:
                 if measure.analysis == "dynamic":
                     records[key] = self.motion.record(scene, measure.torque)
                 elif touches is None:
-                    records[key] = _analysed(scene, self.theta, *key)
+                    records[key] = _analysed(scene, self.theta, self.extremes, *key)
                 else:
                     records[key] = _quick(touches, *key)
-        found = jnp.stack([records[m.analysis, m.torque].metrics[m.metric]() for m in self.measures])
-        codes = jnp.stack([record.code for record in records.values()])
-        worst = codes.max()
-        code = jnp.where((worst == 0) & ~jnp.isfinite(found).all(), 2, worst)
-        return jnp.where(code == 0, found, jnp.nan), code
+        own = [records[measure.analysis, measure.torque] for measure in self.measures]
+        found = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, self.measures, strict=True)])
+        codes = jnp.stack([record.code for record in own])
+        codes = jnp.where((codes == 0) & ~jnp.isfinite(found), 2, codes)
+        return jnp.where(codes == 0, found, jnp.nan), codes.max()
 
 
 def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
@@ -204,14 +220,26 @@ def _quick(touches: Touches, analysis: str, torque: float | None) -> Record:
     """Metrics of a quasi-static curve with hard contacts."""
 
     def curve(touches: Touches) -> Float[Array, " n"]:
-        if torque is None:
-            return touches.no_load() if analysis == "no_load" else touches.backlash()
-        return touches.static(jnp.asarray(torque, touches.position[0].dtype))
+        return touches.curve(analysis, torque)
 
     values = curve(touches)
     high = functools.cache(lambda: touches.highest(curve, values))
     low = functools.cache(lambda: -touches.highest(lambda near: -curve(near), -values))
-    metrics = {
+    code = jnp.where(_lost(values, analysis), 3, 0)
+    if touches.alike is not None:
+        code = jnp.where(touches.alike, code, 4)
+    return Record(_of_curve(values, high, low), code)
+
+
+def _lost(values: Float[Array, " n"], analysis: str) -> Array:
+    return jnp.isnan(values[0]) if analysis == "static" else jnp.zeros((), bool)
+
+
+def _of_curve(
+    values: Float[Array, " n"], high: Callable[[], Scalar], low: Callable[[], Scalar]
+) -> dict[str, Callable[[], Scalar]]:
+    """Metrics from the samples of a curve, and its extremes."""
+    return {
         "maximum": high,
         "minimum": low,
         "peak_to_peak": lambda: high() - low(),
@@ -219,16 +247,17 @@ def _quick(touches: Touches, analysis: str, torque: float | None) -> Record:
         "mean": lambda: values.mean(),
         "std": lambda: deviation(values),
     }
-    lost = jnp.isnan(values[0]) if analysis == "static" else jnp.zeros((), bool)
-    return Record(metrics, jnp.where(lost, 3, 0))
 
 
-def _analysed(scene: Scene, theta: Float[Array, " n"], analysis: str, torque: float | None) -> Record:
-    """Metrics of a quasi-static analysis, with the extremes between the samples."""
+def _analysed(scene: Scene, theta: Float[Array, " n"], extremes: str, analysis: str, torque: float | None) -> Record:
+    """Metrics of a quasi-static analysis."""
     found = backlash(scene, theta) if analysis == "backlash" else transmission_error(scene, theta, torque)
-    lost = jnp.zeros((), bool) if isinstance(found, Backlash) else (found.result != 0).any()
-    edges = {"minimum": lambda: found.extremes.minimum, "maximum": lambda: found.extremes.maximum}
-    return Record({**_metrics(found), **edges}, jnp.where(lost, 3, 0))
+    values = found.backlash if isinstance(found, Backlash) else found.te
+    if extremes == "samples":
+        metrics = _of_curve(values, lambda: top(values), lambda: -top(-values))
+    else:
+        metrics = _of_curve(values, lambda: found.extremes.maximum, lambda: found.extremes.minimum)
+    return Record(metrics, jnp.where(_lost(values, analysis), 3, 0))
 
 
 def _metrics(found: Any) -> dict[str, Callable[[], Scalar]]:

@@ -20,10 +20,8 @@ from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, ArrayLike
 
 CHUNK = 16384
-EXAMPLES = 64
 ACCELERATED = 1024  # samples side by side on an accelerator, at least
 QUANTILES = (0.05, 0.5, 0.95)
-_EXAMPLE_SEED = 0x6561
 Evaluated = tuple[np.ndarray, np.ndarray]
 """Measures, shape (n, measure), and result codes, shape (n,)."""
 
@@ -122,14 +120,12 @@ class Study:
         return statistics.share(measure.holds(column), self.sizes)
 
     def worst(self, name: str) -> int:
-        """Index of the sample furthest out: the highest value, or the lowest where the measure has a lower limit
-        only; -1 where all failed."""
+        """Index of the sample furthest out (`Measure.excess`); -1 where all failed."""
         column = self.column(name)
         if not np.isfinite(column).any():
             return -1
         measure = next((m for m in self.measures if m.name == name), None)
-        lowest = measure is not None and measure.limit is None and measure.at_least is not None
-        return int(np.nanargmin(column) if lowest else np.nanargmax(column))
+        return int(np.nanargmax(column if measure is None else measure.excess(column)))
 
 
 class Work:
@@ -155,6 +151,7 @@ class Work:
         self.number, self.sampler = _whole("n", number), sampler
         if sampler not in SAMPLERS:
             raise ParameterError("sampler", sampler, nearest(sampler, SAMPLERS))
+        seed = int(seed) if isinstance(seed, int | np.integer) else seed
         self.seed = seed if isinstance(seed, int) else int.from_bytes(np.asarray(jax.random.key_data(seed)).tobytes())
         self.measures: tuple[Measure, ...] = ()
         self.sample, together = sample, 16
@@ -186,8 +183,7 @@ class Work:
         given = [m if isinstance(m, Measure) else Measure.named(m) for m in listed]
         if not given:
             raise ParameterError("measure", [], 'needs at least one, such as "no_load.peak_to_peak"')
-        examples = tolerances.values(points("monte_carlo", _EXAMPLE_SEED, tolerances.paths, EXAMPLES, 0, EXAMPLES))
-        found = Measures(given, tolerances, theta, extremes, examples)
+        found = Measures(given, tolerances, theta, extremes, tolerances.examples)
         self.measures, self.names = found.measures, found.names
         return found, found.together
 

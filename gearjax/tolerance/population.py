@@ -7,11 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from gearjax.checks import ParameterError, SceneError
+from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene
 from gearjax.studies.select import Free, numbers, pick
 from gearjax.tolerance.distributions import AbstractDistribution
+from gearjax.tolerance.sampling import points
 from gearjax.typing import Array, Float
+
+EXAMPLES = 64
+_EXAMPLE_SEED = 0x6561
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,8 +76,19 @@ class Tolerances:
 
     @property
     def centres(self) -> np.ndarray:
-        """What each number narrows to, shape (free,), SI."""
-        return np.array([spread.centre for spread in self.distributions.values()])
+        """What each number narrows to: nothing for the size of an error, else the mean; shape (free,), SI."""
+        known = numbers(self.scene)
+        sizes = [path.startswith("errors.") and known[path].range[0] == 0 for path in self.paths]
+        spreads = self.distributions.values()
+        return np.array([0.0 if size else spread.expected for size, spread in zip(sizes, spreads, strict=True)])
+
+    @property
+    def examples(self) -> np.ndarray:
+        """Numbers of gear sets that show all that the population can do: each number at the ends of its distribution in
+        a third of them, in changing company; shape (n, free), SI."""
+        drawn = points("monte_carlo", _EXAMPLE_SEED, self.paths, EXAMPLES, 0, EXAMPLES)
+        stretched = np.clip(1.5 * drawn - 0.25, 1e-9, 1 - 1e-9)
+        return np.concatenate([self.values(stretched[i::2]) for i in (0, 1)])
 
     @property
     def deviations(self) -> np.ndarray:
@@ -92,13 +107,16 @@ class Tolerances:
 
     def allowed(self, values: np.ndarray) -> np.ndarray:
         """Which gear sets have numbers that their declarations allow, shape (n,)."""
+        low, high = self.bounds
+        return np.all(np.isfinite(values) & (values >= low) & (values <= high), axis=1)
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest value that each number may have, infinite for angles, shape (free,) each."""
         known = numbers(self.scene)
-        good = np.array(np.isfinite(values).all(axis=1))
-        for column, path in zip(values.T, self.paths, strict=True):
-            low, high = known[path].range
-            if not known[path].periodic:
-                good &= (column >= low) & (column <= high)
-        return good
+        ends = [(-np.inf, np.inf) if known[path].periodic else known[path].range for path in self.paths]
+        low, high = np.array(ends, dtype=float).T
+        return low, high
 
     def _check_ranges(self) -> None:
         known = numbers(self.scene)
@@ -113,15 +131,18 @@ class Tolerances:
             return None
         place = {path: index for index, path in enumerate(self.paths)}
         matrix = np.eye(len(place))
-        for pair in self.correlations:
+        for index, pair in enumerate(self.correlations):
+            key = f"correlated[{index}]"
             for path in (pair.first, pair.second):
                 if path not in place:
-                    raise ParameterError("correlated", path, f"is not toleranced; valid: {', '.join(place)}")
+                    raise ParameterError(f"{key}.between", path, f"is not toleranced; {nearest(path, place)}")
             if pair.first == pair.second:
-                raise ParameterError("correlated", pair.first, "is correlated with itself")
+                raise ParameterError(f"{key}.between", pair.first, "is correlated with itself")
             if not -1 < pair.coefficient < 1:
-                raise ParameterError("coefficient", pair.coefficient, "must be above -1 and below 1")
+                raise ParameterError(f"{key}.coefficient", pair.coefficient, "must be above -1 and below 1")
             i, j = place[pair.first], place[pair.second]
+            if matrix[i, j]:
+                raise ParameterError(f"{key}.between", pair.first, f"is correlated with {pair.second} already")
             matrix[i, j] = matrix[j, i] = pair.coefficient
         try:
             return np.linalg.cholesky(matrix)

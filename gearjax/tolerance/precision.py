@@ -19,17 +19,19 @@ class PrecisionShift:
         name: of the measure.
         level: of the quantile.
         double, single: the quantile in float64 and in float32 [rad].
+        spread: from the lowest to the highest quantile of the measure [rad].
     """
 
     name: str
     level: float
     double: float
     single: float
+    spread: float
 
     @property
     def relative(self) -> float:
-        """Shift over the value."""
-        return abs(self.single - self.double) / max(abs(self.double), 1e-300)
+        """Shift over the value, or over the spread of the measure where that is larger."""
+        return abs(self.single - self.double) / max(abs(self.double), self.spread, 1e-300)
 
 
 def in_float32(tolerances: Tolerances) -> Tolerances:
@@ -55,8 +57,12 @@ def precision_shifts(
         work = Work(population, measures, number=n, seed=key, **options)
         studies.append(work.study(*work.evaluate(work.inputs(0, n))))
     double, single = studies
-    return [
-        PrecisionShift(name, level, double.quantile(name, level).value, single.quantile(name, level).value)
-        for name in double.names
-        for level in QUANTILES
-    ]
+    found = []
+    for name in double.names:
+        values = [[study.quantile(name, level).value for level in QUANTILES] for study in (double, single)]
+        spread = values[0][-1] - values[0][0]
+        found += [
+            PrecisionShift(name, level, one, other, spread)
+            for level, one, other in zip(QUANTILES, *values, strict=True)
+        ]
+    return found

@@ -15,7 +15,7 @@ CONFIDENCE = 0.95
 
 
 class Estimate(NamedTuple):
-    """A value with its interval of 95 % confidence."""
+    """A value with its interval of 95 % confidence, open (infinite) where there are too few samples to tell."""
 
     value: float
     low: float
@@ -73,13 +73,24 @@ def quantile(values: np.ndarray, level: float, sizes: np.ndarray) -> Estimate:
     below = values <= found
     number, multiple = _effective(below, sizes, float(np.mean(below)))
     low, high = wilson(level, number, multiple)
-    return Estimate(found, _interpolated(ordered, low), _interpolated(ordered, high))
+    return Estimate(found, _end(ordered, low, -math.inf), _end(ordered, high, math.inf))
+
+
+def _end(ordered: np.ndarray, level: float, beyond: float) -> float:
+    """End of an interval; infinite where the samples do not reach so far."""
+    place = _place(len(ordered), level)
+    return _interpolated(ordered, level) if 0 <= place <= len(ordered) - 1 else beyond
+
+
+def _place(number: int, level: float) -> float:
+    """Place of a quantile among ordered samples, from 0."""
+    return level * (number + 1 / 3) + 1 / 3 - 1
 
 
 def _interpolated(ordered: np.ndarray, level: float) -> float:
     """Quantile of ordered samples, linear between them (Hyndman and Fan 1996, type 8: unbiased for its median)."""
     number = len(ordered)
-    place = level * (number + 1 / 3) + 1 / 3 - 1
+    place = _place(number, level)
     below = int(np.clip(math.floor(place), 0, number - 1))
     above = min(below + 1, number - 1)
     part = float(np.clip(place - below, 0.0, 1.0))

@@ -39,6 +39,8 @@ class Sensitivities:
         first_error, total_error: half widths of their 95 % intervals, shape (number,).
         one_at_a_time: share by ranges, shape (number,).
         samples: gear sets evaluated for the Sobol indices.
+        failed: how many of them failed; they count as average ones.
+        correlated: whether the population has correlations, which are left out here.
     """
 
     name: str
@@ -50,6 +52,8 @@ class Sensitivities:
     total_error: np.ndarray
     one_at_a_time: np.ndarray
     samples: int
+    failed: int
+    correlated: bool
 
     @property
     def linear_fails(self) -> str:
@@ -93,12 +97,12 @@ def sensitivities(
 
     results = []
     for index, name in enumerate(work.names):
-        column = found[:, index].reshape(n, -1)
-        column = column[np.isfinite(column).all(axis=1)]
-        if len(column) < max(2, n // 2):
-            raise GearjaxError(f"sensitivity of {name}: more than half of the gear sets failed")
+        column, good = found[:, index], np.isfinite(found[:, index])
+        if good.mean() < 0.5:
+            raise GearjaxError(f"sensitivity of {name}: {(~good).sum()} of {good.size} gear sets failed")
+        column = np.where(good, column, column[good].mean())  # a failure counts as nothing special
         varies = np.ptp(column) > 0
-        indices = sobol.analyze(problem, column.reshape(-1), calc_second_order=False, seed=key) if varies else None
+        indices = sobol.analyze(problem, column, calc_second_order=False, seed=key) if varies else None
         none = np.zeros(len(independent.paths))
         first, first_error, total, total_error = (none if indices is None else indices[part] for part in _PARTS)
         squares = ranges[:, index] ** 2
@@ -113,7 +117,9 @@ def sensitivities(
                 total=total,
                 total_error=total_error,
                 one_at_a_time=squares / max(squares.sum(), 1e-300),
-                samples=found.shape[0],
+                samples=good.size,
+                failed=int((~good).sum()),
+                correlated=bool(tolerances.correlations),
             )
         )
     return results
@@ -167,7 +173,7 @@ def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dic
         factor: on the tolerance.
 
     Returns:
-        By measure and path: the yield, and the yield with that tolerance narrowed about its centre.
+        By measure and path: the yield, and the yield with that tolerance scaled (`Tolerances.centres`).
     """
     number = min(number, work.number)
     inputs, paths, centres = work.inputs(0, number), work.sample.paths, work.sample.centres
