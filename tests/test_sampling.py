@@ -75,7 +75,7 @@ def population(sampler, seed, number):
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_intervals_hold_the_truth_as_often_as_they_say(sampler):
-    truth, number, repeats = stats.norm(1.0, np.sqrt(13.0)), 512, 1000  # 200 would scatter by 1.5 % themselves
+    truth, number, repeats = stats.norm(1.0, np.sqrt(13.0)), 512, 500  # 200 would scatter by 1.5 % themselves
     sizes = replicate_sizes(sampler, number)
     hits: dict = {}
     for seed in range(repeats):
