@@ -159,8 +159,11 @@ def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
     for key, value in table.items():
         if key == path:
             continue
-        inside = path.startswith(f"{key}.") and isinstance(value, dict)
-        found[key] = _forget(value, path.removeprefix(f"{key}.")) if inside else value
+        if path.startswith(f"{key}.") and isinstance(value, dict):
+            value = _forget(value, path.removeprefix(f"{key}."))
+            if not value:  # nothing else was in it
+                continue
+        found[key] = value
     return found
 
 

@@ -18,7 +18,7 @@ from gearjax.checks import ParameterError, nearest
 from gearjax.progress import Progress, silent
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measures import Measure
-from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.monte_carlo import Work, over_rows
 from gearjax.tolerance.population import Tolerances
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
@@ -190,7 +190,7 @@ def _smooth_yield(
     inputs = work.inputs(0, number)
     dtype = tolerances.scene.dtype
     width = WIDTH * float(np.nanstd(work.evaluate(inputs)[0][:, 0])) + 1e-15
-    rows, centres = jnp.asarray(inputs, dtype), jnp.asarray(tolerances.centres, dtype)
+    rows, centres = inputs.astype(dtype), jnp.asarray(tolerances.centres, dtype)
     low, high = (jnp.asarray(bound, dtype) for bound in tolerances.bounds)
 
     def good(row: Array, factors: Array) -> Scalar:
@@ -204,19 +204,14 @@ def _smooth_yield(
         allowed = (jnp.isfinite(moved) & (moved >= low) & (moved <= high)).all()
         return jnp.where(jnp.isfinite(value) & allowed, share, 0.0)
 
-    @jax.jit
-    def total(factors: Array) -> tuple[Array, Array]:
-        each = jax.value_and_grad(good, argnums=1)
-        shares, slopes = jax.lax.map(lambda row: each(row, factors), rows, batch_size=work.together)
-        return shares.mean(), jnp.nan_to_num(slopes).mean(axis=0)
-
+    each = over_rows(jax.value_and_grad(good, argnums=1), work.devices, work.together)
     known: dict[bytes, tuple[float, np.ndarray]] = {}
 
     def evaluate(factors: np.ndarray) -> tuple[float, np.ndarray]:
         place = factors.tobytes()
         if place not in known:
-            share, slopes = total(jnp.asarray(factors, dtype))
-            known[place] = float(share), np.asarray(slopes, dtype=float)
+            shares, slopes = each(rows, np.broadcast_to(factors, (number, len(factors))).astype(dtype))
+            known[place] = float(shares.mean()), np.nan_to_num(slopes).mean(axis=0).astype(float)
         return known[place]
 
     return evaluate

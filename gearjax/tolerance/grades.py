@@ -27,8 +27,8 @@ IT_GRADES = range(5, 17)
 def single_pitch_tolerance(grade: int, module: float, diameter: float, edition: str = "2013") -> float:
     """Limit of the single pitch deviation, either way [m].
 
-    ISO 1328-1:2013, 5.3.2, formula (5): ``(0.001 d + 0.4 m + 5) sqrt(2)^(grade - 5)`` um; ISO 1328-1:1995, 7.1 and
-    table 1: ``0.3 (m + 0.4 sqrt(d)) + 4`` at grade 5.
+    ISO 1328-1:2013, 5.3.2, formula (5): ``(0.001 d + 0.4 m + 5) sqrt(2)^(grade - 5)`` um; ISO 1328-1:1995, clause 6
+    and table 1: ``0.3 (m + 0.4 sqrt(d)) + 4`` at grade 5.
 
     Args:
         grade: accuracy grade, 1 to 11 (2013) or 0 to 12 (1995).
@@ -50,7 +50,7 @@ def total_pitch_tolerance(grade: int, module: float, diameter: float, edition: s
     """Limit of the total cumulative pitch deviation [m].
 
     ISO 1328-1:2013, 5.3.3, formula (6): ``(0.002 d + 0.55 sqrt(d) + 0.7 m + 12) sqrt(2)^(grade - 5)`` um;
-    ISO 1328-1:1995, 7.3 and table 2: ``0.3 m + 1.25 sqrt(d) + 7`` at grade 5.
+    ISO 1328-1:1995, clause 6 and table 2: ``0.3 m + 1.25 sqrt(d) + 7`` at grade 5.
 
     Args, raises: as `single_pitch_tolerance`.
     """
@@ -99,13 +99,13 @@ def _iso_1328(given: tuple[int, float, float, str], now: Formula, before: Formul
 
 
 def _middle(size: float, bounds: tuple[int | float, ...]) -> float:
-    """Geometric mean of the range that a size lies in (ISO 1328-1:1995, clause 6.2)."""
+    """Geometric mean of the range that a size lies in (ISO 1328-1:1995, clause 6)."""
     place = max(1, bisect_left(bounds, size * (1 - 1e-12)))
     return math.sqrt(bounds[place - 1] * bounds[place])
 
 
 def _rounded(value: float) -> float:
-    """Above 10 um to 1 um, from 5 um to 0.5 um, below to 0.1 um (ISO 1328-1:1995, 6.2; 2013, 5.2.3)."""
+    """Above 10 um to 1 um, from 5 um to 0.5 um, below to 0.1 um (ISO 1328-1:1995, clause 6; 2013, clause 5)."""
     step = 1.0 if value > 10 else 0.5 if value >= 5 else 0.1
     return math.floor(value / step + 0.5) * step
 

@@ -168,7 +168,7 @@ class Work:
         self.chunk = min(_whole("chunk", chunk), self.number)  # the same on every machine
         self._rows = -(-self.chunk // whole) * whole  # filled up to what the devices share evenly
         self.one, self.together = one, together
-        self._program, self._sharding = _sharded(one, self.devices, together)
+        self._program, self._sharding = sharded(one, self.devices, together)
 
     def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: str):
         if callable(measure) and not isinstance(measure, Measure):
@@ -338,13 +338,33 @@ def _coded(found: Any) -> tuple[Array, Array]:
     return values, jnp.where(jnp.isfinite(values).all(), 0, 2)
 
 
-def _sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Callable, NamedSharding]:
-    """A program for chunks of rows, its devices each working on their own part, and how the rows are laid out."""
+def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Callable, NamedSharding]:
+    """A program for rows of arrays, its devices each working on their own part, and how the rows are laid out.
+
+    Args:
+        one: of one row of each array.
+        devices: that share the rows evenly.
+        together: rows side by side on one device.
+    """
     mesh = Mesh(np.array(devices), ("sample",))
     spec = PartitionSpec("sample")
 
-    def part(rows: Array) -> Any:
-        return jax.lax.map(one, rows, batch_size=together)
+    def part(*rows: Array) -> Any:
+        return jax.lax.map(lambda row: one(*row), rows, batch_size=together)
 
     spread = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
     return cast(Callable, jax.jit(spread)), NamedSharding(mesh, spec)
+
+
+def over_rows(one: Callable, devices: Sequence[Any], together: int) -> Callable[..., Any]:
+    """A function from numpy arrays of any number of rows to a tree of numpy arrays, spread as by `sharded`."""
+    program, sharding = sharded(one, devices, together)
+    whole = together * len(devices)
+
+    def evaluate(*arrays: np.ndarray) -> Any:
+        number = len(arrays[0])
+        rows = np.minimum(np.arange(-(-number // whole) * whole), number - 1)
+        found = program(*jax.device_put(tuple(array[rows] for array in arrays), sharding))
+        return jax.tree.map(lambda part: np.array(part)[:number], found)
+
+    return evaluate

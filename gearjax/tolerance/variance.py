@@ -11,11 +11,10 @@ import dataclasses
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import GearjaxError
-from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.monte_carlo import Work, over_rows
 from gearjax.tolerance.population import Tolerances
 from gearjax.tolerance.statistics import Estimate, share
 from gearjax.typing import Array, Float
@@ -146,9 +145,8 @@ def _linear(work: Work, number: int) -> tuple[np.ndarray, np.ndarray]:
     def both(values: Float[Array, " free"]) -> tuple[Array, Array]:
         return work.one(values)[0], jax.jacrev(lambda v: work.one(v)[0])(values)
 
-    rows = jnp.asarray(inputs, work.sample.scene.dtype)
-    found, slopes = jax.jit(lambda rows: jax.lax.map(both, rows, batch_size=work.together))(rows)
-    found, slopes = np.asarray(found, dtype=float), np.asarray(slopes, dtype=float)
+    rows = inputs.astype(work.sample.scene.dtype)
+    found, slopes = (part.astype(float) for part in over_rows(both, work.devices, work.together)(rows))
     good = np.isfinite(found).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
     return (slopes[good] ** 2).mean(axis=0), found[good].var(axis=0, ddof=1)
 
