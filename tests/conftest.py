@@ -17,6 +17,9 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / "configs" / "two_kv" / "wang_2020.toml"
+BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
+AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
+PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 
 @pytest.fixture
@@ -46,3 +49,16 @@ def rng(request) -> np.random.Generator:
 def with_contact():
     """The scene with another contact law."""
     return lambda scene, law: dataclasses.replace(scene, contact=law)
+
+
+@pytest.fixture(scope="session")
+def population(scene) -> gj.Tolerances:
+    """Reducers with Rayleigh eccentricities and random phases."""
+    amplitudes = dict.fromkeys(AMPLITUDES, gj.Rayleigh(6 * gj.units.um))
+    return gj.Tolerances(scene, amplitudes | dict.fromkeys(PHASES, gj.UniformPhase()))
+
+
+@pytest.fixture(scope="session")
+def angles(scene) -> np.ndarray:
+    """Input angles of one cycle, quickly gone through."""
+    return np.linspace(0.0, scene.system.cycle, 801)

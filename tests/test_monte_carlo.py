@@ -11,24 +11,11 @@ from scipy import stats
 import gearjax as gj
 from gearjax.tolerance.monte_carlo import Work
 from gearjax.units import arcmin, um
+from tests.conftest import AMPLITUDES, BODIES, PHASES
 
-BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
-AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
-PHASES = [f"errors.{body}.phase" for body in BODIES]
 MEASURES = ["no_load.peak_to_peak", "no_load.amplitude", "no_load.mean", "no_load.std", "no_load.maximum"]
 MEASURES += ["backlash.minimum", "backlash.peak_to_peak", "static.peak_to_peak@30Nm", "static.std@300Nm"]
 SHORT = {"n": 64, "chunk": 32}
-
-
-@pytest.fixture(scope="module")
-def population(scene):
-    amplitudes = dict.fromkeys(AMPLITUDES, gj.Rayleigh(6 * um))
-    return gj.Tolerances(scene, amplitudes | dict.fromkeys(PHASES, gj.UniformPhase()))
-
-
-@pytest.fixture(scope="module")
-def angles(scene):
-    return np.linspace(0.0, scene.system.cycle, 801)
 
 
 def four_sigma(found: float, truth: float, error: float) -> None:

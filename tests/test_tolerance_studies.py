@@ -12,21 +12,7 @@ import gearjax as gj
 from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.variance import tightened
 from gearjax.units import arcmin, um
-
-BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
-AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
-PHASES = [f"errors.{body}.phase" for body in BODIES]
-
-
-@pytest.fixture(scope="module")
-def population(scene):
-    amplitudes = dict.fromkeys(AMPLITUDES, gj.Rayleigh(6 * um))
-    return gj.Tolerances(scene, amplitudes | dict.fromkeys(PHASES, gj.UniformPhase()))
-
-
-@pytest.fixture(scope="module")
-def angles(scene):
-    return np.linspace(0.0, scene.system.cycle, 801)
+from tests.conftest import AMPLITUDES, BODIES, PHASES
 
 
 def test_sobol_indices_of_the_ishigami_function(scene):

@@ -21,7 +21,7 @@ from gearjax.analysis.recurrence import recur
 from gearjax.analysis.signals import Basis, Drive, Drives, Given, tabulated, written_out
 from gearjax.typing import Array, Float, Scalar
 
-BLOCKS = (320, 160, 80, 40, 20, 10)  # steps of a block: few, so that scenes of other speeds share a program
+BLOCKS = (384, 192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
 LANES = 48  # windows side by side; many more take longer for each
 
 

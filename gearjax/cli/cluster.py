@@ -2,13 +2,14 @@
 
 import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
 
 from gearjax.checks import GearjaxError
 from gearjax.config import loads_tolerance
+from gearjax.progress import Progress
 from gearjax.results.tolerance import prepared
 from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import Evaluated
@@ -34,7 +35,7 @@ def each_on_cluster(
     chunks: Sequence[tuple[int, int]],
     scheduler: str | None,
     workers: int | None,
-    say: Callable[[str], None],
+    say: Progress,
 ) -> Iterator[tuple[tuple[int, int], Evaluated]]:
     """Chunks with their results, as they come.
 
@@ -63,7 +64,7 @@ def each_on_cluster(
     except (OSError, TimeoutError, ValueError) as fault:
         raise GearjaxError(f"--scheduler {scheduler}: cannot be reached ({fault})") from fault
     try:
-        say(f"cluster: {client.scheduler.address if client.scheduler else scheduler}")  # type: ignore[union-attr]
+        say(f"cluster: {scheduler if cluster is None else cluster.scheduler_address}")
         config = client.scatter(text, broadcast=True) if len(text) > 100_000 else text
         futures = {client.submit(evaluate, config, chunk, pure=False): chunk for chunk in chunks}
         for future in as_completed(list(futures)):

@@ -82,7 +82,7 @@ def run(
         if remark is not None:
             _progress.print(f"note: {remark}", soft_wrap=True)
         cases.append(case)
-    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    folder = _folder(out, json_, config)
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
 
@@ -128,7 +128,7 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     scene, section = loads_optimise(text)
 
     found = run_optimise(section, scene, _say)
-    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    folder = _folder(out, json_, config)
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
@@ -168,7 +168,7 @@ def tradeoff(
                 print_shifts(shifted)
             return
     found = run_tradeoff(scene, allowed, _say)
-    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    folder = _folder(out, json_, config)
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
@@ -205,7 +205,7 @@ def tolerance(
     from gearjax.results.tolerance import save_tolerance
 
     text = _read_text(config)
-    folder = out if out is not None else None if json_ else Path("out") / config.stem
+    folder = _folder(out, json_, config)
     found, work = study(text, config.parent, folder, scheduler, workers, _progress, _say)
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
@@ -216,6 +216,11 @@ def tolerance(
         print(json.dumps(found.as_json(), allow_nan=False))
     else:
         print_tolerance(found)
+
+
+def _folder(out: Path | None, json_: bool, config: Path) -> Path | None:
+    """Where results go: as told, nowhere with --json, else out/NAME."""
+    return out if out is not None else None if json_ else Path("out") / config.stem
 
 
 def _positive(option: str, given: float) -> float:

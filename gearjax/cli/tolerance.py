@@ -18,6 +18,7 @@ from rich.table import Table
 from gearjax.checks import ParameterError
 from gearjax.cli.tables import output
 from gearjax.config import loads_tolerance
+from gearjax.progress import Progress as Say
 from gearjax.results.store import Store, held
 from gearjax.results.tolerance import LISTED, ToleranceResults, finished, prepared
 from gearjax.timing import Stopwatch
@@ -25,8 +26,6 @@ from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import QUANTILES, Evaluated
 from gearjax.tolerance.statistics import Estimate
 from gearjax.units import arcmin
-
-Say = Callable[[str], None]
 
 
 def use_all_cores() -> None:

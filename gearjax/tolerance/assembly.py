@@ -140,7 +140,7 @@ class _Search:
         span = float(theta[-1] - theta[0])
         number = min(len(theta), max(64, round(turns * span / (2 * np.pi) * PER_TURN)))
         coarse = jnp.asarray(np.linspace(float(theta[0]), float(theta[-1]), number), scene.dtype)
-        self.measures = Measures([measure], population, coarse, "samples", population.examples)
+        self.measures = Measures([measure], population, coarse, "samples")
         if self.measures.curves is None:
             raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
         self.free = pick(scene, population.paths)

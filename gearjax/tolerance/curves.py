@@ -224,7 +224,8 @@ def _chosen(touch: np.ndarray, accuracy: float) -> np.ndarray | None:
     from scipy import linalg
 
     curves = touch.transpose(0, 2, 1)[: len(touch) // 2].reshape(-1, touch.shape[1])
-    _, factor, order = linalg.qr(curves, mode="economic", pivoting=True)  # type: ignore[misc]
+    found: Any = linalg.qr(curves, mode="economic", pivoting=True)
+    _, factor, order = found
     sizes = np.abs(np.diag(factor))
     rank = max(1, int((sizes > 0.1 * accuracy * sizes[0]).sum()))
     return None if rank > max(4, MOST * touch.shape[1]) or rank >= min(curves.shape) else order[:rank]

@@ -136,7 +136,6 @@ class Measures:
         tolerances: the population; its program knows all numbers that do not vary.
         theta: input angles, shape (n,) [rad]; without, those of the scene's run section, or one cycle.
         extremes: ``"samples"`` or ``"between"`` them too.
-        examples: numbers of some gear sets, shape (m, free), for what they have in common.
 
     Raises:
         ParameterError: two measures are the same.
@@ -149,7 +148,6 @@ class Measures:
         tolerances: Tolerances,
         theta: ArrayLike | None,
         extremes: str,
-        examples: np.ndarray,
     ):
         scene = tolerances.scene
         self.measures, self.extremes = tuple(measures), extremes
@@ -167,7 +165,9 @@ class Measures:
         self.curves: Curves | None = None
         if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
             stiffness = "mean" if "static" in analyses else "rigid"
-            population = jax.vmap(lambda row: self.free.set(self.physics, row))(jnp.asarray(examples, scene.dtype))
+            population = jax.vmap(lambda row: self.free.set(self.physics, row))(
+                jnp.asarray(tolerances.examples, scene.dtype)
+            )
             fixed = not any(path.startswith("system.") for path in self.free.paths)
             curves = Curves.of(population, self.theta, stiffness, fixed)
             if extremes == "samples" or curves.series is not None:

@@ -183,7 +183,7 @@ class Work:
         given = [m if isinstance(m, Measure) else Measure.named(m) for m in listed]
         if not given:
             raise ParameterError("measure", [], 'needs at least one, such as "no_load.peak_to_peak"')
-        found = Measures(given, tolerances, theta, extremes, tolerances.examples)
+        found = Measures(given, tolerances, theta, extremes)
         self.measures, self.names = found.measures, found.names
         return found, found.together
 
