@@ -24,6 +24,31 @@ class EquivalentMass(eqx.Module):
         """Moment of inertia on the output's axis, ``mass * mean(lever^2)`` [kg m2]."""
         return self.mass * jnp.mean(lever * lever)
 
+    def at_contacts(self, lever: Float[Array, " contact"]) -> Scalar:
+        """As a mass on the line of action [kg]."""
+        return self.mass
+
+
+class MomentOfInertia(eqx.Module):
+    """Inertia of the output about its axis, its load included.
+
+    Args:
+        moment_of_inertia: [kg m2].
+    """
+
+    moment_of_inertia: Number = number(units.INERTIA, at_least=1e-12, at_most=1e9)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def moment(self, lever: Float[Array, " contact"]) -> Scalar:
+        """Moment of inertia on the output's axis [kg m2]."""
+        return self.moment_of_inertia
+
+    def at_contacts(self, lever: Float[Array, " contact"]) -> Scalar:
+        """As a mass on the line of action, ``moment / mean(lever^2)`` [kg]."""
+        return self.moment_of_inertia / jnp.mean(lever * lever)
+
 
 class DampingRatio(eqx.Module):
     """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``.

@@ -111,9 +111,12 @@ def _field(parameter: Parameter, **keywords: Any) -> Any:
 
 
 def number(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
-    """A physical number of the given dimension; ``names=`` or ``words=True`` let words stand in its place."""
+    """A physical number of the given dimension; ``names=`` or ``words=True`` let words stand in its place, and
+    ``default=None`` lets it be absent."""
     parameter = Parameter(dimension, **bounds)
     converter = as_leaf_or_named if parameter.names or parameter.words else as_leaf
+    if default is None:
+        return _field(parameter, converter=lambda value: None if value is None else converter(value), default=None)
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(parameter, converter=converter, **keywords)
 
@@ -154,13 +157,14 @@ def declared(part: Any) -> dict[str, Parameter]:
 
 
 def check_parameters(part: Any) -> None:
-    """Refuse values outside what the fields declare. Traced values pass: they cannot be read.
+    """Refuse values outside what the fields declare. Traced values pass: they cannot be read; so do absent ones.
 
     Raises:
         ParameterError: naming the field, the value given and what would be right.
     """
     for key, parameter in declared(part).items():
-        check_value(key, parameter, getattr(part, key))
+        if getattr(part, key) is not None:
+            check_value(key, parameter, getattr(part, key))
 
 
 def check_value(key: str, parameter: Parameter, value: Any) -> None:

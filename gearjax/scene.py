@@ -11,14 +11,14 @@ import numpy as np
 
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
-from gearjax.compliance import AbstractCompliance
-from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact
+from gearjax.compliance import AbstractCompliance, AbstractLineContact
+from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact, LineSprings
 from gearjax.contact.frame import Pose, Side, join
 from gearjax.errors import AbstractError
-from gearjax.inertia import DampingRatio, EquivalentMass
+from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
 from gearjax.parameters import Named, strong
-from gearjax.systems import AbstractSystem
+from gearjax.systems import AbstractSystem, LineContacts
 from gearjax.typing import Array, Float, Scalar
 
 _OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
@@ -94,18 +94,19 @@ class Scene(eqx.Module):
         run: what the configuration asked for; not part of the physics.
 
     Raises:
-        ParameterError: an error is placed on a body that the system does not have, or the load names a frequency
-            that the system does not have.
+        ParameterError: an error is placed on a body that the system does not have, or does not suit it, or the load
+            names a frequency that the system does not have.
+        SceneError: parts that do not go together.
     """
 
     system: AbstractSystem
     errors: Mapping[str, AbstractError] = eqx.field(default_factory=dict)
     reference: ZeroAtStart | Anchor | None = None
     backlash: InitialBacklash | None = None
-    compliance: AbstractCompliance | None = None
+    compliance: AbstractCompliance | AbstractLineContact | None = None
     load: AbstractLoad | None = None
     contact: AbstractContact = HardContact()
-    inertia: EquivalentMass | None = None
+    inertia: EquivalentMass | MomentOfInertia | None = None
     damping: DampingRatio | None = None
     run: Run | None = eqx.field(static=True, default=None)
 
@@ -113,9 +114,28 @@ class Scene(eqx.Module):
         for key, error in self.errors.items():
             if error.body not in self.system.bodies:
                 raise ParameterError(f"errors.{key}.body", error.body, nearest(error.body, self.system.bodies))
+            if error.on_rim:
+                _check_rim(self.system, key, error)
         frequency = getattr(self.load, "frequency", None)
         if isinstance(frequency, Named) and frequency.name not in self.system.orders:
             raise ParameterError("load.frequency", frequency.name, nearest(frequency.name, self.system.orders))
+        if self.system.two_sided:
+            for slot in ("backlash", "reference"):
+                if getattr(self, slot) is not None:
+                    raise SceneError(
+                        f"[{slot}] is not for a {self.system.kind}, whose contacts touch both flanks and count from the "
+                        "ideal profile: its clearances come from its modification and errors"
+                    )
+        if isinstance(self.compliance, AbstractLineContact) and not isinstance(self.system, LineContacts):
+            raise SceneError(
+                f'[compliance] kind = "{self.compliance.kind}" needs the radii of curvature of the flanks, which a '
+                f'{self.system.kind} does not offer: use "harmonic_stiffness"'
+            )
+
+    @property
+    def has_back(self) -> bool:
+        """Whether back flanks are modelled."""
+        return self.system.two_sided or self.backlash is not None
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -157,11 +177,14 @@ class Scene(eqx.Module):
         if back is not None and self.backlash is not None:
             back = ContactFrame(back.jacobian, back.gap + self.backlash.initial)
         springs = None if stiffness == "rigid" else self._stiffness(pose.theta, drive.gap.shape[0], stiffness)
-        return join(drive, back, springs)
+        return join(drive, back, springs, self.system.two_sided)
 
-    def _stiffness(self, theta: Scalar, pairs: int, stiffness: Stiffness) -> Float[Array, " pair"]:
+    def _stiffness(self, theta: Scalar, pairs: int, stiffness: Stiffness) -> Float[Array, " pair"] | LineSprings:
         if self.compliance is None:
             raise SceneError("the scene has no compliance: list a [compliance] to find forces under torque")
+        if isinstance(self.compliance, AbstractLineContact):
+            assert isinstance(self.system, LineContacts)
+            return self.compliance.springs(self.system.radii(theta))
         if stiffness == "mean":
             return self.compliance.mean_stiffness(pairs)
         return self.compliance.stiffness(self.system.mesh_angle(theta))
@@ -187,6 +210,18 @@ class Scene(eqx.Module):
         return jax.tree.reduce(jnp.add, gaps)
 
 
+def _check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
+    """Refuse an error of pins or teeth that its body does not have."""
+
+    def gap(error: AbstractError) -> Array:
+        return error.gap(system.view(error.body, jnp.zeros_like(system.input_speed), Flank.DRIVE))
+
+    try:
+        jax.eval_shape(gap, error)
+    except ParameterError as fault:
+        raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
+
+
 def require(scene: Scene, what: str, *slots: str) -> None:
     """Refuse an analysis whose slots the scene does not list, by name.
 
@@ -194,6 +229,8 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         SceneError: naming the analysis and the sections to add.
     """
     missing = [slot for slot in slots if getattr(scene, slot) is None]
+    if scene.system.two_sided and "backlash" in missing:
+        missing.remove("backlash")  # its contacts touch both flanks
     if missing:
         listed = " and ".join(f"[{slot}]" for slot in missing)
         raise SceneError(f'"{what}" needs {listed}, which this scene does not list')

@@ -54,6 +54,7 @@ class Equation(eqx.Module):
         torque: size of the load [N m].
         frequency: highest natural frequency, all pairs in contact at their peak stiffness [rad/s]; scales time.
         scale: position per scaled position [rad].
+        mass: inertia on the line of action, that the damping counts with [kg].
         pairs: number of driving contacts.
         levers_turn: whether the levers change over time.
     """
@@ -62,6 +63,7 @@ class Equation(eqx.Module):
     torque: Scalar
     frequency: Scalar
     scale: Scalar
+    mass: Scalar
     pairs: int = eqx.field(static=True)
     levers_turn: bool = eqx.field(static=True)
 
@@ -76,7 +78,8 @@ class Equation(eqx.Module):
         stiffness = (arm * arm).sum() * scene.compliance.peak_stiffness()
         frequency = jnp.sqrt(stiffness / scene.inertia.moment(arm))
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
-        return cls(scene, torque, frequency, LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), contacts.pairs, turn)
+        scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
+        return cls(scene, torque, frequency, scale, mass, contacts.pairs, turn)
 
     def load(self, time: Scalar) -> Scalar:
         """Load torque [N m]."""
@@ -134,7 +137,7 @@ class Equation(eqx.Module):
         overlap = gaps.lever * position - gaps.gap
         moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
         if scene.damping is not None and gaps.gap_rate is not None:
-            coefficient = scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), scene.inertia.mass)
+            coefficient = scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), self.mass)
             speed = gaps.lever * velocity - gaps.gap_rate
             if gaps.lever_rate is not None:
                 speed = speed + gaps.lever_rate * position
@@ -153,7 +156,7 @@ class Equation(eqx.Module):
     def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:
         """Static equilibrium at a time [s] under a stiffness [N/m] and a load [N m]: position [rad]."""
         now = self.scene.contacts(self.scene.system.input_speed * time)
-        return rest(ContactSet(now.jacobian, now.gap, stiffness, now.pairs), self.scene, load).position
+        return rest(ContactSet(now.jacobian, now.gap, stiffness, now.pairs, now.two_sided), self.scene, load).position
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2"]:
         """Scaled position and velocity to start from."""
@@ -182,7 +185,7 @@ def fastest_rate(equation: Equation) -> Scalar:
         turning_rate(scene),
     ]
     if scene.damping is not None:
-        mass = scene.inertia.mass
+        mass = equation.mass
         rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(equation.pairs), mass).sum() / mass)
     return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
 
@@ -202,7 +205,7 @@ def slowest_decay(equation: Equation) -> Scalar:
     scene = equation.scene
     if scene.damping is None or scene.inertia is None or scene.compliance is None:
         return jnp.zeros((), scene.dtype)
-    mass = scene.inertia.mass
+    mass = equation.mass
     stiffness = scene.compliance.mean_stiffness(equation.pairs)
     decay = 0.5 * scene.damping.coefficient(stiffness, mass).min() / mass
     overdamped = decay > jnp.sqrt(stiffness.min() / mass)

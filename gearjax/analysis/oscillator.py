@@ -76,7 +76,7 @@ class Oscillator(eqx.Module):
             assert scene.compliance is not None
             assert now.gap_rate is not None
             mean = scene.compliance.mean_stiffness(pairs)
-            coefficient = scene.damping.coefficient(mean, scene.inertia.mass) * arm
+            coefficient = scene.damping.coefficient(mean, self.equation.mass) * arm
             damping = 0.5 * self.step * coefficient * arm / inertia
             drag = inverse * scale * coefficient * now.gap_rate[:pairs]
             if now.lever_rate is not None:

@@ -16,7 +16,7 @@ from gearjax.config.tables import known_keys, read_parameter
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import ERRORS
-from gearjax.inertia import DampingRatio, EquivalentMass
+from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.scene import Scene
@@ -142,7 +142,8 @@ def _scene(tables: dict[str, Any]) -> Scene:
     for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", _CONTACTS)):
         if section in tables:
             parts[section] = _one_of(section, tables[section], kinds)
-    for section, part in (("backlash", InitialBacklash), ("inertia", EquivalentMass), ("damping", DampingRatio)):
+    inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
+    for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):
         if section in tables:
             parts[section] = _part(section, tables[section], part)
     if "reference" in tables:

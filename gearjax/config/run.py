@@ -65,7 +65,7 @@ def _torques(table: dict[str, Any], analyses: tuple[str, ...], scene: Scene) -> 
     if loaded and not torques:
         raise ParameterError("run.torques", given, f'"{loaded[0]}" needs a list such as ["30 N*m"]')
     alternates = scene.load is not None and scene.load.alternates
-    if loaded and scene.backlash is None and (alternates or min(torques) < 0):
+    if loaded and not scene.has_back and (alternates or min(torques) < 0):
         raise SceneError(
             "run.torques: a torque that turns negative loads the back flanks, which need [backlash], not listed here"
         )

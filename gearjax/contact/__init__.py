@@ -1,8 +1,9 @@
 """Candidate contacts, their laws, and the equilibrium of one-sided springs."""
 
 from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
-from gearjax.contact.frame import BodyView, ContactFrame, ContactSet, Flank
+from gearjax.contact.frame import BodyView, ContactFrame, ContactSet, Flank, Rim
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
+from gearjax.contact.line import LineSprings
 
 __all__ = [
     "AbstractContact",
@@ -12,7 +13,9 @@ __all__ = [
     "Equilibrium",
     "Flank",
     "HardContact",
+    "LineSprings",
     "QuadraticContact",
+    "Rim",
     "SoftplusContact",
     "equilibrium",
     "first_contact",

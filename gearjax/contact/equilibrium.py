@@ -16,9 +16,13 @@ import numpy as np
 
 from gearjax.contact.frame import ContactSet
 from gearjax.contact.laws import AbstractContact, HardContact
+from gearjax.contact.line import LineSprings
+from gearjax.contact.search import search
 from gearjax.typing import Array, Float, Int, Scalar
 
 MAX_SMOOTH_PAIRS = 5  # the smooth equilibrium looks at every subset of each flank
+SMALLEST_LEVER = 1e-9  # of the mean one, below which a two-sided contact turns nothing
+FAR = 1.0  # rad, where a contact that does not touch counts as touching
 
 
 class Equilibrium(eqx.Module):
@@ -41,12 +45,28 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
     Lower edge ``max_i(gap_i / J_i)`` over driving contacts (Wang et al. 2020, eq. 8), upper edge
     ``min_i(gap_i / J_i)`` over back contacts (eq. 9), ``None`` without back flanks.
     """
-    touch = contacts.gap / contacts.lever
     scale = _scale(contacts)
+    if contacts.two_sided:
+        towards = contacts.lever / scale
+        return tuple(sign * law.maximum(_touch(contacts, sign * towards) * scale) / scale for sign in (1.0, -1.0))
+    touch = contacts.gap / contacts.lever
     lower = law.maximum(touch[: contacts.pairs] * scale) / scale
     if not contacts.has_back:
         return lower, None
     return lower, -law.maximum(-touch[contacts.pairs :] * scale) / scale
+
+
+def _touch(contacts: ContactSet, towards: Float[Array, " contact"]) -> Float[Array, " contact"]:
+    """Positions at which two-sided contacts of one side touch, those of the other side far away [rad].
+
+    Args:
+        contacts: the contacts.
+        towards: relative levers, negative on the side that is looked at; a contact whose lever all but vanishes turns
+            nothing.
+    """
+    faces = towards < -SMALLEST_LEVER
+    size = jnp.where(faces, jnp.abs(contacts.lever), 1.0)
+    return jnp.where(faces, jnp.clip(-contacts.gap / size, -FAR, FAR), -FAR)
 
 
 def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equilibrium:
@@ -55,7 +75,8 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
     equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
     maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
-    show a slightly negative force).
+    show a slightly negative force). Two-sided contacts, and springs that are not linear, are searched for their
+    balance; there a smooth law makes the forces smooth.
 
     Args:
         contacts: candidate contacts, with a stiffness.
@@ -67,6 +88,11 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     """
     if contacts.stiffness is None:
         raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
+    if contacts.two_sided or isinstance(contacts.stiffness, LineSprings):
+        lower, upper = first_contact(contacts, HardContact())
+        edge = lower if upper is None else jnp.where(load > 0, upper, lower)
+        position, forces, found = search(contacts, load, law, edge)
+        return Equilibrium(position, forces, jnp.where(found, 0, 1))
     if isinstance(law, HardContact):
         return _hard(contacts, contacts.stiffness, load)
     return _smooth(contacts, contacts.stiffness, load, law)

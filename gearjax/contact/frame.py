@@ -7,13 +7,18 @@ A contact is a one-sided spring. The displacement ``q`` of the output from its i
 Driving flanks hold the output against a positive torque, so their ``J`` is negative (the overlap grows when the
 output falls back); the ``J`` of a back flank is positive. Driving contacts come first, back contacts follow in
 the same order, so that contact ``i`` and contact ``pairs + i`` are the two flanks of pair ``i``.
+
+Pins of a cycloidal disc touch one flank after the other as the disc goes around: their contacts are two-sided, the
+sign of ``J`` tells which flank it is, and there are no others.
 """
 
 import enum
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
+from gearjax.contact.line import LineSprings
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -36,6 +41,23 @@ class ContactFrame(eqx.Module):
     gap: Float[Array, " contact"]
 
 
+class Rim(eqx.Module):
+    """How displacements of single teeth or pins of a body are seen, each in the axes of its own place on the body.
+
+    Args:
+        angle: of each contact's place around the body, counted on it, shape (contact,) [rad].
+        outward: change of gap per outward displacement, shape (contact,) [-].
+        around: change of gap per displacement along the circumference, shape (contact,) [-].
+        elements: number of teeth or pins; contact ``i`` is of element ``i % elements``. ``None`` where the contacts go
+            around the body, which no element stays with.
+    """
+
+    angle: Float[Array, " contact"]
+    outward: Float[Array, " contact"]
+    around: Float[Array, " contact"]
+    elements: int | None = eqx.field(static=True)
+
+
 class BodyView(eqx.Module):
     """How a displacement fixed on one body is seen from the lines of action of one flank.
 
@@ -45,6 +67,7 @@ class BodyView(eqx.Module):
         turn: angle that the body has turned by, seen from the lines of action [rad].
         place: angle of its reference direction from each line of action before, shape (contact,) [rad].
         influence: change of gap per displacement along the line, shape (contact,) [-].
+        rim: how single teeth or pins of it are seen; ``None`` for a body without.
 
     Attributes:
         angle: of the reference direction from each line of action, shape (contact,) [rad].
@@ -55,10 +78,17 @@ class BodyView(eqx.Module):
     influence: Float[Array, " contact"]
     sine: Float[Array, " contact"]
     cosine: Float[Array, " contact"]
+    rim: Rim | None
 
-    def __init__(self, turn: Scalar, place: Float[Array, " contact"], influence: Float[Array, " contact"]):
+    def __init__(
+        self,
+        turn: Scalar,
+        place: Float[Array, " contact"],
+        influence: Float[Array, " contact"],
+        rim: Rim | None = None,
+    ):
         sine, cosine = jnp.sin(turn), jnp.cos(turn)
-        self.angle, self.influence = turn + place, influence
+        self.angle, self.influence, self.rim = turn + place, influence, rim
         self.sine = sine * jnp.cos(place) + cosine * jnp.sin(place)
         self.cosine = cosine * jnp.cos(place) - sine * jnp.sin(place)
 
@@ -89,14 +119,16 @@ class ContactSet(eqx.Module):
     Args:
         jacobian: shape (contact, dof) [m/rad].
         gap: shape (contact,) [m].
-        stiffness: shape (contact,) [N/m], ``None`` for rigid teeth.
-        pairs: number of driving contacts; they come first.
+        stiffness: shape (contact,) [N/m], or the law of elastic line contacts; ``None`` for rigid teeth.
+        pairs: number of driving contacts; they come first. All contacts where they are two-sided.
+        two_sided: whether the sign of its lever tells which flank a contact is.
     """
 
     jacobian: Float[Array, "contact dof"]
     gap: Float[Array, " contact"]
-    stiffness: Float[Array, " contact"] | None
+    stiffness: Float[Array, " contact"] | LineSprings | None
     pairs: int = eqx.field(static=True)
+    two_sided: bool = eqx.field(static=True, default=False)
 
     @property
     def lever(self) -> Float[Array, " contact"]:
@@ -108,17 +140,22 @@ class ContactSet(eqx.Module):
     @property
     def has_back(self) -> bool:
         """Whether back flanks are modelled."""
-        return self.gap.shape[0] > self.pairs
+        return self.two_sided or self.gap.shape[0] > self.pairs
 
 
-def join(drive: ContactFrame, back: ContactFrame | None, stiffness: Float[Array, " pair"] | None) -> ContactSet:
+def join(
+    drive: ContactFrame,
+    back: ContactFrame | None,
+    stiffness: Float[Array, " pair"] | LineSprings | None,
+    two_sided: bool = False,
+) -> ContactSet:
     """Contacts of both flanks as one set; the two flanks of a pair are equally stiff."""
     pairs = drive.gap.shape[0]
     if back is None:
-        return ContactSet(drive.jacobian, drive.gap, stiffness, pairs)
+        return ContactSet(drive.jacobian, drive.gap, stiffness, pairs, two_sided)
     return ContactSet(
         jnp.concatenate([drive.jacobian, back.jacobian]),
         jnp.concatenate([drive.gap, back.gap]),
-        None if stiffness is None else jnp.concatenate([stiffness, stiffness]),
+        jax.tree.map(lambda each: jnp.concatenate([each, each]), stiffness),
         pairs,
     )

@@ -2,7 +2,8 @@
 
 from gearjax.errors.base import AbstractError
 from gearjax.errors.eccentricity import Eccentricity
+from gearjax.errors.rim import CumulativePitch, Positions, Sizes
 
-ERRORS: tuple[type[AbstractError], ...] = (Eccentricity,)
+ERRORS: tuple[type[AbstractError], ...] = (Eccentricity, Positions, Sizes, CumulativePitch)
 
-__all__ = ["ERRORS", "AbstractError", "Eccentricity"]
+__all__ = ["ERRORS", "AbstractError", "CumulativePitch", "Eccentricity", "Positions", "Sizes"]

@@ -1,6 +1,7 @@
 """What every error offers to a scene."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 
@@ -13,6 +14,8 @@ class AbstractError(eqx.Module):
 
     kind: eqx.AbstractClassVar[str]
     body: eqx.AbstractVar[str]
+    on_rim: ClassVar[bool] = False
+    """Whether it is of single pins or teeth, which not every body has."""
 
     @abc.abstractmethod
     def gap(self, view: BodyView) -> Float[Array, " contact"]:

@@ -2,11 +2,22 @@
 
 import abc
 from collections.abc import Mapping
+from typing import ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
 
 from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.geometry.line_contact import Radii
 from gearjax.typing import Array, Float, Scalar
+
+
+@runtime_checkable
+class LineContacts(Protocol):
+    """What a gear set offers besides where its contacts are line contacts of known radii."""
+
+    def radii(self, theta: Scalar) -> Radii:
+        """Radii where the contacts are at an input angle [rad]."""
+        ...
 
 
 class AbstractSystem(eqx.Module):
@@ -17,6 +28,8 @@ class AbstractSystem(eqx.Module):
     """
 
     kind: eqx.AbstractClassVar[str]
+    two_sided: ClassVar[bool] = False
+    """Whether its contacts touch either flank, told by the sign of their lever, and count from the ideal profile."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
 

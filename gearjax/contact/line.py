@@ -1,0 +1,43 @@
+"""Elastic line contacts: the force of an approach, where both grow together but not in proportion."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.typing import Array, Float
+
+STEPS = 6  # of Newton's method, from a start within a few per cent
+SHALLOWEST = 1e-12  # m, below which an approach counts as none
+
+
+class LineSprings(eqx.Module):
+    """Line contacts whose approach under a force is ``slope F (level - ln F)``: Hertz' contact of cylinders, and
+    formulas like it.
+
+    Args:
+        slope: shape (contact,) [m/N].
+        level: shape (contact,) [-], of forces in N.
+    """
+
+    slope: Float[Array, " contact"]
+    level: Float[Array, " contact"]
+
+    def approach(self, force: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Approach of the bodies under a force [m]."""
+        safe = jnp.where(force > 0, force, 1.0)
+        return jnp.where(force > 0, self.slope * safe * (self.level - jnp.log(safe)), 0.0)
+
+    def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Force of an approach [N]; none where the bodies are apart.
+
+        Newton's method in the logarithm of the force; its last step carries the derivative.
+        """
+        touching = penetration > SHALLOWEST
+        target = jnp.where(touching, penetration, SHALLOWEST) / self.slope  # F (level - ln F)
+        log_target = jnp.log(target)
+        x = jax.lax.stop_gradient(log_target - jnp.log(self.level - log_target + jnp.log(self.level)))
+        frozen_target, level = jax.lax.stop_gradient((log_target, self.level))
+        for _ in range(STEPS):
+            x = x - (x + jnp.log(level - x) - frozen_target) / (1.0 - 1.0 / (level - x))
+        x = x - (x + jnp.log(self.level - x) - log_target) / (1.0 - 1.0 / (level - x))
+        return jnp.where(touching, jnp.exp(x), 0.0)

@@ -1,0 +1,106 @@
+"""Errors of single pins or teeth, and of the pitch around a body."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from gearjax import units
+from gearjax.checks import ParameterError
+from gearjax.contact import BodyView, Rim
+from gearjax.errors.base import AbstractError
+from gearjax.parameters import angle, check_parameters, count, length, name, series
+from gearjax.typing import Array, Float, Number
+
+
+class Positions(AbstractError):
+    """Places of the single pins or teeth of a body: ``outward`` along the radius, ``around`` along the circumference.
+
+    One value for all is the radius of the circle that they sit on, or a common turn (Hu et al. 2020, eqs. 7 and 11).
+
+    Args:
+        body: body of the system that carries them.
+        outward: shape (element,), one value for all, or empty for none [m].
+        around: shape (element,), one value for all, or empty for none [m].
+    """
+
+    kind: ClassVar[str] = "positions"
+    on_rim: ClassVar[bool] = True
+    body: str = name()
+    outward: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0)
+    around: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        rim = _rim(self.body, view)
+        outward = _spread("outward", self.outward, rim) * rim.outward if self.outward.size else None
+        if not self.around.size:
+            return jnp.zeros_like(rim.angle) if outward is None else outward
+        around = _spread("around", self.around, rim) * rim.around
+        return around if outward is None else outward + around
+
+
+class Sizes(AbstractError):
+    """Radii of the single pins of a body: a larger pin closes its gap (Hu et al. 2020, eq. 8); half of a clearance
+    between pin and groove, negative, opens it (eq. 9).
+
+    Args:
+        body: body of the system that carries them.
+        larger: by how much each radius is too large, shape (element,), or one value for all [m].
+    """
+
+    kind: ClassVar[str] = "sizes"
+    on_rim: ClassVar[bool] = True
+    body: str = name()
+    larger: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        return -_spread("larger", self.larger, _rim(self.body, view))
+
+
+class CumulativePitch(AbstractError):
+    """Cumulative pitch error, a wave around the body: a tooth at the angle ``eta`` on it is displaced by
+    ``amplitude sin(waves eta + phase)`` along the circumference (Hu et al. 2020, eq. 12: half of F_p, one wave).
+
+    Args:
+        body: body of the system that carries it.
+        amplitude: half of the total cumulative pitch error [m].
+        phase: [rad].
+        waves: number of waves around the body.
+    """
+
+    kind: ClassVar[str] = "cumulative_pitch"
+    on_rim: ClassVar[bool] = True
+    body: str = name()
+    amplitude: Number = length(at_least=0.0, at_most=1.0)
+    phase: Number = angle(at_least=-1e6, at_most=1e6, periodic=True)
+    waves: int = count(default=1, at_most=1000)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        rim = _rim(self.body, view)
+        return rim.around * self.amplitude * jnp.sin(self.waves * rim.angle + self.phase)
+
+
+def _rim(body: str, view: BodyView) -> Rim:
+    if view.rim is None:
+        raise ParameterError("body", body, "has no rim of pins or teeth to carry this error")
+    return view.rim
+
+
+def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, " contact"]:
+    """One value per contact from one per element, or one for all."""
+    contacts = rim.angle.shape[0]
+    if values.shape == (1,):
+        return jnp.broadcast_to(values, (contacts,))
+    if rim.elements is None:
+        raise ParameterError(key, f"{values.size} values", "give one value: its teeth are not told apart")
+    if values.shape != (rim.elements,):
+        raise ParameterError(key, f"{values.size} values", f"needs {rim.elements}, one for each, or one for all")
+    return jnp.tile(values, contacts // rim.elements)

@@ -1,0 +1,174 @@
+"""Cycloidal gears: disc profile, where a pin touches it, clearance, curvature and undercut.
+
+The disc has ``pins - 1`` teeth and touches a ring of pins. Angles ``u`` are counted from a pin to the throw of the
+crank. The common normal of a contact runs through the pitch point, ``K`` of the pin circle away from its centre, with
+``K = throw pins / pin_circle`` (short-width coefficient) and ``S = 1 + K^2 - 2 K cos u``.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.typing import Array, Float, Scalar
+
+STEPS = 8  # of Newton's method for the foot of a normal
+
+
+class Cycloid(NamedTuple):
+    """A cycloidal disc and its pins; lengths in m.
+
+    Args:
+        pins: number of pins; the disc has one tooth fewer.
+        pin_circle: radius of the circle of pin centres.
+        pin_radius: radius of a pin.
+        throw: eccentricity of the crank.
+        isometric: isometric (equidistant) modification of the profile, positive removes material.
+        shifting: shifting modification, of the pin circle that the profile is generated from.
+    """
+
+    pins: int
+    pin_circle: Scalar
+    pin_radius: Scalar
+    throw: Scalar
+    isometric: Scalar
+    shifting: Scalar
+
+    @property
+    def teeth(self) -> int:
+        """Teeth of the disc."""
+        return self.pins - 1
+
+    @property
+    def rolling_radius(self) -> Scalar:
+        """Rolling circle of the disc, the largest lever of a contact, ``r_c = a z_c`` [m]."""
+        return self.throw * self.teeth
+
+    @property
+    def short_width(self) -> Scalar:
+        """Short-width coefficient of the mechanism, ``K = a z_p / r_p`` [-]."""
+        return self.throw * self.pins / self.pin_circle
+
+    @property
+    def modified_short_width(self) -> Scalar:
+        """Short-width coefficient of the profile, ``K1 = a z_p / (r_p + shifting)`` (Hu et al. 2020, eq. 3)."""
+        return self.throw * self.pins / (self.pin_circle + self.shifting)
+
+
+class Touch(NamedTuple):
+    """The contact of a pin, for each angle ``u``.
+
+    Args:
+        lever: over the rolling radius, ``L = sin u / sqrt(S)`` (Hu et al. 2020, eq. 36); positive on the flanks that
+            carry a positive torque.
+        outward: gap per outward displacement of the pin, ``(1 - K cos u) / sqrt(S)``.
+        along_throw: gap per displacement of the disc along the throw, ``(K - cos u) / sqrt(S)``; across it, L.
+        root: ``sqrt(S)``.
+    """
+
+    lever: Array
+    outward: Array
+    along_throw: Array
+    root: Array
+
+
+def touch(short_width: Scalar, u: Float[Array, "..."]) -> Touch:
+    """Where pins at the angles ``u`` [rad] touch."""
+    cosine, sine = jnp.cos(u), jnp.sin(u)
+    root = jnp.sqrt(1 + short_width * short_width - 2 * short_width * cosine)
+    return Touch(sine / root, (1 - short_width * cosine) / root, (short_width - cosine) / root, root)
+
+
+def profile(disc: Cycloid, phase: Float[Array, " n"]) -> Float[Array, "n 2"]:
+    """Modified profile of a disc (Hu et al. 2020, eqs. 1-2, signs restored), shape (n, 2) [m].
+
+    Args:
+        disc: the disc.
+        phase: meshing phase, ``2 pi`` per tooth, shape (n,) [rad]; ``2 pi teeth`` once around.
+    """
+    ratio = disc.pins / disc.teeth
+    circle, offset = disc.pin_circle + disc.shifting, disc.pin_radius + disc.isometric
+    short = disc.modified_short_width
+    share = offset / jnp.sqrt(1 + short * short - 2 * short * jnp.cos(phase))
+    far = circle - share
+    near = disc.throw / circle * (circle - disc.pins * share)
+    x = far * jnp.cos((1 - ratio) * phase) - near * jnp.cos(ratio * phase)
+    y = far * jnp.sin((1 - ratio) * phase) + near * jnp.sin(ratio * phase)
+    return jnp.stack([x, y], axis=-1)
+
+
+def clearance(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Initial clearance that the modification leaves at each pin while the disc touches where ``cos u = K1``,
+    ``C = isometric (1 - L) - shifting (1 - K1 cos u - s sin u) / sqrt(S)`` (Hu et al. 2020, eq. 32 with its second
+    term's misprint corrected) [m]."""
+    short = disc.modified_short_width
+    at, side = touch(short, u), jnp.sqrt(1 - short * short)
+    return disc.isometric * (1 - at.lever) - disc.shifting * (at.outward - side * at.lever)
+
+
+def gap(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Gap of the modified profile at the ideal position, to first order:
+    ``isometric - shifting (1 - K cos u) / sqrt(S)`` [m]. Eq. 32 of Hu et al. (2020) is this, turned until it touches."""
+    return disc.isometric - disc.shifting * touch(disc.short_width, u).outward
+
+
+def exact_gap(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Gap of the modified profile at the ideal position: distance of the pin from the foot of its normal [m].
+
+    The profile is the equidistant curve of the trochoid of pin centres, so that the gap is the distance of the pin's
+    centre from the trochoid of the modified pin circle, plus the isometric modification.
+    """
+    return pin_distance(disc, trochoid(disc._replace(shifting=jnp.zeros_like(disc.shifting)), u), u) + disc.isometric
+
+
+def trochoid(disc: Cycloid, phase: Float[Array, "..."]) -> tuple[Array, Array]:
+    """Centre of the pin that the throw is ``phase`` ahead of, in axes of the disc: x and y [m]."""
+    circle, ratio = disc.pin_circle + disc.shifting, disc.pins / disc.teeth
+    x = circle * jnp.cos(phase / disc.teeth) - disc.throw * jnp.cos(ratio * phase)
+    y = circle * jnp.sin(phase / disc.teeth) - disc.throw * jnp.sin(ratio * phase)
+    return x, y
+
+
+def pin_distance(disc: Cycloid, pin: tuple[Array, Array], guess: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Distance of a pin's centre from the trochoid that the profile is generated from, positive outside [m].
+
+    Newton's method for the foot of the normal; the derivative holds the foot, where the distance is stationary.
+
+    Args:
+        disc: the disc.
+        pin: x and y of the centre in axes of the disc [m].
+        guess: phase of the trochoid near the pin [rad].
+    """
+
+    def curve(phase: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        return jax.jvp(lambda p: trochoid(disc, p), (phase,), (jnp.ones_like(phase),))
+
+    def along(phase: Array) -> Array:
+        (x, y), (dx, dy) = curve(phase)
+        return ((pin[0] - x) * dx + (pin[1] - y) * dy) / (disc.throw * disc.throw)
+
+    def step(phase: Array, _: None) -> tuple[Array, None]:
+        value, slope = jax.jvp(along, (phase,), (jnp.ones_like(phase),))
+        return phase - jnp.clip(value / slope, -0.2, 0.2), None
+
+    foot = jax.lax.scan(step, guess, None, length=STEPS)[0]
+    (x, y), (dx, dy) = curve(jax.lax.stop_gradient(foot))
+    return ((pin[0] - x) * dy - (pin[1] - y) * dx) / jnp.sqrt(dx * dx + dy * dy)
+
+
+def curvature(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Curvature of the disc's flank where a pin touches it, positive where it is convex [1/m]: ``-1 / rho`` of
+    Hu et al. (2020), eq. 40, of the modified profile."""
+    short, offset = disc.modified_short_width, disc.pin_radius + disc.isometric
+    inner = 1 + disc.pins * short * short - short * (disc.pins + 1) * jnp.cos(u)
+    return inner / ((disc.pin_circle + disc.shifting) * touch(short, u).root ** 3 - offset * inner)
+
+
+def largest_offset(pins: int, pin_circle: float, short_width: float) -> float:
+    """Smallest radius of curvature of the convex flanks of the trochoid: a larger pin would undercut the disc [m]."""
+    cosine = np.cos(np.linspace(0.0, math.pi, 20_001))
+    inner = 1 + pins * short_width**2 - short_width * (pins + 1) * cosine
+    radii = pin_circle * (1 + short_width**2 - 2 * short_width * cosine) ** 1.5 / np.where(inner > 0, inner, np.inf)
+    return float(radii[inner > 0].min())
