@@ -13,21 +13,24 @@ from gearjax.analysis import (
     Sweep,
     Windows,
     backlash,
+    contact_pressure,
     growth_rate,
     harmonic_balance,
+    lost_motion,
     order_spectrum,
     shooting,
     simulate,
     speed_sweep,
+    torsion,
     transmission_error,
 )
 from gearjax.checks import GearjaxError, ParameterError, SceneError
 from gearjax.clearance import InitialBacklash, ZeroAtStart
-from gearjax.compliance import HarmonicStiffness
+from gearjax.compliance import HarmonicStiffness, HertzLineContact, HuLineContact
 from gearjax.config import load, loads
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
-from gearjax.errors import Eccentricity
-from gearjax.inertia import DampingRatio, EquivalentMass
+from gearjax.errors import CumulativePitch, Eccentricity, Positions, Sizes
+from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import ConstantLoad, SinusoidalLoad
 from gearjax.scene import Run, Scene
 from gearjax.studies import (
@@ -40,7 +43,7 @@ from gearjax.studies import (
     local_sensitivity,
     minimise,
 )
-from gearjax.systems import TwoKV
+from gearjax.systems import RVCycloidal, TwoKV
 from gearjax.tolerance import (
     Correlation,
     Discrete,
@@ -73,6 +76,7 @@ __all__ = [
     "AllocatedTolerances",
     "ConstantLoad",
     "Correlation",
+    "CumulativePitch",
     "DampingRatio",
     "Discrete",
     "Eccentricity",
@@ -85,6 +89,8 @@ __all__ = [
     "GridSearch",
     "HardContact",
     "HarmonicStiffness",
+    "HertzLineContact",
+    "HuLineContact",
     "InitialBacklash",
     "Iso286",
     "Iso1328RunOut",
@@ -93,13 +99,16 @@ __all__ = [
     "MatchedAssembly",
     "Measure",
     "Minimisation",
+    "MomentOfInertia",
     "Motion",
     "Normal",
     "Objective",
     "ParameterError",
     "Periodic",
+    "Positions",
     "QuadraticContact",
     "QuasiStatic",
+    "RVCycloidal",
     "Rayleigh",
     "Run",
     "RungeKutta4",
@@ -107,6 +116,7 @@ __all__ = [
     "SceneError",
     "Sensitivities",
     "SinusoidalLoad",
+    "Sizes",
     "SoftplusContact",
     "Study",
     "Sweep",
@@ -120,6 +130,7 @@ __all__ = [
     "ZeroAtStart",
     "allocate",
     "backlash",
+    "contact_pressure",
     "grid_search",
     "growth_rate",
     "harmonic_balance",
@@ -127,6 +138,7 @@ __all__ = [
     "load",
     "loads",
     "local_sensitivity",
+    "lost_motion",
     "matched_assembly",
     "minimise",
     "monte_carlo",
@@ -137,6 +149,7 @@ __all__ = [
     "simulate",
     "single_pitch_tolerance",
     "speed_sweep",
+    "torsion",
     "total_pitch_tolerance",
     "transmission_error",
     "units",

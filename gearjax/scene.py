@@ -234,3 +234,8 @@ def require(scene: Scene, what: str, *slots: str) -> None:
     if missing:
         listed = " and ".join(f"[{slot}]" for slot in missing)
         raise SceneError(f'"{what}" needs {listed}, which this scene does not list')
+    if "inertia" in slots and isinstance(scene.compliance, AbstractLineContact):
+        raise SceneError(
+            f'"{what}" needs springs in proportion, such as [compliance] kind = "harmonic_stiffness": the force of '
+            f"{scene.compliance.kind} is not"
+        )

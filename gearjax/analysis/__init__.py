@@ -9,6 +9,7 @@ from gearjax.analysis.periodic import Periodic, Sweep, harmonic_balance, shootin
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, transmission_error
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
+from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost_motion, torsion
 
 __all__ = [
     "AdaptiveStep",
@@ -16,20 +17,25 @@ __all__ = [
     "ExponentialFit",
     "ExponentialFitMany",
     "FixedStep",
+    "LostMotion",
     "Motion",
     "Periodic",
     "QuasiStatic",
     "RungeKutta4",
     "Spectrum",
     "Sweep",
+    "Torsion",
     "TransmissionError",
     "Windows",
     "backlash",
+    "contact_pressure",
     "growth_rate",
     "harmonic_balance",
+    "lost_motion",
     "order_spectrum",
     "shooting",
     "simulate",
     "speed_sweep",
+    "torsion",
     "transmission_error",
 ]

@@ -55,6 +55,13 @@ class TransmissionError(eqx.Module):
         return deviation(self.te)
 
     @property
+    def engaged(self) -> Int[Array, "... n"]:
+        """Number of contacts that carry force, shape (n,)."""
+        if self.forces is None:
+            raise SceneError("contacts that carry need a torque: transmission_error(scene, theta, torque=...)")
+        return (self.forces > 0).sum(axis=-1)
+
+    @property
     def load_sharing(self) -> Float[Array, "... n"]:
         """Load of the most loaded pair over the mean load, shape (n,) [-]."""
         if self.forces is None:
@@ -130,7 +137,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         >>> round(float(te.peak_to_peak / gj.units.arcmin), 3)
         2.246
     """
-    theta = _angles(scene, theta)
+    theta = angles_of(scene, theta)
     if torque is None:
         return _transmission_error(scene.physics(), theta, None)
     require(scene, "static", "compliance")
@@ -162,10 +169,11 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
         True
     """
     require(scene, "backlash", "backlash")
-    return _backlash(scene.physics("backlash"), _angles(scene, theta))
+    return _backlash(scene.physics("backlash"), angles_of(scene, theta))
 
 
-def _angles(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
+def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
+    """Input angles of an analysis, checked, shape (n,) [rad]."""
     theta = jnp.asarray(theta, dtype=scene.dtype)
     if theta.ndim != 1 or theta.shape[0] == 0:
         raise SceneError(f"theta has shape {theta.shape}: give input angles of shape (n,)")

@@ -48,7 +48,8 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
     scale = _scale(contacts)
     if contacts.two_sided:
         towards = contacts.lever / scale
-        return tuple(sign * law.maximum(_touch(contacts, sign * towards) * scale) / scale for sign in (1.0, -1.0))
+        lower, upper = (sign * law.maximum(_touch(contacts, sign * towards) * scale) / scale for sign in (1.0, -1.0))
+        return lower, upper
     touch = contacts.gap / contacts.lever
     lower = law.maximum(touch[: contacts.pairs] * scale) / scale
     if not contacts.has_back:

@@ -5,7 +5,7 @@ positions with sums on both sides of the load. The search does not take part in 
 of Newton's method does, which is the implicit derivative, and exact where the springs are linear.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +13,15 @@ import jax.numpy as jnp
 from gearjax.contact.frame import ContactSet
 from gearjax.contact.laws import AbstractContact
 from gearjax.contact.line import LineSprings
-from gearjax.typing import Array, Scalar
+from gearjax.typing import Array, Bool, Float, Scalar
 
 MOST_STEPS = 200
 FLATTEST = 1e-9  # slope of the forces over that of the whole loaded side, below which it tells nothing
 LONGEST = 1.0  # rad, of a step
-SPACINGS = 8.0  # of the dtype, that the balance of forces may be off, relative to the largest force
+ACCURACY = 0.7  # power of the dtype's spacing, relative to the position and typical travel: the last step but one
+TYPICAL = 1e-6  # m, penetration at which springs that are not linear are called as stiff as they are there
+
+Sums = Callable[[Array], tuple[Array, Array]]
 
 
 def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array], Array]:
@@ -30,6 +33,42 @@ def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array
     return lambda overlap: springs * law.penetration(overlap)
 
 
+def newton(
+    sums: Sums, start: Float[Array, "..."], steepness: Float[Array, "..."], travel: Float[Array, "..."]
+) -> tuple[Array, Bool[Array, "..."]]:
+    """Roots of sums that never fall, and where they were found.
+
+    Args:
+        sums: what is out of balance at a position, and its slope.
+        start: positions to start from, of any shape [rad].
+        steepness: slope to go by where the sum has none, such as in the play.
+        travel: typical change of the position, that accuracy counts with [rad].
+    """
+    accuracy = float(jnp.finfo(start.dtype).eps) ** ACCURACY
+
+    def unfinished(state: tuple) -> Array:
+        _, _, _, done, step = state
+        return (~done).any() & (step < MOST_STEPS)
+
+    def advance(state: tuple) -> tuple:
+        position, low, high, done, step = state
+        excess, slope = jax.lax.optimization_barrier(sums(position))  # or each of what follows works them out again
+        low, high = jnp.where(excess < 0, position, low), jnp.where(excess > 0, position, high)
+        move = excess / jnp.where(slope > FLATTEST * steepness, slope, steepness)
+        small = jnp.abs(move) <= accuracy * (jnp.abs(position) + travel)
+        new = position - jnp.clip(move, -LONGEST, LONGEST)
+        new = jnp.where(
+            (new > low) & (new < high), new, 0.5 * (low + high)
+        )  # a step leaves only bounds that are finite
+        done = done | small | ~(low < high)
+        return jnp.where(done, position, new), low, high, done, step + 1
+
+    endless = jnp.full_like(start, jnp.inf)
+    hopeless = ~jnp.isfinite(start) | ~(steepness > 0)
+    position, _, _, done, _ = jax.lax.while_loop(unfinished, advance, (start, -endless, endless, hopeless, 0))
+    return position, done & jnp.isfinite(position) & ~hopeless
+
+
 def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scalar) -> tuple[Scalar, Array, Array]:
     """Position where the contacts carry the load, their forces, and whether it was found.
 
@@ -39,47 +78,60 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scal
         law: contact law.
         start: position to start from, such as the edge of the play on the side of the load [rad].
     """
-    frozen, weight, begin = jax.lax.stop_gradient((contacts, load, start))
 
-    def sums(contacts: ContactSet, load: Scalar, position: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """What is out of balance, its slope, and the size of the forces."""
+    def sums(contacts: ContactSet, load: Scalar, position: Scalar) -> tuple[Scalar, Scalar]:
         lever, force = contacts.lever, spring_forces(contacts, law)
         overlap = lever * position - contacts.gap
         pressed, stiffness = jax.jvp(force, (overlap,), (jnp.ones_like(overlap),))
-        moment = lever * pressed
-        size = jnp.maximum(jnp.abs(moment).sum(), jnp.abs(load))
-        return moment.sum() - load, (lever * lever * stiffness).sum(), size
+        return (lever * pressed).sum() - load, (lever * lever * stiffness).sum()
 
-    # where no contact is closed yet, a step as if the springs of the loaded side were
+    frozen, weight, begin = jax.lax.stop_gradient((contacts, load, start))
     side = jnp.where(weight > 0, frozen.lever > 0, frozen.lever < 0)
-    overlap = jnp.full_like(frozen.gap, 1e-6)
-    stiff = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
-    first = jnp.where(side, frozen.lever * frozen.lever * stiff, 0.0).sum()
-    accuracy = SPACINGS * jnp.finfo(begin.dtype).eps
-
-    def unfinished(state: tuple) -> Array:
-        _, _, _, done, step = state
-        return ~done & (step < MOST_STEPS)
-
-    def advance(state: tuple) -> tuple:
-        position, low, high, _, step = state
-        excess, slope, size = sums(frozen, weight, position)
-        low, high = jnp.where(excess < 0, position, low), jnp.where(excess > 0, position, high)
-        step_size = excess / jnp.where(slope > FLATTEST * first, slope, first)
-        new = position - jnp.clip(step_size, -LONGEST, LONGEST)
-        inside = (new > low) & (new < high)
-        new = jnp.where(inside, new, 0.5 * (low + high))  # bounds are finite where a step leaves them
-        done = (jnp.abs(excess) <= accuracy * size) | (new == position) | ~(low < high)
-        return jnp.where(done, position, new), low, high, done, step + 1
-
-    endless = jnp.full_like(begin, jnp.inf)
-    state = begin, -endless, endless, ~jnp.isfinite(begin) | ~(first > 0), 0
-    position, _, _, done, _ = jax.lax.while_loop(unfinished, advance, state)
-    found = done & jnp.isfinite(position)
-    position = jax.lax.stop_gradient(jnp.where(found, position, 0.0))
-    excess, slope, _ = sums(contacts, load, position)
+    overlap = jnp.full_like(frozen.gap, TYPICAL)
+    stiffness = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
+    steepness = jnp.where(side, frozen.lever * frozen.lever * stiffness, 0.0).sum()
+    travel = jnp.abs(weight) / jnp.where(steepness > 0, steepness, 1.0)
+    position, found = newton(lambda position: sums(frozen, weight, position), begin, steepness, travel)
+    position = jnp.where(found, position, 0.0)
+    excess, slope = sums(contacts, load, position)
     slope = jax.lax.stop_gradient(slope)
     # without a closed contact nothing is carried, and the start is the position
     position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), start)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)
     return jnp.where(found, position, jnp.nan), jnp.where(found, forces, 0.0), found
+
+
+def hard_balance(lever: Sequence[Array], gap: Array, load: Array) -> Array:
+    """Positions of the equilibrium of two-sided linear springs by the hard law, with one array for each contact.
+
+    Newton's method starts as if all contacts of the loaded side were closed; while none of the other side touches, it
+    then comes nearer from there alone.
+
+    Args:
+        lever: of each contact, arrays of any one shape [m/rad].
+        gap: of all contacts, which are the first axis [m].
+        load: generalised force on the output over the stiffness of a contact, the same for all [m^2].
+
+    Returns:
+        The positions [rad], nan where no contact can carry the load.
+    """
+
+    def sums(position: Array, gap: Array, load: Array) -> tuple[Array, Array]:
+        moment = slope = jnp.zeros_like(position)
+        for arm, at in zip(lever, gap, strict=True):
+            overlap = arm * position - at
+            moment = moment + jnp.where(overlap > 0, arm * overlap, 0.0)
+            slope = slope + jnp.where(overlap > 0, arm * arm, 0.0)
+        return moment - load, slope
+
+    still, weight = jax.lax.stop_gradient((gap, load))
+    steepness, pull = jnp.zeros_like(lever[0]), jnp.zeros_like(still[0])
+    for arm, at in zip(lever, still, strict=True):
+        loaded = jnp.where(jnp.where(weight > 0, arm > 0, arm < 0), arm, 0.0)
+        steepness, pull = steepness + loaded * loaded, pull + loaded * at
+    safe = jnp.where(steepness > 0, steepness, 1.0)
+    start, travel = (weight + pull) / safe, jnp.abs(weight) / safe
+    position, found = newton(lambda position: sums(position, still, weight), start, steepness, travel)
+    excess, slope = sums(position, gap, load)
+    slope = jax.lax.stop_gradient(slope)
+    return jnp.where(found, position - jnp.where(slope > 0, excess / jnp.where(slope > 0, slope, 1.0), 0.0), jnp.nan)

@@ -103,4 +103,5 @@ def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, 
         raise ParameterError(key, f"{values.size} values", "give one value: its teeth are not told apart")
     if values.shape != (rim.elements,):
         raise ParameterError(key, f"{values.size} values", f"needs {rim.elements}, one for each, or one for all")
-    return jnp.tile(values, contacts // rim.elements)
+    # by broadcasting, which fuses, unlike concatenation
+    return jnp.broadcast_to(values, (contacts // rim.elements, rim.elements)).reshape(contacts)

@@ -11,7 +11,7 @@ class Row:
     Args:
         item: where the value stands in the paper.
         published: the printed value, as text, so that its precision is kept.
-        computed: ours.
+        computed: ours; nan where the paper does not give what it rests on.
         unit: of both.
         tolerance: deviation up to which the value counts as reproduced.
         inferred: whether it rests on constants that the paper does not give.
@@ -41,15 +41,16 @@ class Row:
         return "reproduced" if abs(self.deviation) <= self.tolerance else "not reproduced"
 
     def as_json(self) -> dict:
-        """The row as ``gearjax reproduce --json`` prints it."""
+        """The row as ``gearjax reproduce --json`` prints it; without a value of ours ``computed`` is ``None``."""
         why = self.why or f"within {self.tolerance:.2g} {self.unit}"
+        known = math.isfinite(self.computed)
         return {
             "item": self.item,
             "published": float(self.published),
-            "computed": self.computed,
+            "computed": self.computed if known else None,
             "unit": self.unit,
             "status": self.status,
-            "why": f"deviation {self.deviation:+.4f} {self.unit}; {why}",
+            "why": f"deviation {self.deviation:+.4f} {self.unit}; {why}" if known else why,
         }
 
 

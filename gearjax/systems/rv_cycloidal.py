@@ -170,6 +170,7 @@ class RVCycloidal(AbstractSystem):
             return BodyView(still, direction - self._each(self._crank(theta)), -ones, rim)
         if body in ("sun", "planet"):
             assert self.planet_teeth is not None
+            assert self.first_stage_module is not None
             radius = base_radius(self.planet_teeth, self.first_stage_module, self.first_stage_pressure_angle)
             influence = profile.rolling_radius * at.lever / (self.pins * radius)  # an output that lags opens gaps
             return BodyView(self.orders[body] * theta, jnp.zeros_like(direction), influence)

@@ -14,9 +14,11 @@ from gearjax.analysis import Backlash, FixedStep, backlash, simulate, transmissi
 from gearjax.analysis.dynamics import FAULTS, suitable_step
 from gearjax.analysis.metrics import deviation, top
 from gearjax.checks import ParameterError, nearest
+from gearjax.compliance import AbstractCompliance
 from gearjax.contact import HardContact
 from gearjax.scene import ANALYSES, METRICS, NEEDS, Scene, require
 from gearjax.studies.objective import SLOTS
+from gearjax.tolerance.balances import Balances
 from gearjax.tolerance.curves import Curves, Touches
 from gearjax.tolerance.population import Tolerances
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -162,8 +164,10 @@ class Measures:
         self.free = tolerances.free
         self.physics = scene.physics(*slots, *(path.split(".")[0] for path in self.free.paths))
         analyses = {measure.analysis for measure in self.measures}
-        self.curves: Curves | None = None
-        if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
+        self.curves: Curves | Balances | None = None
+        if scene.system.two_sided:
+            self.curves = self._balances(analyses)
+        elif isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
             stiffness = "mean" if "static" in analyses else "rigid"
             population = jax.vmap(lambda row: self.free.set(self.physics, row))(
                 jnp.asarray(tolerances.examples, scene.dtype)
@@ -174,6 +178,15 @@ class Measures:
                 self.curves = curves if extremes == "between" else dataclasses.replace(curves, series=None)
         if "dynamic" in analyses:
             self.motion = _Motion.of(scene, self.theta)
+
+    def _balances(self, analyses: set[str]) -> Balances | None:
+        """Curves of two-sided contacts, where they come quickly: at the samples, with linear springs."""
+        scene = self.physics
+        varies = any(path.startswith("system.") for path in self.free.paths)
+        linear = "static" not in analyses or isinstance(scene.compliance, AbstractCompliance)
+        if varies or not linear or not isinstance(scene.contact, HardContact) or self.extremes == "between":
+            return None
+        return Balances.of(scene, self.theta, "mean" if "static" in analyses else "rigid")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -188,18 +201,41 @@ class Measures:
 
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
+        if isinstance(self.curves, Balances):
+            found, codes = self.rows(values[None])
+            return found[0], codes[0]
         scene = self.free.set(self.physics, values)
-        records: dict[tuple, Record] = {}
         touches = None if self.curves is None else self.curves.touches(scene)
+
+        def record(analysis: str, torque: float | None) -> Record:
+            if touches is None:
+                return _analysed(scene, self.theta, self.extremes, analysis, torque)
+            return _quick(touches, analysis, torque)
+
+        return self._told(scene, record)
+
+    def rows(self, values: Float[Array, "row free"]) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
+        """The same of several gear sets, their arrays laid out as is quick."""
+        if not isinstance(self.curves, Balances):
+            return jax.vmap(self)(values)
+        balance = self.curves.rows(lambda row: self.free.set(self.physics, row), values)
+        keys = dict.fromkeys((m.analysis, m.torque) for m in self.measures if m.analysis != "dynamic")
+        curves = [balance.curve(*key) for key in keys]
+
+        def one(values: Array, curves: list[Array]) -> tuple[Array, Array]:
+            known = dict(zip(keys, curves, strict=True))
+            return self._told(self.free.set(self.physics, values), lambda *key: _sampled(known[key]))
+
+        return jax.vmap(one)(values, curves)
+
+    def _told(self, scene: Scene, record: Callable[..., Record]) -> tuple[Array, Array]:
+        """Measures and code from the records of quasi-static analyses, and of the dynamic one."""
+        records: dict[tuple, Record] = {}
         for measure in self.measures:
             key = measure.analysis, measure.torque
             if key not in records:
-                if measure.analysis == "dynamic":
-                    records[key] = self.motion.record(scene, measure.torque)
-                elif touches is None:
-                    records[key] = _analysed(scene, self.theta, self.extremes, *key)
-                else:
-                    records[key] = _quick(touches, *key)
+                dynamic = measure.analysis == "dynamic"
+                records[key] = self.motion.record(scene, measure.torque) if dynamic else record(*key)
         own = [records[measure.analysis, measure.torque] for measure in self.measures]
         found = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, self.measures, strict=True)])
         codes = jnp.stack([record.code for record in own])
@@ -229,6 +265,12 @@ def _quick(touches: Touches, analysis: str, torque: float | None) -> Record:
     if touches.alike is not None:
         code = jnp.where(touches.alike, code, 4)
     return Record(_of_curve(values, high, low), code)
+
+
+def _sampled(values: Float[Array, " n"]) -> Record:
+    """Metrics of the samples of a curve."""
+    lost = jnp.isnan(values).any()
+    return Record(_of_curve(values, lambda: top(values), lambda: -top(-values)), jnp.where(lost, 3, 0))
 
 
 def _lost(values: Float[Array, " n"], analysis: str) -> Array:

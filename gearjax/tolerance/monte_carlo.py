@@ -342,15 +342,19 @@ def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Calla
     """A program for rows of arrays, its devices each working on their own part, and how the rows are laid out.
 
     Args:
-        one: of one row of each array.
+        one: of one row of each array; if it has a method ``rows`` that takes several, that is used.
         devices: that share the rows evenly.
         together: rows side by side on one device.
     """
     mesh = Mesh(np.array(devices), ("sample",))
     spec = PartitionSpec("sample")
 
+    several = getattr(one, "rows", None) or jax.vmap(one)
+
     def part(*rows: Array) -> Any:
-        return jax.lax.map(lambda row: one(*row), rows, batch_size=together)
+        blocks = [row.reshape(-1, together, *row.shape[1:]) for row in rows]
+        found = jax.lax.map(lambda block: several(*block), blocks)
+        return jax.tree.map(lambda found: found.reshape(-1, *found.shape[2:]), found)
 
     spread = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
     return cast(Callable, jax.jit(spread)), NamedSharding(mesh, spec)

@@ -1,0 +1,115 @@
+"""Geometric transmission error of a cycloidal stage at the contact of the longest lever, as closed formulas.
+
+The contributions of Hu, Li, Zhu and Cui (2020), eqs. 5-17, derived from the gaps of the two contacts whose lever is
+the whole rolling radius (``cos u = K1``), their sensitivities (Table 2), and the compensation model (eq. 27). Errors are
+lengths [m] by name, see `FACTORS`; transmission errors are in rad, positive where the output may lag.
+"""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+
+from gearjax.checks import ParameterError, nearest
+from gearjax.geometry.cycloid import Cycloid, touch
+from gearjax.typing import Array, Float, Scalar
+
+FACTORS = {
+    "pin_circle": "radius of the circle of pin centres (eq. 7)",
+    "pin_radius": "radius of the pins (eq. 8)",
+    "groove_clearance": "clearance between a pin and its groove (eq. 9)",
+    "run_out": "radial run-out F_r1 of the disc (eq. 10)",
+    "pin_position": "circumferential position of the pins (eq. 11)",
+    "isometric": "isometric modification of the profile (eqs. 5 and 13)",
+    "shifting": "shifting modification of the profile (eqs. 6 and 13)",
+    "cumulative_pitch": "cumulative pitch F_p of the disc (eq. 12)",
+    "throw": "eccentricity of the crank (eq. 13)",
+}
+"""The errors of Table 2, in its order."""
+
+
+def geometric_error(disc: Cycloid, errors: Mapping[str, Scalar]) -> Scalar:
+    """Lag of the output that modification and errors make: travel between both flanks [rad].
+
+    Gap over lever of the contacts at ``cos u = K1``, both flanks added; the run-out, which closes one as it opens the
+    other, counts on one.
+
+    Args:
+        disc: the disc; its modifications count.
+        errors: deviations by name, of `FACTORS` [m].
+
+    Raises:
+        ParameterError: an unknown error.
+    """
+    for name in errors:
+        if name not in FACTORS:
+            raise ParameterError("errors", name, nearest(name, FACTORS))
+    zero = jnp.zeros_like(disc.throw)
+    given = {name: jnp.asarray(errors.get(name, zero), disc.throw.dtype) for name in FACTORS}
+    disc = disc._replace(
+        isometric=disc.isometric + given["isometric"],
+        shifting=disc.shifting + given["shifting"],
+        throw=disc.throw + given["throw"],
+    )
+    # where the lever is longest; that the shifting moves it is of second order
+    short = disc._replace(shifting=jax.lax.stop_gradient(disc.shifting)).modified_short_width
+    at = touch(short, jnp.arccos(short))
+    gap = disc.isometric + (given["pin_circle"] - disc.shifting) * at.outward
+    gap = gap - given["pin_radius"] + 0.5 * given["groove_clearance"] + 0.25 * given["run_out"]
+    gap = gap + short * at.lever * (given["pin_position"] - 0.5 * given["cumulative_pitch"])
+    return 2 * gap / (disc.rolling_radius * at.lever)
+
+
+def printed_coefficients(disc: Cycloid) -> dict[str, Scalar]:
+    """Error coefficients over ``1 / (a z_c)``, the diagonal of A (Hu et al. 2020, eq. 24); that of the throw is
+    ``2 |k_n|`` in rad/mm, as the paper has it."""
+    short = disc.modified_short_width
+    side = jnp.sqrt(1 - short * short)
+    values = 2 * side, -2.0, 1.0, 0.5, 2 * short, 2.0, -2 * side, -short, 2 * printed_throw_coefficient(disc)
+    return {name: jnp.asarray(value, disc.throw.dtype) for name, value in zip(FACTORS, values, strict=True)}
+
+
+def printed_throw_coefficient(disc: Cycloid) -> Scalar:
+    """``-|k_n|`` of Hu et al. (2020), eq. 14, in rad/mm, with the signs that give the printed number."""
+    mm = 1e-3
+    throw, circle = disc.throw / mm, disc.pin_circle / mm
+    isometric, shifting, teeth = disc.isometric / mm, disc.shifting / mm, disc.teeth
+    side = jnp.sqrt(1 - disc.modified_short_width**2)
+    first = isometric / (throw * throw * teeth)
+    second = teeth * shifting / (throw * circle * circle * side)
+    return -jnp.abs(first - second + shifting * side / (throw * throw * teeth))
+
+
+def coefficients(disc: Cycloid) -> dict[str, Scalar]:
+    """Error coefficients over ``1 / (a z_c)`` as derivatives of `geometric_error` [-]."""
+    zeros = dict.fromkeys(FACTORS, jnp.zeros_like(disc.throw))
+    slopes = jax.grad(lambda errors: geometric_error(disc, errors))(zeros)
+    return {name: slope * disc.rolling_radius for name, slope in slopes.items()}
+
+
+def sensitivity_indices(disc: Cycloid) -> dict[str, Scalar]:
+    """Coefficients over that of the pin circle's radius (Hu et al. 2020, eq. 22) [-]."""
+    found = coefficients(disc)
+    return {name: value / found["pin_circle"] for name, value in found.items()}
+
+
+def mean_and_tolerance(
+    disc: Cycloid, means: Mapping[str, Scalar], tolerances: Mapping[str, Scalar]
+) -> tuple[Scalar, Scalar]:
+    """Mean geometric error and its tolerance, contributions added and root of their squares added (Hu et al. 2020,
+    eqs. 15-17) [rad]."""
+    slopes = coefficients(disc)
+    mean = geometric_error(disc, means)
+    parts = [slopes[name] / disc.rolling_radius * jnp.asarray(size) for name, size in tolerances.items()]
+    return mean, jnp.sqrt(sum((part * part for part in parts), jnp.zeros_like(mean)))
+
+
+def compensation(disc: Cycloid, shares: Mapping[str, Scalar]) -> dict[str, Float[Array, ""]]:
+    """Deviations that take away shares of a transmission error (Hu et al. 2020, eq. 27) [m].
+
+    Args:
+        disc: the disc.
+        shares: error to take away by each factor [rad].
+    """
+    slopes = coefficients(disc)
+    return {name: -jnp.asarray(share) * disc.rolling_radius / slopes[name] for name, share in shares.items()}

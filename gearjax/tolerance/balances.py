@@ -1,0 +1,90 @@
+"""Quasi-static curves of many gear sets with two-sided contacts, such as the pins of cycloidal discs.
+
+Which contacts carry changes all the time, and their levers do: nothing is interpolated, each gear set is looked at in
+all angles. Contacts are written out as one array each, over the input angles, which is what vectorises.
+"""
+
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.contact.equilibrium import FAR, SMALLEST_LEVER
+from gearjax.contact.frame import Pose
+from gearjax.contact.search import hard_balance
+from gearjax.scene import Scene, Stiffness
+from gearjax.typing import Array, Float
+
+
+class Balances(eqx.Module):
+    """What all gear sets of a population share.
+
+    Args:
+        poses: at all angles, these as the last axis.
+        stiffness: ``"rigid"``, or ``"mean"`` where torques are looked at.
+    """
+
+    poses: Pose
+    stiffness: Stiffness = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, scene: Scene, theta: Float[Array, " n"], stiffness: Stiffness) -> "Balances":
+        """From one gear set; no number of the system varies."""
+        return cls(_poses(scene, theta), stiffness)
+
+    def touches(self, scene: Scene) -> "Balance":
+        """The contacts of one gear set in all angles."""
+        return Balance(*self._contacts(scene))
+
+    def rows(self, scene: Callable[[Array], Scene], values: Float[Array, "row free"]) -> "Balance":
+        """The contacts of the gear sets that a function makes of some numbers."""
+        # contacts before gear sets: what all of these share stays at hand while it is used
+        each = jax.vmap(lambda row: self._contacts(scene(row)), out_axes=(None, 1, 0))
+        lever, gap, spring = each(values)
+        return Balance(lever[:, None], gap, None if spring is None else spring[:, None])
+
+    def _contacts(self, scene: Scene) -> tuple[Array, Array, Array | None]:
+        def at(pose: Pose) -> tuple[Array, Array, Array | None]:
+            contacts = scene.contacts(pose, self.stiffness)
+            return contacts.lever, contacts.gap, None if contacts.stiffness is None else contacts.stiffness[0]
+
+        return jax.vmap(at, in_axes=-1, out_axes=(-1, -1, None))(self.poses)
+
+
+class Balance(eqx.Module):
+    """The contacts of gear sets over input angles.
+
+    Args:
+        lever: shape (contact, n), or (contact, 1, n) for rows of gear sets [m/rad].
+        gap: shape (contact, n), or (contact, row, n) [m].
+        spring: stiffness of every contact, shape () or (row, 1) [N/m], or ``None``.
+    """
+
+    lever: Float[Array, "contact ..."]
+    gap: Float[Array, "contact ..."]
+    spring: Array | None
+
+    def curve(self, analysis: str, torque: float | None) -> Float[Array, "..."]:
+        """The curve of an analysis, shape (n,) or (row, n) [rad]."""
+        if torque is not None:
+            assert self.spring is not None  # the measure requires a compliance
+            load = -jnp.asarray(torque, self.gap.dtype) / self.spring
+            return hard_balance(list(self.lever), self.gap, load)
+        lower = self._edge(1.0)
+        return lower if analysis == "no_load" else -self._edge(-1.0) - lower
+
+    def _edge(self, sign: float) -> Float[Array, "..."]:
+        """Highest position at which a contact of one side touches, of the other side's the lowest, negated [rad]."""
+        least = SMALLEST_LEVER * jnp.abs(self.lever).mean(axis=0)
+        found = []
+        for arm, gap in zip(self.lever, self.gap, strict=True):
+            faces = sign * arm < -least
+            found.append(jnp.where(faces, jnp.clip(-gap / jnp.where(faces, jnp.abs(arm), 1.0), -FAR, FAR), -FAR))
+        return functools.reduce(lambda one, other: jnp.where(one >= other, one, other), found)
+
+
+@eqx.filter_jit
+def _poses(scene: Scene, theta: Float[Array, " n"]) -> Pose:
+    return jax.vmap(scene.pose, out_axes=-1)(theta)
