@@ -34,11 +34,13 @@ from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import ConstantLoad, SinusoidalLoad
 from gearjax.scene import Run, Scene
 from gearjax.studies import (
+    Compensation,
     GridSearch,
     LocalSensitivity,
     Minimisation,
     Objective,
     Term,
+    compensate,
     grid_search,
     local_sensitivity,
     minimise,
@@ -74,6 +76,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AdaptiveStep",
     "AllocatedTolerances",
+    "Compensation",
     "ConstantLoad",
     "Correlation",
     "CumulativePitch",
@@ -130,6 +133,7 @@ __all__ = [
     "ZeroAtStart",
     "allocate",
     "backlash",
+    "compensate",
     "contact_pressure",
     "grid_search",
     "growth_rate",

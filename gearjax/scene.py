@@ -123,8 +123,8 @@ class Scene(eqx.Module):
             for slot in ("backlash", "reference"):
                 if getattr(self, slot) is not None:
                     raise SceneError(
-                        f"[{slot}] is not for a {self.system.kind}, whose contacts touch both flanks and count from the "
-                        "ideal profile: its clearances come from its modification and errors"
+                        f"[{slot}] is not for a {self.system.kind}, whose contacts touch both flanks and count from "
+                        "the ideal profile: its clearances come from its modification and errors"
                     )
         if isinstance(self.compliance, AbstractLineContact) and not isinstance(self.system, LineContacts):
             raise SceneError(
@@ -136,6 +136,12 @@ class Scene(eqx.Module):
     def has_back(self) -> bool:
         """Whether back flanks are modelled."""
         return self.system.two_sided or self.backlash is not None
+
+    @property
+    def linear_compliance(self) -> AbstractCompliance:
+        """Its compliance as linear springs, which the dynamics need (`require`)."""
+        assert isinstance(self.compliance, AbstractCompliance)
+        return self.compliance
 
     @property
     def dtype(self) -> jnp.dtype:

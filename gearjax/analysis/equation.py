@@ -72,10 +72,9 @@ class Equation(eqx.Module):
         """The equation, scaled for the scene."""
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
-        assert scene.compliance is not None
         contacts = scene.contacts(start)
         arm = contacts.lever[: contacts.pairs]
-        stiffness = (arm * arm).sum() * scene.compliance.peak_stiffness()
+        stiffness = (arm * arm).sum() * scene.linear_compliance.peak_stiffness()
         frequency = jnp.sqrt(stiffness / scene.inertia.moment(arm))
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
@@ -90,8 +89,8 @@ class Equation(eqx.Module):
     def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Levers and stiffness of the contacts at a time [s]."""
         contacts = self._contacts(time)
-        assert contacts.stiffness is not None
-        return contacts.lever, contacts.stiffness
+        assert contacts.linear is not None
+        return contacts.lever, contacts.linear
 
     def moment(self, time: Scalar) -> Moment:
         """What the system shows at a time [s]."""
@@ -132,12 +131,11 @@ class Equation(eqx.Module):
         """Acceleration of the output's deviation [rad/s2]."""
         scene, gaps = self.scene, now.gaps
         assert scene.inertia is not None
-        assert scene.compliance is not None
         pairs = self.pairs
         overlap = gaps.lever * position - gaps.gap
         moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
         if scene.damping is not None and gaps.gap_rate is not None:
-            coefficient = scene.damping.coefficient(scene.compliance.mean_stiffness(pairs), self.mass)
+            coefficient = scene.damping.coefficient(scene.linear_compliance.mean_stiffness(pairs), self.mass)
             speed = gaps.lever * velocity - gaps.gap_rate
             if gaps.lever_rate is not None:
                 speed = speed + gaps.lever_rate * position
@@ -175,18 +173,19 @@ def fastest_rate(equation: Equation) -> Scalar:
     """
     scene = equation.scene
     assert scene.inertia is not None
-    assert scene.compliance is not None
     assert scene.load is not None
     system, orders = scene.system, scene.system.orders
     rates = [
         equation.frequency,
-        scene.compliance.harmonics * orders["mesh"] * system.input_speed,
+        scene.linear_compliance.harmonics * orders["mesh"] * system.input_speed,
         scene.load.rate(system.input_speed, orders),
         turning_rate(scene),
     ]
     if scene.damping is not None:
         mass = equation.mass
-        rates.append(scene.damping.coefficient(scene.compliance.mean_stiffness(equation.pairs), mass).sum() / mass)
+        rates.append(
+            scene.damping.coefficient(scene.linear_compliance.mean_stiffness(equation.pairs), mass).sum() / mass
+        )
     return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
 
 
@@ -206,7 +205,7 @@ def slowest_decay(equation: Equation) -> Scalar:
     if scene.damping is None or scene.inertia is None or scene.compliance is None:
         return jnp.zeros((), scene.dtype)
     mass = equation.mass
-    stiffness = scene.compliance.mean_stiffness(equation.pairs)
+    stiffness = scene.linear_compliance.mean_stiffness(equation.pairs)
     decay = 0.5 * scene.damping.coefficient(stiffness, mass).min() / mass
     overdamped = decay > jnp.sqrt(stiffness.min() / mass)
     return jnp.where(overdamped, stiffness.min() / mass / jnp.maximum(2 * decay, 1e-30), decay)

@@ -73,9 +73,8 @@ class Oscillator(eqx.Module):
         damping = drag = jnp.zeros((pairs,), now.gap.dtype)
         turning = None
         if scene.damping is not None:
-            assert scene.compliance is not None
             assert now.gap_rate is not None
-            mean = scene.compliance.mean_stiffness(pairs)
+            mean = scene.linear_compliance.mean_stiffness(pairs)
             coefficient = scene.damping.coefficient(mean, self.equation.mass) * arm
             damping = 0.5 * self.step * coefficient * arm / inertia
             drag = inverse * scale * coefficient * now.gap_rate[:pairs]
@@ -165,8 +164,7 @@ class Harmonics(NamedTuple):
     @classmethod
     def of(cls, equation: Equation) -> "Harmonics":
         """The series of a scene, from as many samples of a mesh period as it has terms."""
-        compliance, pairs = equation.scene.compliance, equation.pairs
-        assert compliance is not None
+        compliance, pairs = equation.scene.linear_compliance, equation.pairs
         number = 2 * compliance.harmonics + 1
         angles = 2 * np.pi * np.arange(number) / number
         dtype = equation.scene.dtype

@@ -1,4 +1,4 @@
-"""How the output gives way under torque: torsion curve, torsional stiffness, lost motion, and pressure in the contacts."""
+"""How the output gives way under torque: torsion curve, stiffness, lost motion, and pressure in the contacts."""
 
 import equinox as eqx
 import jax
@@ -129,15 +129,22 @@ def contact_pressure(
         >>> bool(gj.contact_pressure(scene, te, steel).max() < 2e9)
         True
     """
-    law = law if law is not None or not isinstance(scene.compliance, AbstractLineContact) else scene.compliance
     if te.forces is None:
         raise SceneError("pressure needs a torque: transmission_error(scene, theta, torque=...)")
+    return pressures(scene, law, te.theta, te.forces)
+
+
+def pressures(
+    scene: Scene, law: AbstractLineContact | None, theta: Float[Array, " n"], forces: Float[Array, "n contact"]
+) -> Float[Array, "n contact"]:
+    """Hertz pressure in each contact under given forces [Pa], as `contact_pressure`."""
+    law = law if law is not None or not isinstance(scene.compliance, AbstractLineContact) else scene.compliance
     if law is None or not isinstance(scene.system, LineContacts):
         raise SceneError(
             "pressure needs line contacts of known radii, and their material: give law=HertzLineContact(...)"
         )
     system = scene.system
-    return jax.vmap(lambda angle, forces: law.pressure(system.radii(angle), forces))(te.theta, te.forces)
+    return jax.vmap(lambda angle, forces: law.pressure(system.radii(angle), forces))(theta, forces)
 
 
 @eqx.filter_jit

@@ -1,5 +1,6 @@
 """Tables of results on standard output."""
 
+import math
 import sys
 
 from rich.console import Console
@@ -111,11 +112,12 @@ def _cell(value: float, published: float | None) -> str:
 
 
 def print_rows(paper: str, rows: list[Row]) -> None:
-    table = Table(title=f"{paper}, in arcmin")
-    for column in ("item", "published", "ours", "deviation", "status"):
-        table.add_column(column, justify="left" if column in ("item", "status") else "right")
+    table = Table(title=paper)
+    for column in ("item", "published", "ours", "deviation", "unit", "status"):
+        table.add_column(column, justify="left" if column in ("item", "unit", "status") else "right")
     for row in rows:
-        table.add_row(row.item, row.published, f"{row.computed:.4f}", f"{row.deviation:+.4f}", row.status)
+        ours = (f"{row.computed:.5g}", f"{row.deviation:+.2g}") if math.isfinite(row.computed) else ("", "")
+        table.add_row(row.item, row.published, *ours, row.unit, row.status)
     console = output()
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):

@@ -138,6 +138,13 @@ class ContactSet(eqx.Module):
         return self.jacobian[:, 0]
 
     @property
+    def linear(self) -> Float[Array, " contact"] | None:
+        """Stiffness of linear springs, shape (contact,) [N/m]; ``None`` for rigid teeth."""
+        if isinstance(self.stiffness, LineSprings):
+            raise ValueError("this solver is for linear springs, the contacts are line contacts")
+        return self.stiffness
+
+    @property
     def has_back(self) -> bool:
         """Whether back flanks are modelled."""
         return self.two_sided or self.gap.shape[0] > self.pairs

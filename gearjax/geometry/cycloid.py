@@ -110,7 +110,10 @@ def clearance(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def gap(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
     """Gap of the modified profile at the ideal position, to first order:
-    ``isometric - shifting (1 - K cos u) / sqrt(S)`` [m]. Eq. 32 of Hu et al. (2020) is this, turned until it touches."""
+    ``isometric - shifting (1 - K cos u) / sqrt(S)`` [m].
+
+    Eq. 32 of Hu et al. (2020) is this, turned until it touches.
+    """
     return disc.isometric - disc.shifting * touch(disc.short_width, u).outward
 
 

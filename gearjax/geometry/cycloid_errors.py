@@ -1,8 +1,8 @@
 """Geometric transmission error of a cycloidal stage at the contact of the longest lever, as closed formulas.
 
 The contributions of Hu, Li, Zhu and Cui (2020), eqs. 5-17, derived from the gaps of the two contacts whose lever is
-the whole rolling radius (``cos u = K1``), their sensitivities (Table 2), and the compensation model (eq. 27). Errors are
-lengths [m] by name, see `FACTORS`; transmission errors are in rad, positive where the output may lag.
+the whole rolling radius (``cos u = K1``), their sensitivities (Table 2), and the compensation model (eq. 27). Errors
+are lengths [m] by name, see `FACTORS`; transmission errors are in rad, positive where the output may lag.
 """
 
 from collections.abc import Mapping

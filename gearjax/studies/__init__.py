@@ -1,16 +1,19 @@
 """Studies of a scene: searches over its numbers."""
 
+from gearjax.studies.compensate import Compensation, compensate
 from gearjax.studies.grid import GridSearch, grid_search
 from gearjax.studies.minimise import Minimisation, minimise
 from gearjax.studies.objective import Objective, Term
 from gearjax.studies.sensitivity import LocalSensitivity, local_sensitivity
 
 __all__ = [
+    "Compensation",
     "GridSearch",
     "LocalSensitivity",
     "Minimisation",
     "Objective",
     "Term",
+    "compensate",
     "grid_search",
     "local_sensitivity",
     "minimise",

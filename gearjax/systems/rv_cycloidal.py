@@ -29,8 +29,8 @@ class RVCycloidal(AbstractSystem):
 
     Bodies: ``disc_1``, ``disc_2``, ...: run-out turns with the disc, phase counted from the throw while the throw
     points at the first pin. ``throw``: of all cranks, phase 0 along the throw, which it lengthens.
-    ``pin_ring``: fixed, phase counted from the first pin. ``sun``, ``planet``: of the first stage, counted from its line of
-    action.
+    ``pin_ring``: fixed, phase counted from the first pin. ``sun``, ``planet``: of the first stage, counted from its
+    line of action.
 
     Args:
         pins: number of pins.
@@ -112,6 +112,11 @@ class RVCycloidal(AbstractSystem):
         if self.sun_teeth is None or self.planet_teeth is None:
             return Fraction(self.pins - 1)
         return 1 + Fraction(self.planet_teeth * self.pins, self.sun_teeth)
+
+    @property
+    def tip_clearance(self) -> Scalar:
+        """Radial gap at the tips and roots of the teeth [m]."""
+        return self.isometric_modification - self.shifting_modification
 
     @property
     def bodies(self) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ class Balances(eqx.Module):
     def _contacts(self, scene: Scene) -> tuple[Array, Array, Array | None]:
         def at(pose: Pose) -> tuple[Array, Array, Array | None]:
             contacts = scene.contacts(pose, self.stiffness)
-            return contacts.lever, contacts.gap, None if contacts.stiffness is None else contacts.stiffness[0]
+            return contacts.lever, contacts.gap, None if contacts.linear is None else contacts.linear[0]
 
         return jax.vmap(at, in_axes=-1, out_axes=(-1, -1, None))(self.poses)
 

@@ -120,7 +120,7 @@ class Curves(eqx.Module):
 
         def at(pose: Pose) -> tuple[Array, Array | None]:
             contacts = anchored.contacts(pose, self.stiffness)
-            lever, stiffness = contacts.lever, contacts.stiffness
+            lever, stiffness = contacts.lever, contacts.linear
             return contacts.gap / lever, None if stiffness is None else stiffness * lever * lever
 
         return jax.vmap(at)(self.poses)  # (angle, contact)
