@@ -27,6 +27,11 @@ def config_text() -> str:
     return CONFIG.read_text(encoding="utf-8")
 
 
+@pytest.fixture
+def rv_text() -> str:
+    return (ROOT / "configs" / "rv_cycloidal" / "hu_2020.toml").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="session")
 def scene() -> gj.Scene:
     """The reducer of Wang et al. (2020), phases before optimisation, without a run section."""

@@ -162,6 +162,7 @@ def test_the_same_scene_is_the_same_program(scene):
     assert str(program(scene)) == str(program(dataclasses.replace(scene)))
 
 
+@pytest.mark.slow
 def test_many_pairs_are_one_vector_in_a_batch_too(scene, monkeypatch):
     """Pairs that are too many to be written out one by one."""
     ts = jnp.linspace(0.0, 0.01, 11)

@@ -175,6 +175,7 @@ def test_as_a_module_in_a_fresh_process(fast):
     assert "Warning" not in done.stderr
 
 
+@pytest.mark.slow
 def test_programs_are_kept_between_runs(fast, tmp_path):
     """Under the user's cache; a folder that cannot be made is no error; JAX's own switch turns it off."""
 
@@ -199,6 +200,7 @@ def test_programs_are_kept_between_runs(fast, tmp_path):
     assert not (tmp_path / "off").exists()
 
 
+@pytest.mark.slow
 def test_alternating_loads_run(capsys, fast):
     fast.write_text(FAST.replace('kind = "constant"', 'kind = "sinusoidal"\nfrequency = "crank"'), encoding="utf-8")
     code, out, _ = command(capsys, "run", fast, "--json")

@@ -12,7 +12,17 @@ import pytest
 import gearjax
 from tests.conftest import ROOT
 
-MODULES = [info.name for info in pkgutil.walk_packages(gearjax.__path__, "gearjax.") if "__main__" not in info.name]
+LONG = (
+    "gearjax.studies.compensate",
+    "gearjax.studies.minimise",
+    "gearjax.studies.sensitivity",
+    "gearjax.analysis.torsion",
+)
+MODULES = [
+    pytest.param(info.name, marks=[pytest.mark.slow] if info.name in LONG else [])
+    for info in pkgutil.walk_packages(gearjax.__path__, "gearjax.")
+    if "__main__" not in info.name
+]
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -24,7 +34,10 @@ def test_docstring_examples(name, monkeypatch):
 
 def test_there_are_examples():
     counted = sum(
-        len(test.examples) for name in MODULES for test in doctest.DocTestFinder().find(importlib.import_module(name))
+        len(test.examples)
+        for param in MODULES
+        for name in param.values
+        for test in doctest.DocTestFinder().find(importlib.import_module(name))
     )
     assert counted > 15
 
@@ -34,6 +47,7 @@ def test_public_names_have_docstrings():
         assert inspect.getdoc(getattr(gearjax, name)), name
 
 
+@pytest.mark.slow
 def test_the_readme_example_runs(monkeypatch):
     monkeypatch.chdir(ROOT)
     text = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -158,6 +158,7 @@ def test_equilibrium_is_where_it_comes_to_rest(still):
     np.testing.assert_allclose(started.te, static, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_start_from_equilibrium_has_no_transient(scene):
     ts = jnp.linspace(0.0, 0.02, 2001)
     static = gj.transmission_error(scene, scene.system.input_speed * ts, 100.0)
@@ -185,6 +186,7 @@ def test_settle_is_left_out(scene):
     assert float(rough.peak_to_peak) > 1.3 * float(settled.peak_to_peak)
 
 
+@pytest.mark.slow
 def test_settle_may_leave_a_single_sample(scene):
     ts = jnp.linspace(0.0, 0.1, 11)
     motion = gj.simulate(scene, ts, 100.0, settle=0.095)
@@ -211,6 +213,7 @@ def test_fast_harmonics_and_strong_damping_need_short_steps(scene):
         assert float(abs(found.te - finer.te).max()) / arcmin < 5e-3
 
 
+@pytest.mark.slow
 def test_long_intervals_between_samples_are_cut(scene):
     """A thousand steps between two samples: the same motion as with samples in between."""
     few = gj.simulate(scene, jnp.linspace(0.0, 0.08, 3), 100.0, stepper=gj.FixedStep(per_sample=1024))
@@ -219,6 +222,7 @@ def test_long_intervals_between_samples_are_cut(scene):
     assert float(few.peak_to_peak) == pytest.approx(float(many.peak_to_peak), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_extremes_between_samples(scene):
     """Samples 1 ms apart miss the vibration at 1.5 kHz; the metrics do not."""
     coarse = gj.simulate(scene, jnp.linspace(0.0, 0.1, 11), 300.0, start="zero", stepper=gj.FixedStep(5e-6))

@@ -80,6 +80,7 @@ def test_soft_stiff_light_and_heavy(still, stiffness, mass):
     np.testing.assert_allclose(two.te * stiffness, one.te * STIFFNESS, rtol=1e-6, atol=1e-8 * 100.0 / RADIUS**2)
 
 
+@pytest.mark.slow
 def test_no_backlash_negative_and_infinite(scene):
     """Zero: the flanks touch on both sides. Negative, by eccentric bodies: both flanks loaded at once. Infinite: as if
     there were no back flanks."""

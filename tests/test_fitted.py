@@ -138,6 +138,7 @@ def test_windows_that_do_not_agree_are_replaced(scene):
         assert float(traced.defect) > 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [20, 120])
 def test_fast_bodies(scene, factor):
     """Bodies that turn by up to 0.05 rad per step, alone, in a batch, and with a speed that is not known."""
@@ -160,6 +161,7 @@ def test_fast_bodies(scene, factor):
         np.testing.assert_allclose(traced.te, alone.te, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_default_is_the_same_inside_a_trace(scene):
     """A known scene and known times stay known there, and choose the same steps."""
     ts = np.linspace(0.0, 0.02, 21)
@@ -221,6 +223,7 @@ def test_a_sweep_compiles_once(scene):
     assert _simulate._cached._cache_size() == before
 
 
+@pytest.mark.slow
 def test_uneven_samples(scene):
     ts = jnp.array([0.0, 0.001, 0.003, 0.0031, 0.01])
     fine = gj.simulate(scene, ts, 100.0, stepper=gj.AdaptiveStep())

@@ -56,12 +56,14 @@ def test_exact_undamped_at_long_steps(step):
     np.testing.assert_allclose(solve(step, number, np.zeros((3, 3))), exact(20.0, np.zeros((3, 3))), atol=1e-10)
 
 
+@pytest.mark.slow
 def test_second_order_with_dampers_that_mix_the_modes():
     errors = [abs(np.asarray(solve(h, round(8 / h), DAMPING)) - exact(8.0, DAMPING)).max() for h in (0.2, 0.1, 0.05)]
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2.0, atol=0.1)
     assert errors[0] < 2e-3
 
 
+@pytest.mark.slow
 def test_contacts_that_open_and_close():
     """Against Dopri8; the error falls with the square of the step, on the whole."""
 

@@ -135,6 +135,7 @@ def test_random_points(scene, angles, rng):
     np.testing.assert_allclose(slopes, central, rtol=1e-6, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_check_can_fail(scene, angles):
     """A metric whose slope is wrong by a thousandth does not pass."""
 

@@ -41,6 +41,7 @@ def test_the_structured_search_is_the_brute_force_one(scene, metric, planets):
     assert quick.objective == quick.objectives[0] == quick.objectives.min()
 
 
+@pytest.mark.slow
 def test_every_combination_is_covered(scene):
     """Lowest and highest of each combination, in the order of the walk, against single evaluations."""
     theta = window(scene, 2.0, 0.01)
@@ -145,6 +146,7 @@ def test_mistakes(scene, keywords, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_zero_amplitude_is_no_mistake(scene):
     """Its phase has no influence now, but it is modelled: every level of it is as good."""
     errors = {**scene.errors, "planet_1": gj.Eccentricity("planet_1", 0.0, 0.0)}

@@ -98,6 +98,7 @@ def test_extremes_of_random_assemblies(scene, rng):
             assert abs(float(te.amplitude - found[0].amplitude)) / arcmin <= lost
 
 
+@pytest.mark.slow
 def test_constant_records_have_gradients(scene):
     """Perfect bodies: every deviation is zero, and so is its slope."""
     perfect = dataclasses.replace(scene, errors={})
@@ -162,6 +163,7 @@ def test_windowed_spectrum_on_a_broken_span():
     assert float(far.max()) < 0.003
 
 
+@pytest.mark.slow
 def test_the_no_load_spectrum_sits_on_crank_and_planet_orders(scene):
     """Over one output turn: orders 25 and 26 and their multiples, as in fig. 16."""
     theta = scene.system.cycle * jnp.arange(8192.0) / 8192

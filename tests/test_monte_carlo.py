@@ -250,6 +250,7 @@ def test_mistakes_are_named(population, call, words):
         call(population)
 
 
+@pytest.mark.slow
 def test_one_input_angle_and_two(population):
     for number in (1, 2, 3):
         study = gj.monte_carlo(

@@ -91,6 +91,7 @@ def test_smooth_gradients_under_vmap_and_jit(scene, angles, rng):
         np.testing.assert_allclose(slopes[:, index], difference, rtol=2e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_weighted_sum(scene, angles):
     terms = [gj.Term("no_load_amplitude", weight=2.0), gj.Term("static_std", 30.0), gj.Term("static_std", 300.0, 0.5)]
     found = float(gj.Objective.of(terms, scene, angles[:201]).hard(scene))

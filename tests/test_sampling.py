@@ -73,6 +73,7 @@ def population(sampler, seed, number):
     return first + 3 * gj.Rayleigh(1.0).quantile(cube[:, 1]) * np.cos(gj.UniformPhase().quantile(cube[:, 2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_intervals_hold_the_truth_as_often_as_they_say(sampler):
     truth, number, repeats = stats.norm(1.0, np.sqrt(13.0)), 512, 500  # 200 would scatter by 1.5 % themselves

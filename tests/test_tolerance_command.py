@@ -153,6 +153,7 @@ def test_a_killed_run_ends_with_the_same_numbers(tmp_path):
     assert 0 < results[0]["computed"] < results[1]["computed"] == 60_000
 
 
+@pytest.mark.slow
 def test_another_study_is_refused_and_differences_named(config, tmp_path, capsys):
     out = tmp_path / "out"
     assert command(str(config), "--out", str(out), "--json") == 0
@@ -303,6 +304,7 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path):
         assert spread["measures"][name]["quantiles"]["0.95"] == pytest.approx(entry["quantiles"]["0.95"], rel=1e-10)
 
 
+@pytest.mark.slow
 def test_the_tradeoff_tells_what_float32_costs(config, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["tradeoff", str(config), "--json"])

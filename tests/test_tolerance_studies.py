@@ -84,6 +84,7 @@ def test_halving_a_tolerance_never_makes_a_normal_sum_worse(scene):
     assert all(before.value == after.value == 1.0 for before, after in found.values())
 
 
+@pytest.mark.slow
 def test_allocation_of_a_single_tolerance_is_the_quantile(scene):
     # one eccentricity e, limit L: P(c e <= L) = 0.9 gives the factor; the reciprocal law its cost
     alone = dataclasses.replace(scene, errors={"revolution": scene.errors["revolution"]}, reference=None)

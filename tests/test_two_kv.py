@@ -114,6 +114,7 @@ def test_geometry():
     assert float(system.centre_distance) == pytest.approx(2.8773e-3, abs=5e-8)
 
 
+@pytest.mark.slow
 def test_three_planets(scene, theta):
     """Each pair sees revolution and output wheel a third of a turn later."""
     errors = {**scene.errors, "planet_3": gj.Eccentricity("planet_3", 5 * um, 20 * deg)}

@@ -28,7 +28,7 @@ class Torsion(eqx.Module):
     te: Float[Array, "m n"]
 
     @property
-    def stiffness(self) -> Float[Array, "m-1 n"]:
+    def stiffness(self) -> Float[Array, "step n"]:
         """Torsional stiffness between neighbouring torques, shape (m - 1, n) [N m/rad]."""
         return -jnp.diff(self.torque)[:, None] / jnp.diff(self.te, axis=0)
 
@@ -67,7 +67,7 @@ def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
         >>> scene = gj.load("configs/rv_cycloidal/hu_2020.toml")
-        >>> curve = gj.torsion(scene, jnp.array([0.0, 1.0]), [400.0, 800.0])
+        >>> curve = gj.torsion(scene, jnp.array([0.0, 1.0]), jnp.array([400.0, 800.0]))
         >>> curve.stiffness.shape
         (1, 2)
     """

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +140,7 @@ def inlined(tables: dict[str, Any], scene: Scene, folder: Path) -> dict[str, Any
             assert isinstance(spread, Empirical)
             unit = f" {parameter.dimension.unit}" if parameter.dimension.unit else ""
             values = [f"{value!r}{unit}" if unit else value for value in spread.values]
-            section = _forget(section, path)
+            section = _forget(_forget(section, path), _series(path))
             section[path] = {"kind": Empirical.kind, "values": values}
     return {**tables, "tolerance": section}
 
@@ -167,11 +168,21 @@ def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
     return found
 
 
+def _series(path: str) -> str:
+    """What stands for all numbers of the series that a path is in."""
+    return re.sub(r"\[\d+\]$", "[*]", path) if path.endswith("]") else ""
+
+
 def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, Any]]]:
-    """Paths with their distributions; quoted or not, a dotted key is a path."""
+    """Paths with their distributions; quoted or not, a dotted key is a path, and ``[*]`` every number of a series."""
     known, found = numbers(scene), []
 
     def visit(path: str, given: Any) -> None:
+        members = [name for name in known if _series(name) == path]
+        if members:
+            for name in members:
+                visit(name, given)
+            return
         if isinstance(given, dict) and given and "kind" not in given and path not in known:
             for key, value in given.items():
                 visit(f"{path}.{key}", value)

@@ -50,12 +50,33 @@ class Rim(eqx.Module):
         around: change of gap per displacement along the circumference, shape (contact,) [-].
         elements: number of teeth or pins; contact ``i`` is of element ``i % elements``. ``None`` where the contacts go
             around the body, which no element stays with.
+
+    Attributes:
+        sine, cosine: of that angle, shape (contact,).
     """
 
-    angle: Float[Array, " contact"]
+    sine: Float[Array, " contact"]
+    cosine: Float[Array, " contact"]
     outward: Float[Array, " contact"]
     around: Float[Array, " contact"]
     elements: int | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        angle: Float[Array, " contact"],
+        outward: Float[Array, " contact"],
+        around: Float[Array, " contact"],
+        elements: int | None,
+    ):
+        self.sine, self.cosine = jnp.sin(angle), jnp.cos(angle)
+        self.outward, self.around, self.elements = outward, around, elements
+
+    def wave(self, number: int) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
+        """Sine and cosine of a multiple of the angle, by addition."""
+        sine, cosine = self.sine, self.cosine
+        for _ in range(number - 1):
+            sine, cosine = sine * self.cosine + cosine * self.sine, cosine * self.cosine - sine * self.sine
+        return sine, cosine
 
 
 class BodyView(eqx.Module):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from gearjax.typing import Array, Float
 
 STEPS = 6  # of Newton's method, from a start within a few per cent
+LAST = 3.0  # level less the logarithm of the force up to which the formula is gone by
 SHALLOWEST = 1e-12  # m, below which an approach counts as none
 
 
@@ -30,14 +31,18 @@ class LineSprings(eqx.Module):
     def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Force of an approach [N]; none where the bodies are apart.
 
-        Newton's method in the logarithm of the force; its last step carries the derivative.
+        Newton's method in the logarithm of the force; its last step carries the derivative. Approaches beyond all
+        elasticity, where the formula turns back, go on in a straight line.
         """
-        touching = penetration > SHALLOWEST
-        target = jnp.where(touching, penetration, SHALLOWEST) / self.slope  # F (level - ln F)
-        log_target = jnp.log(target)
-        x = jax.lax.stop_gradient(log_target - jnp.log(self.level - log_target + jnp.log(self.level)))
-        frozen_target, level = jax.lax.stop_gradient((log_target, self.level))
+        end = jnp.exp(self.level - LAST)
+        furthest = LAST * self.slope * end
+        touching, beyond = penetration > SHALLOWEST, penetration > furthest
+        inside = jnp.where(touching & ~beyond, penetration, jnp.where(beyond, furthest, SHALLOWEST))
+        target = jnp.log(inside / self.slope)  # F (level - ln F)
+        x = jax.lax.stop_gradient(target - jnp.log(self.level - target + jnp.log(self.level)))
+        frozen, level = jax.lax.stop_gradient((target, self.level))
         for _ in range(STEPS):
-            x = x - (x + jnp.log(level - x) - frozen_target) / (1.0 - 1.0 / (level - x))
-        x = x - (x + jnp.log(self.level - x) - log_target) / (1.0 - 1.0 / (level - x))
-        return jnp.where(touching, jnp.exp(x), 0.0)
+            x = x - (x + jnp.log(level - x) - frozen) / (1.0 - 1.0 / (level - x))
+        x = x - (x + jnp.log(self.level - x) - target) / (1.0 - 1.0 / (level - x))
+        straight = end + (penetration - furthest) / ((LAST - 1.0) * self.slope)
+        return jnp.where(beyond, straight, jnp.where(touching, jnp.exp(x), 0.0))

@@ -21,8 +21,6 @@ LONGEST = 1.0  # rad, of a step
 ACCURACY = 0.7  # power of the dtype's spacing, relative to the position and typical travel: the last step but one
 TYPICAL = 1e-6  # m, penetration at which springs that are not linear are called as stiff as they are there
 
-Sums = Callable[[Array], tuple[Array, Array]]
-
 
 def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array], Array]:
     """Forces of the contacts as a function of their overlap, shape (contact,) both."""
@@ -34,14 +32,14 @@ def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array
 
 
 def newton(
-    sums: Sums, start: Float[Array, "..."], steepness: Float[Array, "..."], travel: Float[Array, "..."]
+    move: Callable[[Array], Array], start: Float[Array, "..."], travel: Float[Array, "..."]
 ) -> tuple[Array, Bool[Array, "..."]]:
     """Roots of sums that never fall, and where they were found.
 
     Args:
-        sums: what is out of balance at a position, and its slope.
+        move: Newton's step at a position, to be taken off it [rad]; it has the sign of the sum. One array of one
+            program: whatever else is worked out from the same terms would be worked out by itself.
         start: positions to start from, of any shape [rad].
-        steepness: slope to go by where the sum has none, such as in the play.
         travel: typical change of the position, that accuracy counts with [rad].
     """
     accuracy = float(jnp.finfo(start.dtype).eps) ** ACCURACY
@@ -52,11 +50,10 @@ def newton(
 
     def advance(state: tuple) -> tuple:
         position, low, high, done, step = state
-        excess, slope = jax.lax.optimization_barrier(sums(position))  # or each of what follows works them out again
-        low, high = jnp.where(excess < 0, position, low), jnp.where(excess > 0, position, high)
-        move = excess / jnp.where(slope > FLATTEST * steepness, slope, steepness)
-        small = jnp.abs(move) <= accuracy * (jnp.abs(position) + travel)
-        new = position - jnp.clip(move, -LONGEST, LONGEST)
+        back = jax.lax.optimization_barrier(move(position))
+        low, high = jnp.where(back < 0, position, low), jnp.where(back > 0, position, high)
+        small = jnp.abs(back) <= accuracy * (jnp.abs(position) + travel)
+        new = position - jnp.clip(back, -LONGEST, LONGEST)
         new = jnp.where(
             (new > low) & (new < high), new, 0.5 * (low + high)
         )  # a step leaves only bounds that are finite
@@ -64,9 +61,14 @@ def newton(
         return jnp.where(done, position, new), low, high, done, step + 1
 
     endless = jnp.full_like(start, jnp.inf)
-    hopeless = ~jnp.isfinite(start) | ~(steepness > 0)
+    hopeless = ~jnp.isfinite(start)
     position, _, _, done, _ = jax.lax.while_loop(unfinished, advance, (start, -endless, endless, hopeless, 0))
     return position, done & jnp.isfinite(position) & ~hopeless
+
+
+def _ratio(excess: Array, slope: Array, steepness: Array) -> Array:
+    """Newton's step, as if all of the loaded side were closed where the slope tells nothing."""
+    return excess / jnp.where(slope > FLATTEST * steepness, slope, steepness)
 
 
 def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scalar) -> tuple[Scalar, Array, Array]:
@@ -91,7 +93,11 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scal
     stiffness = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
     steepness = jnp.where(side, frozen.lever * frozen.lever * stiffness, 0.0).sum()
     travel = jnp.abs(weight) / jnp.where(steepness > 0, steepness, 1.0)
-    position, found = newton(lambda position: sums(frozen, weight, position), begin, steepness, travel)
+    carries = steepness > 0
+    begin = jnp.where(carries, begin, jnp.nan)
+    position, found = newton(
+        lambda position: _ratio(*sums(frozen, weight, position), jnp.where(carries, steepness, 1.0)), begin, travel
+    )
     position = jnp.where(found, position, 0.0)
     excess, slope = sums(contacts, load, position)
     slope = jax.lax.stop_gradient(slope)
@@ -130,8 +136,10 @@ def hard_balance(lever: Sequence[Array], gap: Array, load: Array) -> Array:
         loaded = jnp.where(jnp.where(weight > 0, arm > 0, arm < 0), arm, 0.0)
         steepness, pull = steepness + loaded * loaded, pull + loaded * at
     safe = jnp.where(steepness > 0, steepness, 1.0)
-    start, travel = (weight + pull) / safe, jnp.abs(weight) / safe
-    position, found = newton(lambda position: sums(position, still, weight), start, steepness, travel)
+    start = jnp.where(steepness > 0, (weight + pull) / safe, jnp.nan)
+    position, found = newton(
+        lambda position: _ratio(*sums(position, still, weight), safe), start, jnp.abs(weight) / safe
+    )
+    position = jax.lax.optimization_barrier(jnp.where(found, position, jnp.nan))
     excess, slope = sums(position, gap, load)
-    slope = jax.lax.stop_gradient(slope)
-    return jnp.where(found, position - jnp.where(slope > 0, excess / jnp.where(slope > 0, slope, 1.0), 0.0), jnp.nan)
+    return position - excess / jax.lax.stop_gradient(jnp.where(slope > 0, slope, 1.0))

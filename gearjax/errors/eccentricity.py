@@ -4,9 +4,10 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from gearjax.contact import BodyView
+from gearjax.checks import ParameterError
+from gearjax.contact import BodyView, Rim
 from gearjax.errors.base import AbstractError
-from gearjax.parameters import angle, check_parameters, length, name
+from gearjax.parameters import angle, check_parameters, count, length, name
 from gearjax.typing import Array, Float, Number
 
 
@@ -30,6 +31,42 @@ class Eccentricity(AbstractError):
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         # by components: a batch of amplitudes and phases shares the sines of the view
-        sine = self.amplitude * jnp.cos(self.phase)
-        cosine = self.amplitude * jnp.sin(self.phase)
-        return view.influence * (sine * view.sine + cosine * view.cosine)
+        return self.prepared().gap(view)
+
+    def prepared(self) -> "Displacement":
+        """The same with its sines worked out, which loops over many contacts would repeat for each."""
+        return Displacement(self.body, self.amplitude * jnp.cos(self.phase), self.amplitude * jnp.sin(self.phase))
+
+
+class Displacement(AbstractError):
+    """An `Eccentricity` by its components, sines and cosines worked out; of the rim, a wave of displacements around it.
+
+    Args:
+        body: body of the system that carries it.
+        sine, cosine: ``amplitude cos(phase)`` and ``amplitude sin(phase)`` [m].
+        waves: number of waves around the body, 0 for a displacement of the whole body.
+    """
+
+    kind: ClassVar[str] = "displacement"
+    body: str = name()
+    sine: Number = length(at_least=-1.0, at_most=1.0)
+    cosine: Number = length(at_least=-1.0, at_most=1.0)
+    waves: int = count(default=0, at_least=0)
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        if self.waves == 0:
+            return view.influence * (self.sine * view.sine + self.cosine * view.cosine)
+        rim = rim_of(self.body, view)
+        sine, cosine = rim.wave(self.waves)
+        return rim.around * (self.sine * sine + self.cosine * cosine)
+
+
+def rim_of(body: str, view: BodyView) -> Rim:
+    """The rim of a body.
+
+    Raises:
+        ParameterError: it has none.
+    """
+    if view.rim is None:
+        raise ParameterError("body", body, "has no rim of pins or teeth to carry this error")
+    return view.rim

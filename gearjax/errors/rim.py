@@ -8,6 +8,7 @@ from gearjax import units
 from gearjax.checks import ParameterError
 from gearjax.contact import BodyView, Rim
 from gearjax.errors.base import AbstractError
+from gearjax.errors.eccentricity import Displacement, rim_of
 from gearjax.parameters import angle, check_parameters, count, length, name, series
 from gearjax.typing import Array, Float, Number
 
@@ -33,10 +34,10 @@ class Positions(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        rim = _rim(self.body, view)
+        rim = rim_of(self.body, view)
         outward = _spread("outward", self.outward, rim) * rim.outward if self.outward.size else None
         if not self.around.size:
-            return jnp.zeros_like(rim.angle) if outward is None else outward
+            return jnp.zeros_like(rim.sine) if outward is None else outward
         around = _spread("around", self.around, rim) * rim.around
         return around if outward is None else outward + around
 
@@ -59,7 +60,7 @@ class Sizes(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        return -_spread("larger", self.larger, _rim(self.body, view))
+        return -_spread("larger", self.larger, rim_of(self.body, view))
 
 
 class CumulativePitch(AbstractError):
@@ -78,25 +79,23 @@ class CumulativePitch(AbstractError):
     body: str = name()
     amplitude: Number = length(at_least=0.0, at_most=1.0)
     phase: Number = angle(at_least=-1e6, at_most=1e6, periodic=True)
-    waves: int = count(default=1, at_most=1000)
+    waves: int = count(default=1, at_most=100)
 
     def __check_init__(self):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        rim = _rim(self.body, view)
-        return rim.around * self.amplitude * jnp.sin(self.waves * rim.angle + self.phase)
+        return self.prepared().gap(view)
 
-
-def _rim(body: str, view: BodyView) -> Rim:
-    if view.rim is None:
-        raise ParameterError("body", body, "has no rim of pins or teeth to carry this error")
-    return view.rim
+    def prepared(self) -> Displacement:
+        """The same with its sines worked out."""
+        sine, cosine = self.amplitude * jnp.cos(self.phase), self.amplitude * jnp.sin(self.phase)
+        return Displacement(self.body, sine, cosine, self.waves)
 
 
 def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, " contact"]:
     """One value per contact from one per element, or one for all."""
-    contacts = rim.angle.shape[0]
+    contacts = rim.sine.shape[0]
     if values.shape == (1,):
         return jnp.broadcast_to(values, (contacts,))
     if rim.elements is None:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from gearjax.checks import ParameterError, nearest
 from gearjax.geometry.cycloid import Cycloid, touch
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, ArrayLike, Scalar
 
 FACTORS = {
     "pin_circle": "radius of the circle of pin centres (eq. 7)",
@@ -28,7 +28,7 @@ FACTORS = {
 """The errors of Table 2, in its order."""
 
 
-def geometric_error(disc: Cycloid, errors: Mapping[str, Scalar]) -> Scalar:
+def geometric_error(disc: Cycloid, errors: Mapping[str, ArrayLike]) -> Scalar:
     """Lag of the output that modification and errors make: travel between both flanks [rad].
 
     Gap over lever of the contacts at ``cos u = K1``, both flanks added; the run-out, which closes one as it opens the
@@ -94,7 +94,7 @@ def sensitivity_indices(disc: Cycloid) -> dict[str, Scalar]:
 
 
 def mean_and_tolerance(
-    disc: Cycloid, means: Mapping[str, Scalar], tolerances: Mapping[str, Scalar]
+    disc: Cycloid, means: Mapping[str, ArrayLike], tolerances: Mapping[str, ArrayLike]
 ) -> tuple[Scalar, Scalar]:
     """Mean geometric error and its tolerance, contributions added and root of their squares added (Hu et al. 2020,
     eqs. 15-17) [rad]."""
@@ -104,7 +104,7 @@ def mean_and_tolerance(
     return mean, jnp.sqrt(sum((part * part for part in parts), jnp.zeros_like(mean)))
 
 
-def compensation(disc: Cycloid, shares: Mapping[str, Scalar]) -> dict[str, Float[Array, ""]]:
+def compensation(disc: Cycloid, shares: Mapping[str, ArrayLike]) -> dict[str, Array]:
     """Deviations that take away shares of a transmission error (Hu et al. 2020, eq. 27) [m].
 
     Args:

@@ -1,6 +1,7 @@
 """Figures of a run and of studies."""
 
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
+from gearjax.plot.cycloid import save_stage_figure, stage_figure
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
 from gearjax.plot.tolerance import save_tolerance_figures
@@ -16,8 +17,10 @@ __all__ = [
     "save_figure",
     "save_figures",
     "save_optimisation_figures",
+    "save_stage_figure",
     "save_tolerance_figures",
     "save_tradeoff_figure",
     "spectrum_figure",
+    "stage_figure",
     "thin",
 ]

@@ -8,9 +8,13 @@ from matplotlib.figure import Figure
 
 from gearjax.analysis import Motion, TransmissionError, order_spectrum
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
+from gearjax.plot.cycloid import stage_figure
 from gearjax.results import Case, required_run
 from gearjax.scene import Scene
+from gearjax.systems import RVCycloidal
 from gearjax.units import arcmin
+
+MOST_LINES = 12
 
 
 def error_figure(scene: Scene, cases: list[Case]) -> Figure:
@@ -35,16 +39,24 @@ def error_figure(scene: Scene, cases: list[Case]) -> Figure:
 
 
 def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
-    """Contact force of each driving flank over time, one row per loaded case; ``None`` without loaded cases."""
+    """Contact force of each driving flank over time, one row per loaded case; ``None`` without loaded cases.
+
+    More than `MOST_LINES` contacts make a picture, a row for each.
+    """
     loaded = [case for case in cases if getattr(case.result, "forces", None) is not None]
     if not loaded:
         return None
-    figure, axes = new_figure(len(loaded), height=2.2)
+    shown = [case.result for case in loaded if isinstance(case.result, (TransmissionError, Motion))]
+    many = any(result.forces is not None and result.forces.shape[1] > MOST_LINES for result in shown)
+    figure, axes = new_figure(len(loaded), height=4.0 if many else 2.2)
     run = required_run(scene)
     time = run.times
     for ax, case in zip(axes, loaded, strict=True):
         assert isinstance(case.result, (TransmissionError, Motion))
         forces = np.asarray(case.result.forces)
+        if forces.shape[1] > MOST_LINES:
+            _waterfall(ax, time, forces, case.title)
+            continue
         for contact in range(forces.shape[1]):
             pair, back = contact % case.result.pairs + 1, contact >= case.result.pairs
             if back and not forces[:, contact].any():
@@ -54,6 +66,15 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
             )
         finish(ax, case.title, y="contact force [N]")
     return figure
+
+
+def _waterfall(ax: Axes, time: np.ndarray, forces: np.ndarray, title: str) -> None:
+    """Force of many contacts over time, one row of the picture each."""
+    time, forces = thin(time, forces)
+    shown = np.ma.masked_less_equal(forces.T, 0.0)
+    drawn = ax.pcolormesh(time, np.arange(1, forces.shape[1] + 1), shown, shading="nearest", cmap="viridis")
+    ax.figure.colorbar(drawn, ax=ax, label="contact force [N]")
+    finish(ax, title, y="contact")
 
 
 def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
@@ -116,4 +137,12 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "contact_forces.png": force_figure(scene, cases),
         "order_spectrum.png": spectrum_figure(scene, cases),
     }
+    for case in cases:
+        result = case.result
+        if (
+            isinstance(scene.system, RVCycloidal)
+            and isinstance(result, TransmissionError)
+            and result.forces is not None
+        ):
+            figures["stage.png"] = stage_figure(scene.system, float(result.theta[0]), result.forces[0])
     return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]

@@ -18,7 +18,6 @@ from gearjax.units import deg, mm, rpm
 PAPER = "Hu, Li, Zhu, Cui (2020), An Elastic Transmission Error Compensation Method for RV Speed Reducers"
 TORQUE = 1037.0  # N m, inferred: the seed of eqs. 45-47 gives the printed first deformation for 1033.8 to 1037.3
 SHARE = 0.55  # of the torque that one disc carries
-STEEL = HuLineContact(youngs_modulus=2.06e11, poissons_ratio=0.3, face_width=11 * mm)  # the product E b is fitted
 STOP = 1e-3  # change of the force at which the paper's iteration ends
 INFERRED = "T = 1037 N m and E b / (1 - mu^2) = 2.49e6 N/mm are inferred, not given in the paper"
 ADAMS = "from an Adams model that the paper does not give"
@@ -51,9 +50,14 @@ def system(design: Design = INITIAL, *, discs: int = 2) -> RVCycloidal:
     )
 
 
+def steel() -> HuLineContact:
+    """The line contacts of the paper: 206 GPa, 0.3 and 11 mm are natural, only the product E b is fitted."""
+    return HuLineContact(youngs_modulus=2.06e11, poissons_ratio=0.3, face_width=11 * mm)
+
+
 def scene(design: Design = INITIAL, *, discs: int = 2) -> Scene:
     """The pin stage of the paper with its elastic line contacts."""
-    return Scene(system(design, discs=discs), compliance=STEEL)
+    return Scene(system(design, discs=discs), compliance=steel())
 
 
 class Contacts(NamedTuple):
@@ -73,14 +77,14 @@ class Contacts(NamedTuple):
 
     @property
     def _angles(self):
-        return jnp.arange(1, 20) * (9 * deg)
+        return jnp.asarray(np.arange(1, 20) * (9 * deg))
 
     def deformation(self, force: float) -> float:
         """Largest normal deformation under the largest force (eqs. 38-40) [m]."""
         # the curvature of eq. 40 is that of the unmodified offset
         disc = self.design._replace(isometric=jnp.zeros_like(self.design.isometric), shifting=self.design.shifting)
         curved = curvature(disc, jnp.arccos(disc.modified_short_width))
-        springs = STEEL.springs(Radii(self.design.pin_radius[None], curved[None]))
+        springs = steel().springs(Radii(self.design.pin_radius[None], curved[None]))
         return float(springs.approach(jnp.array([force]))[0])
 
     def teeth(self, deformation: float) -> np.ndarray:
@@ -92,7 +96,7 @@ class Contacts(NamedTuple):
         pins = self.teeth(deformation) - 1
         lever = self.lever[pins]
         share = ((lever - self.clearance[pins] / deformation) * lever).sum()
-        return SHARE * TORQUE / (float(self.design.rolling_radius) * share)
+        return float(SHARE * TORQUE / (float(self.design.rolling_radius) * share))
 
     def seed(self) -> float:
         """Force to start from: the mean of eqs. 46 and 47 with the K1 that the print lost [N]."""
@@ -198,10 +202,17 @@ def _forces() -> list[Row]:
         found.append(
             _force_row(f"{table}, final force ({count} steps)", force, computed, own, own.deformation(computed))
         )
-    found.append(Row("Table 4, pins in contact", "9", len(contacts(INITIAL).teeth(0.011567 * mm)), "-", 0.5))
+    found.append(Row("Table 4, pins in contact", "9", float(len(contacts(INITIAL).teeth(0.011567 * mm))), "-", 0.5))
     why = "13 on the front by the paper's own criterion; its 5 'back' ones are interference, not load sharing"
     found.append(
-        Row("Table 8, pins in contact, front", "12", len(contacts(MODIFIED).teeth(0.008817 * mm)), "-", 0.5, why=why)
+        Row(
+            "Table 8, pins in contact, front",
+            "12",
+            float(len(contacts(MODIFIED).teeth(0.008817 * mm))),
+            "-",
+            0.5,
+            why=why,
+        )
     )
     return found
 
@@ -212,8 +223,8 @@ def _force_row(item: str, published: str, computed: float, own: Contacts, deform
     why = f"{share:+.2f} %, pins {pins[0]} to {pins[-1]}; {INFERRED}"
     if "Table 4" in item and abs(share) > 2:
         why += "; no torque fits both tables, nor does any one set of pins: the forces are not convex in 1/deformation"
-    close = abs(share) <= (0.1 if "final" in item else 2.0)
-    return Row(item, published, computed, "N", 0.02 * float(published), inferred=close, why=why)
+    close = bool(abs(share) <= (0.1 if "final" in item else 2.0))
+    return Row(item, published, float(computed), "N", 0.02 * float(published), inferred=close, why=why)
 
 
 def _deformations() -> list[Row]:

@@ -1,11 +1,11 @@
 """Compensation: a design's numbers chosen to minimise the loaded transmission error over given sets of errors.
 
-Forward-mode gradients for sequential quadratic programming (scipy's SLSQP), side by side over the sets; the result is
-judged by the hard law, between the samples too, and tightened until it holds there.
+Sequential linear programming with a trust region, which suits requirements on the smallest of many values: gradients in
+forward mode, side by side over the sets of errors. The result is judged by the hard law, between the samples too, and
+tightened until it holds there.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -26,8 +26,14 @@ from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 OBJECTIVES = ("mean_lag", "peak_to_peak")
 ROUNDS = 4  # of tightening
+SHORT_LEVER = 0.1  # of the mean lever, below which a contact counts as radial
+RADIAL = 2e-6  # rad of the mean lever, that radial contacts stay clear by: 0.1 um at 50 mm
+CLEAR = 1e-2  # m, gap of contacts that are not radial
 MOST_STEPS = 100
-FEASIBLE = 1e-4  # of the scaled constraints
+LONGEST_STEP, SHORTEST_STEP = 0.1, 1e-6  # of the span between the bounds
+LEAST_GAIN = 1e-7  # of the objective, that a step must promise
+PENALTY = 30.0  # of a radian that is missed of what is required, in radians of the objective
+FEASIBLE = 1e-4  # of the objective, that may be missed at the samples
 Errors = Mapping[str, AbstractError]
 Requirement = Callable[[Scene], Scalar]
 
@@ -39,17 +45,20 @@ class Judged(eqx.Module):
         mean_lag: mean of the loaded transmission error, positive where the output lags, shape (set,) [rad].
         peak_to_peak: of the loaded transmission error at the samples, shape (set,) [rad].
         minimum_backlash: smallest backlash over the angles, between samples too, shape (set,) [rad].
-        maximum_backlash: largest backlash, shape (set,) [rad].
+        mean_backlash: mean over the angles, shape (set,) [rad].
         largest_force: shape (set,) [N].
-        largest_pressure: by Hertz, shape (set,) [Pa]; ``None`` where the material is not known.
+        largest_pressure: by Hertz, shape (set,) [Pa]; ``None`` where no limit was given.
+        radial_clearance: smallest gap of contacts whose lever is less than a tenth of the mean, such as pins at tips
+            and roots, shape (set,) [m]; 10 mm where there are none.
     """
 
     mean_lag: Float[Array, " set"]
     peak_to_peak: Float[Array, " set"]
     minimum_backlash: Float[Array, " set"]
-    maximum_backlash: Float[Array, " set"]
+    mean_backlash: Float[Array, " set"]
     largest_force: Float[Array, " set"]
     largest_pressure: Float[Array, " set"] | None
+    radial_clearance: Float[Array, " set"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +107,8 @@ def compensate(
     """Choose numbers of a design, such as modifications, to minimise its loaded transmission error.
 
     The mean over all sets of errors is minimised. A design with less than the minimum backlash under any of them is
-    never accepted: what looks like a small error may be interference (Hu et al. 2020).
+    never accepted, nor is one whose tips and roots touch: what looks like a small error may be interference
+    (Hu et al. 2020).
 
     Args:
         scene: the design to start from, with a compliance and back flanks.
@@ -140,20 +150,19 @@ def compensate(
     free = pick(scene, where, bounds)
     free.require_bounds()
     physics = scene.physics("backlash", "compliance")
-    sets = _stacked(scene, error_sets)
-    limits = _Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive))
+    sets, number = _stacked(scene, error_sets), 1 if error_sets is None else len(error_sets)
+    limits = _Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive), 0.0)
     theta, torque = angles_of(scene, theta), jnp.asarray(torque, scene.dtype)
-    task = _Task(physics, sets, free, theta, torque, law, maximum_pressure is not None)
+    task = _Task(physics, sets, free, theta, torque, law, maximum_pressure is not None, number)
     start = np.asarray(free.get(scene), float)
-    begins, margin = [start, *_others(free, starts - 1)], 0.0
-    values = start
+    begins, values = [start, *_others(free, starts - 1)], start
     for _ in range(ROUNDS):
-        ends = [_descend(task, begin, objective, limits, margin) for begin in begins]
+        ends = [_descend(task, begin, objective, limits) for begin in begins]
         values = min(ends, key=lambda end: end[1])[0]
-        short = limits.minimum_backlash - float(task.judged(jnp.asarray(values)).minimum_backlash.min())
+        short = minimum_backlash - float(task.judged(jnp.asarray(values)).minimum_backlash.min())
         if short <= 0:
             break
-        margin += 1.05 * short
+        limits, begins = dataclasses.replace(limits, margin=limits.margin + 1.05 * short), [values]
     before, after = (task.judged(jnp.asarray(x, scene.dtype)) for x in (start, values))
     found = free.set(scene, jnp.asarray(values, scene.dtype))
     complaints = limits.complaints(found, after)
@@ -168,6 +177,17 @@ class _Limits:
     maximum_backlash: float | None
     maximum_pressure: float | None
     positive: tuple[Requirement, ...]
+    margin: float  # that the samples keep from the minimum backlash [rad]
+
+    def slack(self, scene: Scene, backlash: Array, radial: Array, pressure: Array | None) -> Array:
+        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure."""
+        found = [-top(-backlash) - self.minimum_backlash - self.margin, radial - RADIAL]
+        if self.maximum_backlash is not None:
+            found.append(self.maximum_backlash - backlash.mean(axis=1))
+        if self.maximum_pressure is not None and pressure is not None:
+            found.append(1e-3 * (1 - pressure / self.maximum_pressure))
+        found += [jnp.asarray(requirement(scene), backlash.dtype)[None] for requirement in self.positive]
+        return jnp.concatenate(found)
 
     def complaints(self, scene: Scene, judged: Judged) -> tuple[str, ...]:
         """What does not hold."""
@@ -180,13 +200,16 @@ class _Limits:
                 f"backlash below {self.minimum_backlash:g} rad under {int(short.sum())} of {sets} sets: {low:g}"
             )
         if self.maximum_backlash is not None and bool(
-            (judged.maximum_backlash > self.maximum_backlash * (1 + 1e-6)).any()
+            (judged.mean_backlash > self.maximum_backlash * (1 + 1e-6)).any()
         ):
-            found.append(f"mean backlash above {self.maximum_backlash:g} rad: {float(judged.maximum_backlash.max()):g}")
+            found.append(f"mean backlash above {self.maximum_backlash:g} rad: {float(judged.mean_backlash.max()):g}")
         if self.maximum_pressure is not None and judged.largest_pressure is not None:
             high = float(judged.largest_pressure.max())
             if high > self.maximum_pressure * (1 + 1e-6):
                 found.append(f"pressure above {self.maximum_pressure:g} Pa: {high:g}")
+        low = float(judged.radial_clearance.min())
+        if low < 0:
+            found.append(f"tips or roots touch: radial clearance {low:g} m")
         for index, requirement in enumerate(self.positive):
             value = float(requirement(scene))
             if value < -1e-12:
@@ -204,35 +227,49 @@ class _Task(eqx.Module):
     torque: Array
     law: AbstractLineContact | None
     pressed: bool = eqx.field(static=True)
+    number: int = eqx.field(static=True)
 
     def _scene(self, values: Array, errors: Any) -> Scene:
         return dataclasses.replace(self.free.set(self.physics, values), errors=errors)
 
-    def curves(self, values: Array) -> tuple[Array, Array, Array | None]:
-        """Loaded TE and backlash, shape (set, n) [rad], and the largest pressure, shape (set,) [Pa]."""
+    def curves(self, values: Array) -> tuple[Array, Array, Array, Array | None]:
+        """Loaded TE and backlash, shape (set, n) [rad], radial clearance [rad of the mean lever] and largest pressure
+        [Pa], shape (set,)."""
 
-        def one(errors: Any) -> tuple[Array, Array, Array | None]:
+        def one(errors: Any) -> tuple[Array, Array, Array, Array | None]:
             scene = self._scene(values, errors).anchored()
             rests = jax.vmap(lambda angle: rest(scene.contacts(angle, "mean"), scene, self.torque))(self.theta)
             backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
             pressure = None
             if self.pressed:
                 pressure = top(pressures(scene, self.law, self.theta, rests.forces).ravel())
-            return rests.position, backlash, pressure
+            return rests.position, backlash, self._radial(scene)[1], pressure
 
-        return jax.vmap(one)(self.sets)
+        return jax.vmap(one, axis_size=self.number)(self.sets)
+
+    def _radial(self, scene: Scene) -> tuple[Array, Array]:
+        """Smallest gap of contacts that turn next to nothing [m], and over the mean lever [rad]."""
+
+        def at(angle: Scalar) -> tuple[Array, Array]:
+            contacts = scene.contacts(angle)
+            size = jnp.abs(contacts.lever)
+            return jnp.where(size < SHORT_LEVER * size.mean(), contacts.gap, CLEAR), size.mean()
+
+        gaps, levers = jax.vmap(at)(self.theta)
+        least = -top(-gaps.ravel())
+        return least, least / jax.lax.stop_gradient(levers.mean())
 
     @eqx.filter_jit
-    def numbers(self, values: Array, objective: str) -> tuple[Array, Array, Array, Array | None]:
-        """Objective, smallest and mean backlash and largest pressure of each set."""
-        te, backlash, pressure = self.curves(values)
-        lag = -te.mean() if objective == "mean_lag" else (top(te) + top(-te)).mean()
-        return lag, -top(-backlash), backlash.mean(axis=1), pressure
+    def at(self, values: Array, objective: str, limits: "_Limits") -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Derivatives of the objective and of what must not be negative; and these themselves."""
 
-    @eqx.filter_jit
-    def slopes(self, values: Array, objective: str) -> tuple[Array, Array, Array, Array | None]:
-        """Derivatives of `numbers`."""
-        return jax.jacfwd(lambda values: self.numbers(values, objective))(values)
+        def both(values: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+            te, backlash, radial, pressure = self.curves(values)
+            goal = -te.mean() if objective == "mean_lag" else (top(te) + top(-te)).mean()
+            found = goal, limits.slack(self.free.set(self.physics, values), backlash, radial, pressure)
+            return found, found
+
+        return jax.jacfwd(both, has_aux=True)(values)
 
     @eqx.filter_jit
     def judged(self, values: Array) -> Judged:
@@ -247,9 +284,11 @@ class _Task(eqx.Module):
             if self.pressed:
                 pressure = pressures(scene, self.law, self.theta, rests.forces).max()
             te = rests.position
-            return -te.mean(), te.max() - te.min(), found.minimum, backlash.mean(), rests.forces.max(), pressure
+            sizes = found.minimum, backlash.mean(), rests.forces.max(), pressure, self._radial(scene)[0]
+            return -te.mean(), te.max() - te.min(), *sizes
 
-        return Judged(*jax.lax.map(one, self.sets))
+        each = jax.lax.map(lambda at: one(at[0]), (self.sets, jnp.arange(self.number)))
+        return Judged(*each)
 
 
 def _others(free: Free, number: int) -> list[np.ndarray]:
@@ -260,68 +299,50 @@ def _others(free: Free, number: int) -> list[np.ndarray]:
     return [low + (high - low) * point for point in qmc.Halton(len(low), scramble=False).random(number + 1)[1:]]
 
 
-def _descend(
-    task: _Task, start: np.ndarray, objective: str, limits: _Limits, margin: float
-) -> tuple[np.ndarray, tuple[float, float]]:
-    """Values by sequential quadratic programming, the backlash larger by a margin than required [rad]; and how far
-    they are from what is required, then how good."""
+def _descend(task: _Task, start: np.ndarray, objective: str, limits: _Limits) -> tuple[np.ndarray, tuple[float, float]]:
+    """The best values nearby, and how far they are from what is required, then how good.
+
+    Each step is that of the linear programme within a trust region (Fletcher and Sainz de la Maza 1989).
+    """
     from scipy import optimize
 
     low, high = np.array(task.free.bounds).T
-    scale = 0.1 * (high - low)
+    scale = high - low
 
-    @functools.lru_cache(maxsize=4)
-    def at(key: bytes) -> tuple:
-        values = jnp.asarray(np.frombuffer(key) * scale, task.physics.dtype)
-        return task.numbers(values, objective), task.slopes(values, objective)
+    def at(place: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        found = task.at(jnp.asarray(place, task.physics.dtype), objective, limits)
+        (slope, slopes), (goal, slack) = jax.tree.map(lambda part: np.asarray(part, float), found)
+        return float(goal), slope * scale, slack, slopes * scale
 
-    def number(x: np.ndarray, index: int) -> np.ndarray:
-        return np.asarray(at(x.tobytes())[0][index], float)
+    def merit(goal: float, slack: np.ndarray) -> float:
+        return goal + PENALTY * max(0.0, -float(slack.min()))
 
-    def slope(x: np.ndarray, index: int) -> np.ndarray:
-        return np.asarray(at(x.tobytes())[1][index], float) * scale
-
-    unit = max(abs(float(number(start / scale, 0))), 1e-12)
-    least = limits.minimum_backlash + margin
-    constraints = [
-        {"type": "ineq", "fun": lambda x: (number(x, 1) - least) / unit, "jac": lambda x: slope(x, 1) / unit}
-    ]
-    if limits.maximum_backlash is not None:
-        most = limits.maximum_backlash
-        constraints.append(
-            {"type": "ineq", "fun": lambda x: (most - number(x, 2)) / unit, "jac": lambda x: -slope(x, 2) / unit}
+    place, reach = np.clip(start, low, high), LONGEST_STEP
+    goal, slope, slack, slopes = at(place)
+    for _ in range(MOST_STEPS):
+        unit = max(abs(goal), 1e-12)
+        programme = optimize.linprog(  # moves over the bounds' span, then by how much the worst requirement is missed
+            np.append(slope, PENALTY * unit) / unit,
+            A_ub=np.column_stack([-slopes, -np.full(len(slack), unit)]) / unit,
+            b_ub=slack / unit,
+            bounds=[
+                *zip(np.maximum(-reach, (low - place) / scale), np.minimum(reach, (high - place) / scale), strict=True),
+                (0, None),
+            ],
         )
-    if limits.maximum_pressure is not None:
-        highest = limits.maximum_pressure
-        constraints.append(
-            {"type": "ineq", "fun": lambda x: 1 - number(x, 3) / highest, "jac": lambda x: -slope(x, 3) / highest}
-        )
-    for requirement in limits.positive:
-        with_values = _function_of(task, requirement)
-        gradient = jax.grad(with_values)
-        size = max(float(np.linalg.norm(np.asarray(gradient(jnp.asarray(start))) * scale)), 1e-300)
-        constraints.append(
-            {
-                "type": "ineq",
-                "fun": lambda x, f=with_values, s=size: float(f(jnp.asarray(x * scale))) / s,
-                "jac": lambda x, g=gradient, s=size: np.asarray(g(jnp.asarray(x * scale)), float) * scale / s,
-            }
-        )
-    found = optimize.minimize(
-        lambda x: float(number(x, 0)) / unit,
-        np.clip(start, low, high) / scale,
-        jac=lambda x: slope(x, 0) / unit,
-        bounds=list(zip(low / scale, high / scale, strict=True)),
-        constraints=constraints,
-        method="SLSQP",
-        options={"maxiter": MOST_STEPS, "ftol": 1e-7},
-    )
-    missed = max(0.0, *(-float(np.min(part["fun"](found.x))) for part in constraints))
-    return np.clip(found.x * scale, low, high), (missed if missed > FEASIBLE else 0.0, float(number(found.x, 0)))
-
-
-def _function_of(task: _Task, requirement: Requirement) -> Callable[[Array], Scalar]:
-    return lambda values: jnp.asarray(requirement(task.free.set(task.physics, values)))
+        if programme.x is None:
+            break
+        promised = merit(goal, slack) - (goal + unit * float(programme.fun))
+        if promised <= LEAST_GAIN * unit or reach < SHORTEST_STEP:
+            break
+        new = np.clip(place + programme.x[:-1] * scale, low, high)
+        trial = at(new)
+        gained = (merit(goal, slack) - merit(trial[0], trial[2])) / promised
+        reach *= 2.0 if gained > 0.75 else 1.0 if gained > 0.25 else 0.3
+        if gained > 0:
+            place, (goal, slope, slack, slopes) = new, trial
+    missed = max(0.0, -float(slack.min()))
+    return place, (missed if missed > FEASIBLE * max(abs(goal), 1e-12) else 0.0, goal)
 
 
 def _stacked(scene: Scene, error_sets: Sequence[Errors] | None) -> Any:

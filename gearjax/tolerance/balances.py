@@ -5,7 +5,6 @@ all angles. Contacts are written out as one array each, over the input angles, w
 """
 
 import functools
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -23,27 +22,29 @@ class Balances(eqx.Module):
 
     Args:
         poses: at all angles, these as the last axis.
+        lever: of the contacts, shape (contact, n) [m/rad].
         stiffness: ``"rigid"``, or ``"mean"`` where torques are looked at.
     """
 
     poses: Pose
+    lever: Float[Array, "contact n"]
     stiffness: Stiffness = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, theta: Float[Array, " n"], stiffness: Stiffness) -> "Balances":
         """From one gear set; no number of the system varies."""
-        return cls(_poses(scene, theta), stiffness)
+        poses = _poses(scene, theta)
+        return cls(poses, poses.drive.frame.jacobian[:, 0], stiffness)
 
     def touches(self, scene: Scene) -> "Balance":
         """The contacts of one gear set in all angles."""
         return Balance(*self._contacts(scene))
 
-    def rows(self, scene: Callable[[Array], Scene], values: Float[Array, "row free"]) -> "Balance":
-        """The contacts of the gear sets that a function makes of some numbers."""
+    def rows(self, scenes: Scene) -> "Balance":
+        """The contacts of several gear sets, whose numbers have a leading axis."""
         # contacts before gear sets: what all of these share stays at hand while it is used
-        each = jax.vmap(lambda row: self._contacts(scene(row)), out_axes=(None, 1, 0))
-        lever, gap, spring = each(values)
-        return Balance(lever[:, None], gap, None if spring is None else spring[:, None])
+        gap, spring = jax.vmap(lambda scene: self._contacts(scene)[1:], out_axes=(1, 0))(scenes)
+        return Balance(self.lever[:, None], gap, None if spring is None else spring[:, None])
 
     def _contacts(self, scene: Scene) -> tuple[Array, Array, Array | None]:
         def at(pose: Pose) -> tuple[Array, Array, Array | None]:

@@ -202,7 +202,7 @@ class Measures:
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
         if isinstance(self.curves, Balances):
-            found, codes = self.rows(values[None])
+            found, codes = self.rows(jax.vmap(self.prepared)(values[None]))
             return found[0], codes[0]
         scene = self.free.set(self.physics, values)
         touches = None if self.curves is None else self.curves.touches(scene)
@@ -214,19 +214,27 @@ class Measures:
 
         return self._told(scene, record)
 
-    def rows(self, values: Float[Array, "row free"]) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
+    def prepared(self, values: Float[Array, " free"]) -> Any:
+        """What `rows` takes of a gear set: its numbers, or its scene with sines worked out."""
+        if not isinstance(self.curves, Balances):
+            return values
+        scene = self.free.set(self.physics, values)
+        errors = {key: getattr(error, "prepared", lambda error=error: error)() for key, error in scene.errors.items()}
+        return dataclasses.replace(scene, errors=errors)
+
+    def rows(self, prepared: Any) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
         """The same of several gear sets, their arrays laid out as is quick."""
         if not isinstance(self.curves, Balances):
-            return jax.vmap(self)(values)
-        balance = self.curves.rows(lambda row: self.free.set(self.physics, row), values)
+            return jax.vmap(self)(prepared)
+        balance = self.curves.rows(prepared)
         keys = dict.fromkeys((m.analysis, m.torque) for m in self.measures if m.analysis != "dynamic")
         curves = [balance.curve(*key) for key in keys]
 
-        def one(values: Array, curves: list[Array]) -> tuple[Array, Array]:
+        def one(scene: Scene, curves: list[Array]) -> tuple[Array, Array]:
             known = dict(zip(keys, curves, strict=True))
-            return self._told(self.free.set(self.physics, values), lambda *key: _sampled(known[key]))
+            return self._told(scene, lambda *key: _sampled(known[key]))
 
-        return jax.vmap(one)(values, curves)
+        return jax.vmap(one)(prepared, curves)
 
     def _told(self, scene: Scene, record: Callable[..., Record]) -> tuple[Array, Array]:
         """Measures and code from the records of quasi-static analyses, and of the dynamic one."""

@@ -1,0 +1,169 @@
+"""Studies of the RV reducer: motion, populations, compensation, and the paper's own numbers."""
+
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.cli import main
+from gearjax.tolerance.monte_carlo import Work
+from gearjax.units import arcmin, um
+from tests.rv import HERTZ, PLACES, TORQUE, angles, scene
+
+MODIFICATIONS = [f"system.{name}_modification" for name in ("isometric", "shifting", "thickness")]
+BOUNDS = dict.fromkeys(MODIFICATIONS, (-90e-6, 60e-6))
+
+
+def start(**changes):
+    return scene(with_errors=True, thickness_modification=0.0, **changes)
+
+
+def clear_tips(scene):
+    return scene.system.tip_clearance - 10 * um
+
+
+def random_errors(rng, size: float) -> dict:
+    """Waves of the pins, run-out, pitch and throw, normal amplitudes and random phases, as the study draws them."""
+
+    def wave(order: int) -> np.ndarray:
+        return rng.normal() * size * np.cos(order * PLACES + rng.uniform(0, 2 * np.pi)) * um
+
+    found: dict = {
+        "pins": gj.Positions("pin_ring", 1.5 * wave(1) + wave(3), 2 * wave(1) + wave(5)),
+        "throw": gj.Eccentricity("throw", abs(rng.normal()) * size * 2.5 * um, rng.choice([0.0, np.pi])),
+    }
+    for disc in (1, 2):
+        for name, kind, amount in (("run_out", gj.Eccentricity, 2 * um), ("pitch", gj.CumulativePitch, 2.5 * um)):
+            amplitude, phase = abs(rng.normal()) * size * amount, rng.uniform(-np.pi, np.pi)
+            found[f"{name}_{disc}"] = kind(f"disc_{disc}", amplitude, phase)
+    return found
+
+
+@pytest.mark.slow
+def test_compensation_finds_what_the_study_found():
+    theta = jnp.asarray(angles(39, 80))
+    found = gj.compensate(
+        start(),
+        theta,
+        TORQUE,
+        MODIFICATIONS,
+        bounds=BOUNDS,
+        minimum_backlash=0.1 * arcmin,
+        require_positive=[clear_tips],
+    )
+    assert found.holds
+    assert found.lag_reduction == pytest.approx(0.155, abs=0.01)
+    values = np.array([found.values[path] for path in MODIFICATIONS]) / um
+    np.testing.assert_allclose(values, [0.9, -9.1, -4.2], atol=0.3)
+    assert float(found.after.minimum_backlash[0]) == pytest.approx(0.1 * arcmin, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_compensation_of_the_swing_has_to_be_bounded_and_finds_the_valley_of_the_study():
+    theta = jnp.asarray(angles(39, 80))
+    with pytest.raises(gj.ParameterError, match="maximum_backlash"):
+        gj.compensate(scene(), theta, TORQUE, MODIFICATIONS[:2], bounds={}, objective="peak_to_peak")
+    found = gj.compensate(
+        scene(with_errors=True),
+        theta,
+        TORQUE,
+        MODIFICATIONS[:2],
+        bounds={k: BOUNDS[k] for k in MODIFICATIONS[:2]},
+        objective="peak_to_peak",
+        minimum_backlash=0.1 * arcmin,
+        maximum_backlash=0.6 * arcmin,
+        starts=5,
+    )
+    assert found.holds
+    assert float(found.after.peak_to_peak[0]) / arcmin == pytest.approx(0.0227, abs=4e-4)
+
+
+@pytest.mark.slow
+def test_robust_compensation_holds_under_every_set_of_errors(rng):
+    sets = [random_errors(rng, 0.5) for _ in range(24)]
+    found = gj.compensate(
+        start(),
+        jnp.asarray(angles(1, 80)),
+        TORQUE,
+        MODIFICATIONS,
+        bounds=BOUNDS,
+        error_sets=sets,
+        minimum_backlash=0.1 * arcmin,
+        require_positive=[clear_tips],
+    )
+    assert found.holds
+    assert not found.interferes
+    assert found.lag_reduction > 0.14
+    assert bool((found.after.minimum_backlash >= 0.1 * arcmin).all())
+    play = gj.backlash(dataclasses.replace(found.scene, errors=sets[7]), jnp.asarray(angles(1, 80)))
+    assert float(play.extremes.minimum) == pytest.approx(float(found.after.minimum_backlash[7]), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_what_cannot_hold_is_said_and_interference_is_flagged():
+    narrow = dict.fromkeys(MODIFICATIONS[:2], (-23e-6, -21e-6)) | {MODIFICATIONS[1]: (-27e-6, -26e-6)}
+    found = gj.compensate(
+        scene("modified"),
+        jnp.asarray(angles(1, 80)),
+        TORQUE,
+        MODIFICATIONS[:2],
+        bounds=narrow,
+        minimum_backlash=0.1 * arcmin,
+        maximum_pressure=1e8,
+        law=HERTZ,
+    )
+    assert found.interferes
+    assert not found.holds
+    assert len(found.complaints) == 2
+    assert "backlash below" in found.complaints[0]
+    assert "pressure above 1e+08 Pa" in found.complaints[1]
+
+
+@pytest.mark.slow
+def test_a_turn_of_the_crank_in_motion():
+    one = gj.load("configs/rv_cycloidal/hu_2020.toml")
+    motion = gj.simulate(one, one.run.times, TORQUE)
+    exact = gj.simulate(one, one.run.times, TORQUE, stepper=gj.AdaptiveStep(rtol=1e-9, atol=1e-12))
+    assert float(jnp.abs(motion.te - exact.te).max()) * 58.5e-3 < 1e-8
+    static = gj.transmission_error(one, one.run.times * one.system.input_speed, TORQUE)
+    assert float(motion.mean) == pytest.approx(float(static.mean), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_samples_of_a_population_are_the_analyses_one_by_one():
+    one = scene(with_errors=True)
+    spread = {f"errors.pins.outward[{i}]": gj.Normal(0.0, 2 * um) for i in range(40)}
+    spread |= {"errors.run_out_1.amplitude": gj.Rayleigh(2 * um), "errors.run_out_1.phase": gj.UniformPhase()}
+    spread |= {"compliance.mean": gj.Uniform(1.5e8, 1.8e8)}
+    population, theta = gj.Tolerances(one, spread), angles(per_turn=24)
+    names = ["static.peak_to_peak@784Nm", "static.mean@-300Nm", "no_load.std", "backlash.minimum"]
+    work = Work(population, names, number=20, theta=theta, extremes="samples")
+    found, codes = work.evaluate(work.inputs(0, 20))
+    assert not codes.any()
+    for row, values in zip(found[:3], work.inputs(0, 3), strict=True):
+        own = population.with_values(jnp.asarray(values))
+        te, back = (gj.transmission_error(own, theta, t).te for t in (784.0, -300.0))
+        play = gj.backlash(own, theta)
+        expected = [jnp.ptp(te), back.mean(), play.lower.std(), play.backlash.min()]
+        np.testing.assert_allclose(row, np.asarray(expected), rtol=1e-9)
+
+
+def test_reproduce_prints_valid_json(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["reproduce", "rv_cycloidal", "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    rows = {row["item"]: row for row in printed["rows"]}
+    assert sum(row["status"] == "reproduced" for row in rows.values()) >= 40
+    assert rows["Table 2, sensitivity index of pin_position"]["status"] == "reproduced"
+    final = next(row for item, row in rows.items() if item.startswith("Table 7, final force ("))
+    assert final["status"] == "inferred"
+    assert final["computed"] == pytest.approx(1435.9, rel=1e-3)
+    initial = next(row for item, row in rows.items() if item.startswith("Table 4, final force ("))
+    assert initial["status"] == "not reproduced"
+    assert initial["computed"] / 1910.3 - 1 == pytest.approx(-0.036, abs=1e-3)
+    assert rows["text, elastic share of the TE"]["computed"] == pytest.approx(16.07, abs=0.005)
+    assert rows["Fig. 9, TE of the initial prototype"]["computed"] is None
+    assert all(row["status"] == "reproduced" for item, row in rows.items() if ", pin " in item)
