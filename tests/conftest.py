@@ -22,6 +22,18 @@ AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
 PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 
+TESTS_BETWEEN_CLEARINGS = 40
+_finished = 0
+
+
+def pytest_runtest_logfinish() -> None:
+    """Compiled programs take memory maps, of which a process has 65,530: after some hundred tests it would crash."""
+    global _finished
+    _finished += 1
+    if _finished % TESTS_BETWEEN_CLEARINGS == 0:
+        jax.clear_caches()
+
+
 @pytest.fixture
 def config_text() -> str:
     return CONFIG.read_text(encoding="utf-8")
