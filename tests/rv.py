@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 import gearjax as gj
-from gearjax.units import arcmin, mm, um
+from gearjax.units import mm, um
 
 TORQUE = 784.0
 DESIGNS = {  # shifting and isometric modification, change of the pin radius [um]
@@ -111,20 +111,3 @@ ACCEPTED = (
     Accepted("initial", True, 1, "line", 0.341095, 0.811278, 0.420777, (0.209381, 0.553852), 1882.69, (6, 9)),
     Accepted("initial", True, 2, "line", 0.0315236, 0.775306, 0.216528, (0.209381, 0.386529), 2142.96, (12, 16)),
 )
-
-__all__ = [
-    "ACCEPTED",
-    "HERTZ",
-    "HU",
-    "LINEAR",
-    "PLACES",
-    "TORQUE",
-    "Accepted",
-    "angles",
-    "arcmin",
-    "errors",
-    "scene",
-    "share",
-    "system",
-    "with_errors",
-]

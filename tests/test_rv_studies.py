@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import runpy
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,8 @@ import gearjax as gj
 from gearjax.cli import main
 from gearjax.tolerance.monte_carlo import Work
 from gearjax.units import arcmin, um
-from tests.rv import HERTZ, PLACES, TORQUE, angles, scene
+from tests.conftest import ROOT
+from tests.rv import HERTZ, TORQUE, angles, scene
 
 MODIFICATIONS = [f"system.{name}_modification" for name in ("isometric", "shifting", "thickness")]
 BOUNDS = dict.fromkeys(MODIFICATIONS, (-90e-6, 60e-6))
@@ -23,23 +25,6 @@ def start(**changes):
 
 def clear_tips(scene):
     return scene.system.tip_clearance - 10 * um
-
-
-def random_errors(rng, size: float) -> dict:
-    """Waves of the pins, run-out, pitch and throw, normal amplitudes and random phases, as the study draws them."""
-
-    def wave(order: int) -> np.ndarray:
-        return rng.normal() * size * np.cos(order * PLACES + rng.uniform(0, 2 * np.pi)) * um
-
-    found: dict = {
-        "pins": gj.Positions("pin_ring", 1.5 * wave(1) + wave(3), 2 * wave(1) + wave(5)),
-        "throw": gj.Eccentricity("throw", abs(rng.normal()) * size * 2.5 * um, rng.choice([0.0, np.pi])),
-    }
-    for disc in (1, 2):
-        for name, kind, amount in (("run_out", gj.Eccentricity, 2 * um), ("pitch", gj.CumulativePitch, 2.5 * um)):
-            amplitude, phase = abs(rng.normal()) * size * amount, rng.uniform(-np.pi, np.pi)
-            found[f"{name}_{disc}"] = kind(f"disc_{disc}", amplitude, phase)
-    return found
 
 
 @pytest.mark.slow
@@ -83,7 +68,8 @@ def test_compensation_of_the_swing_has_to_be_bounded_and_finds_the_valley_of_the
 
 @pytest.mark.slow
 def test_robust_compensation_holds_under_every_set_of_errors(rng):
-    sets = [random_errors(rng, 0.5) for _ in range(24)]
+    drawn = runpy.run_path(str(ROOT / "experiments" / "rv_compensation.py"))["drawn"]
+    sets = [drawn(rng, 0.5) for _ in range(24)]
     found = gj.compensate(
         start(),
         jnp.asarray(angles(1, 80)),

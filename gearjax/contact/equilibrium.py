@@ -47,9 +47,9 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
     """
     scale = _scale(contacts)
     if contacts.two_sided:
-        towards = contacts.lever / scale
-        lower, upper = (sign * law.maximum(_touch(contacts, sign * towards) * scale) / scale for sign in (1.0, -1.0))
-        return lower, upper
+        sides = (facing(contacts.lever, contacts.gap, sign, 1 / scale) for sign in (1.0, -1.0))
+        lower, upper = (law.maximum(side * scale) / scale for side in sides)
+        return lower, -upper
     touch = contacts.gap / contacts.lever
     lower = law.maximum(touch[: contacts.pairs] * scale) / scale
     if not contacts.has_back:
@@ -57,17 +57,17 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
     return lower, -law.maximum(-touch[contacts.pairs :] * scale) / scale
 
 
-def _touch(contacts: ContactSet, towards: Float[Array, " contact"]) -> Float[Array, " contact"]:
+def facing(lever: Array, gap: Array, sign: float, per_lever: Array) -> Array:
     """Positions at which two-sided contacts of one side touch, those of the other side far away [rad].
 
     Args:
-        contacts: the contacts.
-        towards: relative levers, negative on the side that is looked at; a contact whose lever all but vanishes turns
-            nothing.
+        lever, gap: of the contacts, arrays of any one shape [m/rad], [m].
+        sign: 1 for the side that holds against a positive torque, -1 for the other, whose positions are negated.
+        per_lever: one over the mean lever; a contact whose lever all but vanishes turns nothing.
     """
-    faces = towards < -SMALLEST_LEVER
-    size = jnp.where(faces, jnp.abs(contacts.lever), 1.0)
-    return jnp.where(faces, jnp.clip(-contacts.gap / size, -FAR, FAR), -FAR)
+    faces = sign * lever * per_lever < -SMALLEST_LEVER
+    size = jnp.where(faces, jnp.abs(lever), 1.0)
+    return jnp.where(faces, jnp.clip(-gap / size, -FAR, FAR), -FAR)
 
 
 def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equilibrium:

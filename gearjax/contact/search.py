@@ -92,11 +92,10 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scal
     overlap = jnp.full_like(frozen.gap, TYPICAL)
     stiffness = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
     steepness = jnp.where(side, frozen.lever * frozen.lever * stiffness, 0.0).sum()
-    travel = jnp.abs(weight) / jnp.where(steepness > 0, steepness, 1.0)
-    carries = steepness > 0
-    begin = jnp.where(carries, begin, jnp.nan)
+    safe = jnp.where(steepness > 0, steepness, 1.0)
+    begin = jnp.where(steepness > 0, begin, jnp.nan)
     position, found = newton(
-        lambda position: _ratio(*sums(frozen, weight, position), jnp.where(carries, steepness, 1.0)), begin, travel
+        lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(weight) / safe
     )
     position = jnp.where(found, position, 0.0)
     excess, slope = sums(contacts, load, position)

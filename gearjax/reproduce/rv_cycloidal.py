@@ -82,7 +82,7 @@ class Contacts(NamedTuple):
     def deformation(self, force: float) -> float:
         """Largest normal deformation under the largest force (eqs. 38-40) [m]."""
         # the curvature of eq. 40 is that of the unmodified offset
-        disc = self.design._replace(isometric=jnp.zeros_like(self.design.isometric), shifting=self.design.shifting)
+        disc = self.design._replace(isometric=jnp.zeros_like(self.design.isometric))
         curved = curvature(disc, jnp.arccos(disc.modified_short_width))
         springs = steel().springs(Radii(self.design.pin_radius[None], curved[None]))
         return float(springs.approach(jnp.array([force]))[0])

@@ -19,6 +19,7 @@ from gearjax.analysis.quasi_static import angles_of, play, rest
 from gearjax.analysis.torsion import pressures
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.compliance import AbstractLineContact
+from gearjax.contact import Equilibrium
 from gearjax.errors import AbstractError
 from gearjax.scene import Scene, require
 from gearjax.studies.select import Bounds, Free, Where, pick
@@ -151,19 +152,20 @@ def compensate(
     free.require_bounds()
     physics = scene.physics("backlash", "compliance")
     sets, number = _stacked(scene, error_sets), 1 if error_sets is None else len(error_sets)
-    limits = _Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive), 0.0)
+    limits = _Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive))
     theta, torque = angles_of(scene, theta), jnp.asarray(torque, scene.dtype)
     task = _Task(physics, sets, free, theta, torque, law, maximum_pressure is not None, number)
     start = np.asarray(free.get(scene), float)
-    begins, values = [start, *_others(free, starts - 1)], start
+    before = task.judged(jnp.asarray(start, scene.dtype))
+    begins, values, after, margin = [start, *_others(free, starts - 1)], start, before, 0.0
     for _ in range(ROUNDS):
-        ends = [_descend(task, begin, objective, limits) for begin in begins]
+        ends = [_descend(task, begin, objective, limits, margin) for begin in begins]
         values = min(ends, key=lambda end: end[1])[0]
-        short = minimum_backlash - float(task.judged(jnp.asarray(values)).minimum_backlash.min())
+        after = task.judged(jnp.asarray(values, scene.dtype))
+        short = minimum_backlash - float(after.minimum_backlash.min())
         if short <= 0:
             break
-        limits, begins = dataclasses.replace(limits, margin=limits.margin + 1.05 * short), [values]
-    before, after = (task.judged(jnp.asarray(x, scene.dtype)) for x in (start, values))
+        margin, begins = margin + 1.05 * short, [values]
     found = free.set(scene, jnp.asarray(values, scene.dtype))
     complaints = limits.complaints(found, after)
     named = dict(zip(free.paths, (float(v) for v in values), strict=True))
@@ -177,11 +179,13 @@ class _Limits:
     maximum_backlash: float | None
     maximum_pressure: float | None
     positive: tuple[Requirement, ...]
-    margin: float  # that the samples keep from the minimum backlash [rad]
 
-    def slack(self, scene: Scene, backlash: Array, radial: Array, pressure: Array | None) -> Array:
-        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure."""
-        found = [-top(-backlash) - self.minimum_backlash - self.margin, radial - RADIAL]
+    def slack(
+        self, scene: Scene, backlash: Array, radial: Array, pressure: Array | None, margin: Scalar
+    ) -> Float[Array, " requirement"]:
+        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure; the samples keep a
+        margin from the minimum backlash [rad]."""
+        found = [-top(-backlash) - self.minimum_backlash - margin, radial - RADIAL]
         if self.maximum_backlash is not None:
             found.append(self.maximum_backlash - backlash.mean(axis=1))
         if self.maximum_pressure is not None and pressure is not None:
@@ -229,21 +233,22 @@ class _Task(eqx.Module):
     pressed: bool = eqx.field(static=True)
     number: int = eqx.field(static=True)
 
-    def _scene(self, values: Array, errors: Any) -> Scene:
-        return dataclasses.replace(self.free.set(self.physics, values), errors=errors)
+    def _under(self, values: Array, errors: Any) -> tuple[Scene, Equilibrium, Array, Array | None]:
+        """The scene under one set of errors, its rests and backlash at every angle, and pressures there."""
+        scene = dataclasses.replace(self.free.set(self.physics, values), errors=errors).anchored()
+        rests = jax.vmap(lambda angle: rest(scene.contacts(angle, "mean"), scene, self.torque))(self.theta)
+        backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
+        pressure = pressures(scene, self.law, self.theta, rests.forces) if self.pressed else None
+        return scene, rests, backlash, pressure
 
     def curves(self, values: Array) -> tuple[Array, Array, Array, Array | None]:
         """Loaded TE and backlash, shape (set, n) [rad], radial clearance [rad of the mean lever] and largest pressure
         [Pa], shape (set,)."""
 
         def one(errors: Any) -> tuple[Array, Array, Array, Array | None]:
-            scene = self._scene(values, errors).anchored()
-            rests = jax.vmap(lambda angle: rest(scene.contacts(angle, "mean"), scene, self.torque))(self.theta)
-            backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
-            pressure = None
-            if self.pressed:
-                pressure = top(pressures(scene, self.law, self.theta, rests.forces).ravel())
-            return rests.position, backlash, self._radial(scene)[1], pressure
+            scene, rests, backlash, pressure = self._under(values, errors)
+            highest = None if pressure is None else top(pressure.ravel())
+            return rests.position, backlash, self._radial(scene)[1], highest
 
         return jax.vmap(one, axis_size=self.number)(self.sets)
 
@@ -260,13 +265,15 @@ class _Task(eqx.Module):
         return least, least / jax.lax.stop_gradient(levers.mean())
 
     @eqx.filter_jit
-    def at(self, values: Array, objective: str, limits: "_Limits") -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def at(
+        self, values: Array, margin: Scalar, objective: str, limits: "_Limits"
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Derivatives of the objective and of what must not be negative; and these themselves."""
 
         def both(values: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
             te, backlash, radial, pressure = self.curves(values)
             goal = -te.mean() if objective == "mean_lag" else (top(te) + top(-te)).mean()
-            found = goal, limits.slack(self.free.set(self.physics, values), backlash, radial, pressure)
+            found = goal, limits.slack(self.free.set(self.physics, values), backlash, radial, pressure, margin)
             return found, found
 
         return jax.jacfwd(both, has_aux=True)(values)
@@ -276,15 +283,10 @@ class _Task(eqx.Module):
         """Everything that is told of a design."""
 
         def one(errors: Any) -> tuple:
-            scene = self._scene(values, errors).anchored()
-            rests = jax.vmap(lambda angle: rest(scene.contacts(angle, "mean"), scene, self.torque))(self.theta)
-            backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
-            found = extremes(play, scene, self.theta, backlash)
-            pressure = None
-            if self.pressed:
-                pressure = pressures(scene, self.law, self.theta, rests.forces).max()
-            te = rests.position
-            sizes = found.minimum, backlash.mean(), rests.forces.max(), pressure, self._radial(scene)[0]
+            scene, rests, backlash, pressure = self._under(values, errors)
+            te, found = rests.position, extremes(play, scene, self.theta, backlash)
+            highest = None if pressure is None else pressure.max()
+            sizes = found.minimum, backlash.mean(), rests.forces.max(), highest, self._radial(scene)[0]
             return -te.mean(), te.max() - te.min(), *sizes
 
         each = jax.lax.map(lambda at: one(at[0]), (self.sets, jnp.arange(self.number)))
@@ -299,7 +301,9 @@ def _others(free: Free, number: int) -> list[np.ndarray]:
     return [low + (high - low) * point for point in qmc.Halton(len(low), scramble=False).random(number + 1)[1:]]
 
 
-def _descend(task: _Task, start: np.ndarray, objective: str, limits: _Limits) -> tuple[np.ndarray, tuple[float, float]]:
+def _descend(
+    task: _Task, start: np.ndarray, objective: str, limits: _Limits, margin: float
+) -> tuple[np.ndarray, tuple[float, float]]:
     """The best values nearby, and how far they are from what is required, then how good.
 
     Each step is that of the linear programme within a trust region (Fletcher and Sainz de la Maza 1989).
@@ -310,7 +314,8 @@ def _descend(task: _Task, start: np.ndarray, objective: str, limits: _Limits) ->
     scale = high - low
 
     def at(place: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        found = task.at(jnp.asarray(place, task.physics.dtype), objective, limits)
+        numbers = (jnp.asarray(part, task.physics.dtype) for part in (place, margin))
+        found = task.at(*numbers, objective, limits)
         (slope, slopes), (goal, slack) = jax.tree.map(lambda part: np.asarray(part, float), found)
         return float(goal), slope * scale, slack, slopes * scale
 

@@ -12,7 +12,7 @@ from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, ContactFrame, Flank, Rim
 from gearjax.geometry import base_radius
-from gearjax.geometry.cycloid import Cycloid, Touch, curvature, exact_gap, gap, largest_offset, touch
+from gearjax.geometry.cycloid import Cycloid, curvature, exact_gap, gap, largest_offset, touch
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import angle, check_parameters, count, length, name, number
 from gearjax.systems.base import AbstractSystem
@@ -126,6 +126,7 @@ class RVCycloidal(AbstractSystem):
     @property
     def orders(self) -> Mapping[str, float]:
         crank = (self.pins - 1) / self.ratio
+        # "pin" next to "mesh": steps and blocks resolve the fastest of all orders but the mesh
         orders = {"output": 1 / self.ratio, "crank": crank, "pin": crank * self.pins, "mesh": crank * self.pins}
         if self.sun_teeth is not None:
             orders |= {"sun": 1 - 1 / self.ratio, "planet": self.pins / self.ratio}  # seen from the output
@@ -147,9 +148,6 @@ class RVCycloidal(AbstractSystem):
         """Angle from each pin to the throw, disc by disc [rad]."""
         return (self._crank(theta)[:, None] - self._pins(theta.dtype)[None, :]).ravel()
 
-    def _touch(self, theta: Scalar) -> Touch:
-        return touch(self.profile.short_width, self._angles(theta))
-
     def _each(self, per_disc: Float[Array, " disc"]) -> Float[Array, " contact"]:
         return jnp.repeat(per_disc, self.pins, total_repeat_length=self.discs * self.pins)
 
@@ -164,7 +162,8 @@ class RVCycloidal(AbstractSystem):
     def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
-        at, profile = self._touch(theta), self.profile
+        profile = self.profile
+        at = touch(profile.short_width, self._angles(theta))
         direction = jnp.arctan2(at.along_throw, at.lever)  # sine and cosine of the normal, seen from the throw
         ones, still = jnp.ones_like(direction), jnp.zeros_like(theta)
         short = profile.short_width

@@ -4,13 +4,11 @@ Which contacts carry changes all the time, and their levers do: nothing is inter
 all angles. Contacts are written out as one array each, over the input angles, which is what vectorises.
 """
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact.equilibrium import FAR, SMALLEST_LEVER
+from gearjax.contact.equilibrium import facing, hard_edges
 from gearjax.contact.frame import Pose
 from gearjax.contact.search import hard_balance
 from gearjax.scene import Scene, Stiffness
@@ -78,12 +76,9 @@ class Balance(eqx.Module):
 
     def _edge(self, sign: float) -> Float[Array, "..."]:
         """Highest position at which a contact of one side touches, of the other side's the lowest, negated [rad]."""
-        least = SMALLEST_LEVER * jnp.abs(self.lever).mean(axis=0)
-        found = []
-        for arm, gap in zip(self.lever, self.gap, strict=True):
-            faces = sign * arm < -least
-            found.append(jnp.where(faces, jnp.clip(-gap / jnp.where(faces, jnp.abs(arm), 1.0), -FAR, FAR), -FAR))
-        return functools.reduce(lambda one, other: jnp.where(one >= other, one, other), found)
+        per_lever = 1 / jnp.abs(self.lever).mean(axis=0)
+        touch = [facing(arm, gap, sign, per_lever) for arm, gap in zip(self.lever, self.gap, strict=True)]
+        return hard_edges(touch, len(touch))[0]
 
 
 @eqx.filter_jit
