@@ -183,8 +183,10 @@ class _Limits:
     def slack(
         self, scene: Scene, backlash: Array, radial: Array, pressure: Array | None, margin: Scalar
     ) -> Float[Array, " requirement"]:
-        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure; the samples keep a
-        margin from the minimum backlash [rad]."""
+        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure.
+
+        The samples keep a margin from the minimum backlash [rad].
+        """
         found = [-top(-backlash) - self.minimum_backlash - margin, radial - RADIAL]
         if self.maximum_backlash is not None:
             found.append(self.maximum_backlash - backlash.mean(axis=1))
