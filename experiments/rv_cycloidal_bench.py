@@ -4,7 +4,7 @@ Reducers with 40 pins and two discs, every pin displaced by itself, run-out of b
 peak-to-peak and mean of the static TE under 784 N m over 320 crank angles of one turn.
 
 - scipy: ``brentq`` on the sum of the contacts' moments, one angle after the other, gaps by numpy; of a few reducers;
-- numba: the algorithm of gearjax written out, ``prange`` over reducers, ``fastmath``;
+- numba: the algorithm of gearjax written out for these errors, ``prange`` over reducers, ``fastmath``;
 - gearjax on one device per core.
 
 All three agree before they are timed. Medians of interleaved repeats, compile time apart. Needs numba.

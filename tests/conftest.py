@@ -22,6 +22,12 @@ AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
 PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Short tests take longer to compile than to run: what LLVM spends most time on is left to the slow ones."""
+    if config.option.markexpr == "not slow":
+        jax.config.update("jax_disable_most_optimizations", True)
+
+
 TESTS_BETWEEN_CLEARINGS = 40
 _finished = 0
 

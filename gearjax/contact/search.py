@@ -5,7 +5,7 @@ positions with sums on both sides of the load. The search does not take part in 
 of Newton's method does, which is the implicit derivative, and exact where the springs are linear.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -106,39 +106,72 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scal
     return jnp.where(found, position, jnp.nan), jnp.where(found, forces, 0.0), found
 
 
-def hard_balance(lever: Sequence[Array], gap: Array, load: Array) -> Array:
-    """Positions of the equilibrium of two-sided linear springs by the hard law, with one array for each contact.
+def closed_side(
+    lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], load: Float[Array, " lane"]
+) -> Float[Array, " lane"]:
+    """Positions of the equilibrium as if all two-sided contacts of the loaded side were closed [rad]; zero without any.
 
-    Newton's method starts as if all contacts of the loaded side were closed; while none of the other side touches, it
-    then comes nearer from there alone.
+    Arguments as of `hard_balance`.
+    """
+    loaded = jnp.where(jnp.where(load[None] > 0, lever > 0, lever < 0), lever, 0.0)
+    steepness = (loaded * loaded).sum(axis=0)
+    return jnp.where(steepness > 0, (load + (loaded * gap).sum(axis=0)) / jnp.where(steepness > 0, steepness, 1.0), 0.0)
+
+
+@jax.custom_jvp
+def hard_balance(
+    lever: Float[Array, "contact _"],
+    gap: Float[Array, "contact lane"],
+    load: Float[Array, " lane"],
+    start: Float[Array, " lane"],
+) -> Float[Array, " lane"]:
+    """Positions of the equilibrium of two-sided linear springs by the hard law, of several gear sets, or angles.
 
     Args:
-        lever: of each contact, arrays of any one shape [m/rad].
-        gap: of all contacts, which are the first axis [m].
-        load: generalised force on the output over the stiffness of a contact, the same for all [m^2].
+        lever: of each contact, shape (contact, lane), or (contact, 1) for all [m/rad].
+        gap: of each contact [m].
+        load: generalised force on the output over the stiffness of a contact, the same for all [m^2/rad].
+        start: positions to start from [rad].
 
     Returns:
         The positions [rad], nan where no contact can carry the load.
     """
-
-    def sums(position: Array, gap: Array, load: Array) -> tuple[Array, Array]:
-        moment = slope = jnp.zeros_like(position)
-        for arm, at in zip(lever, gap, strict=True):
-            overlap = arm * position - at
-            moment = moment + jnp.where(overlap > 0, arm * overlap, 0.0)
-            slope = slope + jnp.where(overlap > 0, arm * arm, 0.0)
-        return moment - load, slope
-
-    still, weight = jax.lax.stop_gradient((gap, load))
-    steepness, pull = jnp.zeros_like(lever[0]), jnp.zeros_like(still[0])
-    for arm, at in zip(lever, still, strict=True):
-        loaded = jnp.where(jnp.where(weight > 0, arm > 0, arm < 0), arm, 0.0)
-        steepness, pull = steepness + loaded * loaded, pull + loaded * at
+    squared = lever * lever
+    sides = [jnp.where(side, squared, 0.0).sum(axis=0) for side in (lever > 0, lever < 0)]
+    steepness = jnp.where(load > 0, *sides)
     safe = jnp.where(steepness > 0, steepness, 1.0)
-    start = jnp.where(steepness > 0, (weight + pull) / safe, jnp.nan)
-    position, found = newton(
-        lambda position: _ratio(*sums(position, still, weight), safe), start, jnp.abs(weight) / safe
-    )
-    position = jax.lax.optimization_barrier(jnp.where(found, position, jnp.nan))
-    excess, slope = sums(position, gap, load)
-    return position - excess / jax.lax.stop_gradient(jnp.where(slope > 0, slope, 1.0))
+
+    def move(position: Array) -> Array:
+        # all that a contact has to do with read anew: what does not change would be worked out before, one by one
+        excess, slope = _sums(*jax.lax.optimization_barrier((lever, gap, load, position)))
+        return _ratio(excess, slope, safe)
+
+    begin = jnp.where(steepness > 0, start, jnp.nan)
+    position, found = newton(move, begin, jnp.abs(load) / safe)
+    return jnp.where(found, position, jnp.nan)
+
+
+@hard_balance.defjvp
+def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    position = hard_balance(*primals)
+
+    def excess(lever: Array, gap: Array, load: Array) -> Array:
+        return (lever * jnp.maximum(lever * position[None] - gap, 0.0)).sum(axis=0) - load
+
+    lever, gap, _, _ = primals
+    slope = jnp.where(lever * position[None] > gap, lever * lever, 0.0).sum(axis=0)
+    change = jax.jvp(excess, primals[:3], tangents[:3])[1]
+    return position, -change / jnp.where(slope > 0, slope, 1.0)
+
+
+def _sums(lever: Array, gap: Array, load: Array, position: Array) -> tuple[Array, Array]:
+    """What the contacts carry beyond the load, and its slope, both over the stiffness of a contact.
+
+    Contacts are written out as one array each, which is what vectorises.
+    """
+    moment = slope = jnp.zeros_like(position)
+    for arm, at in zip(lever, gap, strict=True):
+        overlap = arm * position - at
+        moment = moment + jnp.where(overlap > 0, arm * overlap, 0.0)
+        slope = slope + jnp.where(overlap > 0, arm * arm, 0.0)
+    return moment - load, slope

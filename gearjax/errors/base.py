@@ -20,3 +20,7 @@ class AbstractError(eqx.Module):
     @abc.abstractmethod
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         """Change of the gaps, shape (contact,) [m]."""
+
+    def proportional(self) -> "AbstractError":
+        """The same error by numbers that its gaps are in proportion to, where there are such."""
+        return self

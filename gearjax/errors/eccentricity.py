@@ -31,10 +31,9 @@ class Eccentricity(AbstractError):
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         # by components: a batch of amplitudes and phases shares the sines of the view
-        return self.prepared().gap(view)
+        return self.proportional().gap(view)
 
-    def prepared(self) -> "Displacement":
-        """The same with its sines worked out, which loops over many contacts would repeat for each."""
+    def proportional(self) -> "Displacement":
         return Displacement(self.body, self.amplitude * jnp.cos(self.phase), self.amplitude * jnp.sin(self.phase))
 
 

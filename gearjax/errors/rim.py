@@ -85,10 +85,9 @@ class CumulativePitch(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        return self.prepared().gap(view)
+        return self.proportional().gap(view)
 
-    def prepared(self) -> Displacement:
-        """The same with its sines worked out."""
+    def proportional(self) -> Displacement:
         sine, cosine = self.amplitude * jnp.cos(self.phase), self.amplitude * jnp.sin(self.phase)
         return Displacement(self.body, sine, cosine, self.waves)
 

@@ -316,8 +316,8 @@ def _descend(
     scale = high - low
 
     def at(place: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        numbers = (jnp.asarray(part, task.physics.dtype) for part in (place, margin))
-        found = task.at(*numbers, objective, limits)
+        values, kept = (jnp.asarray(part, task.physics.dtype) for part in (place, margin))
+        found = task.at(values, kept, objective, limits)
         (slope, slopes), (goal, slack) = jax.tree.map(lambda part: np.asarray(part, float), found)
         return float(goal), slope * scale, slack, slopes * scale
 

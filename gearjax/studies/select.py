@@ -40,12 +40,19 @@ class Free(eqx.Module):
 
     def set(self, scene: Scene, values: Float[Array, " free"]) -> Scene:
         """The scene with other values."""
-        leaves: dict[str, Any] = {}
-        for path, value in zip(self.paths, values, strict=True):
-            leaf, index = _split(path)
-            known = leaves.get(leaf, _leaf(scene, leaf))
-            leaves[leaf] = value if index is None else known.at[index].set(value)
-        return eqx.tree_at(lambda s: [_leaf(s, path) for path in leaves], scene, list(leaves.values()))
+        whole: dict[str, Any] = {}
+        parts: dict[str, dict[int, int]] = {}  # of a leaf: its place, and that in the values
+        for column, path in enumerate(self.paths):
+            leaf, place = _split(path)
+            if place is None:
+                whole[leaf] = values[column]
+            else:
+                parts.setdefault(leaf, {})[place] = column
+        for leaf, columns in parts.items():
+            known = _leaf(scene, leaf)
+            sources = [len(known) + columns[i] if i in columns else i for i in range(len(known))]
+            whole[leaf] = jnp.concatenate([known, values])[np.array(sources)]  # not one by one, of which there are many
+        return eqx.tree_at(lambda s: [_leaf(s, path) for path in whole], scene, list(whole.values()))
 
     @property
     def scales(self) -> np.ndarray:

@@ -165,9 +165,7 @@ class _Search:
 
     def _smooth(self, values: Array, temperature: Scalar) -> Scalar:
         """What the measure has too much of (`Measure.excess`), with smooth largest values."""
-        assert self.measures.curves is not None
-        touches = self.measures.curves.touches(self.measures.free.set(self.measures.physics, values))
-        curve = touches.curve(self.measure.analysis, self.measure.torque)
+        curve = self.measures.curve(values, self.measure)
 
         def largest(curve: Array) -> Scalar:
             return temperature * jax.nn.logsumexp(curve / temperature)

@@ -1,86 +1,111 @@
 """Quasi-static curves of many gear sets with two-sided contacts, such as the pins of cycloidal discs.
 
 Which contacts carry changes all the time, and their levers do: nothing is interpolated, each gear set is looked at in
-all angles. Contacts are written out as one array each, over the input angles, which is what vectorises.
+all angles. One angle after the other, for some gear sets side by side, which are the last axis: gaps are then sums of
+few products that stay in the processor's cache (`gearjax.tolerance.affine`), and the search for a balance begins where
+the last one ended.
 """
+
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
-from gearjax.contact.equilibrium import facing, hard_edges
-from gearjax.contact.frame import Pose
-from gearjax.contact.search import hard_balance
-from gearjax.scene import Scene, Stiffness
-from gearjax.typing import Array, Float
+from gearjax.analysis.metrics import top
+from gearjax.contact.equilibrium import facing
+from gearjax.contact.search import closed_side, hard_balance
+from gearjax.errors import AbstractError
+from gearjax.scene import Scene
+from gearjax.tolerance.affine import AffineGaps, summed
+from gearjax.typing import Array, Float, Scalar
+
+EXAMPLES = 4  # gear sets whose gaps the sums are compared with
+Key = tuple[str, float | None]
+"""An analysis and its torque."""
 
 
 class Balances(eqx.Module):
     """What all gear sets of a population share.
 
     Args:
-        poses: at all angles, these as the last axis.
-        lever: of the contacts, shape (contact, n) [m/rad].
-        stiffness: ``"rigid"``, or ``"mean"`` where torques are looked at.
+        lever: of the contacts, shape (n, contact) [m/rad].
+        gaps: their gaps.
+        varied: keys of the errors that differ from gear set to gear set.
     """
 
-    poses: Pose
-    lever: Float[Array, "contact n"]
-    stiffness: Stiffness = eqx.field(static=True)
+    lever: Float[Array, "n contact"]
+    gaps: AffineGaps
+    varied: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, scene: Scene, theta: Float[Array, " n"], stiffness: Stiffness) -> "Balances":
-        """From one gear set; no number of the system varies."""
-        poses = _poses(scene, theta)
-        return cls(poses, poses.drive.frame.jacobian[:, 0], stiffness)
+    def of(cls, examples: Scene, theta: Float[Array, " n"], varied: Sequence[str]) -> "Balances | None":
+        """From examples of the population, every number with a leading axis; ``None`` where gaps are not sums.
 
-    def touches(self, scene: Scene) -> "Balance":
-        """The contacts of one gear set in all angles."""
-        return Balance(*self._contacts(scene))
+        No number of the system varies.
+        """
+        varied = tuple(sorted(set(varied)))
+        first = jax.tree.map(lambda leaf: leaf[0], examples)
+        poses = jax.jit(jax.vmap(first.pose))(theta)
+        _, unravel = ravel_pytree(_numbers(first, varied))
 
-    def rows(self, scenes: Scene) -> "Balance":
-        """The contacts of several gear sets, whose numbers have a leading axis."""
-        # contacts before gear sets: what all of these share stays at hand while it is used
-        gap, spring = jax.vmap(lambda scene: self._contacts(scene)[1:], out_axes=(1, 0))(scenes)
-        return Balance(self.lever[:, None], gap, None if spring is None else spring[:, None])
+        def gap(numbers: Array, pose) -> Array:
+            errors = {**first.errors, **unravel(numbers)}
+            return eqx.tree_at(lambda scene: scene.errors, first, errors).contacts(pose).gap
 
-    def _contacts(self, scene: Scene) -> tuple[Array, Array, Array | None]:
-        def at(pose: Pose) -> tuple[Array, Array, Array | None]:
-            contacts = scene.contacts(pose, self.stiffness)
-            return contacts.lever, contacts.gap, None if contacts.linear is None else contacts.linear[0]
+        few = jax.tree.map(lambda leaf: leaf[:EXAMPLES], examples)
+        gaps = AffineGaps.of(gap, poses, jax.vmap(lambda scene: _flat(scene, varied))(few))
+        return None if gaps is None else cls(poses.drive.frame.jacobian[..., 0], gaps, varied)
 
-        return jax.vmap(at, in_axes=-1, out_axes=(-1, -1, None))(self.poses)
+    def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
+        """The curve of an analysis of one gear set [rad], all angles side by side."""
+        lever, gap = self.lever.T, self.gaps.everywhere(self.gaps.terms(_flat(scene, self.varied)))
+        if torque is None:
+            return _edges(lever, gap, analysis)
+        load = jnp.broadcast_to(_load(scene, torque), gap.shape[1:])
+        return hard_balance(lever, gap, load, closed_side(*jax.lax.stop_gradient((lever, gap, load))))
 
+    def curves(self, scenes: Scene, keys: Sequence[Key]) -> list[Float[Array, "n row"]]:
+        """The curves of analyses [rad], of several gear sets, whose numbers have a leading axis."""
+        numbers = jax.vmap(lambda scene: _flat(scene, self.varied), out_axes=-1)(scenes)
+        terms = jax.lax.optimization_barrier(self.gaps.terms(numbers))
+        loads = [jax.vmap(_load, in_axes=(0, None))(scenes, torque) for _, torque in keys if torque is not None]
+        tables = self.lever[..., None], self.gaps.nominal[..., None], self.gaps.influence[..., None]
+        lever, nominal, influence = (table[0] for table in tables)
+        gap = summed(nominal, influence, terms)
+        starts = [closed_side(*jax.lax.stop_gradient((lever, gap, load))) for load in loads]
 
-class Balance(eqx.Module):
-    """The contacts of gear sets over input angles.
+        def step(last: list[Array], at: tuple[Array, Array, Array]) -> tuple[list[Array], list[Array]]:
+            lever, gap = at[0], summed(*at[1:], terms)
+            rests = [hard_balance(lever, gap, load, near) for load, near in zip(loads, last, strict=True)]
+            near = [jnp.where(jnp.isnan(rest), start, rest) for rest, start in zip(rests, last, strict=True)]
+            waiting = iter(rests)
+            curves = [_edges(lever, gap, analysis) if torque is None else next(waiting) for analysis, torque in keys]
+            return jax.lax.stop_gradient(near), curves
 
-    Args:
-        lever: shape (contact, n), or (contact, 1, n) for rows of gear sets [m/rad].
-        gap: shape (contact, n), or (contact, row, n) [m].
-        spring: stiffness of every contact, shape () or (row, 1) [N/m], or ``None``.
-    """
-
-    lever: Float[Array, "contact ..."]
-    gap: Float[Array, "contact ..."]
-    spring: Array | None
-
-    def curve(self, analysis: str, torque: float | None) -> Float[Array, "..."]:
-        """The curve of an analysis, shape (n,) or (row, n) [rad]."""
-        if torque is not None:
-            assert self.spring is not None  # the measure requires a compliance
-            load = -jnp.asarray(torque, self.gap.dtype) / self.spring
-            return hard_balance(list(self.lever), self.gap, load)
-        lower = self._edge(1.0)
-        return lower if analysis == "no_load" else -self._edge(-1.0) - lower
-
-    def _edge(self, sign: float) -> Float[Array, "..."]:
-        """Highest position at which a contact of one side touches, of the other side's the lowest, negated [rad]."""
-        per_lever = 1 / jnp.abs(self.lever).mean(axis=0)
-        touch = [facing(arm, gap, sign, per_lever) for arm, gap in zip(self.lever, self.gap, strict=True)]
-        return hard_edges(touch, len(touch))[0]
+        return jax.lax.scan(step, starts, tables)[1]
 
 
-@eqx.filter_jit
-def _poses(scene: Scene, theta: Float[Array, " n"]) -> Pose:
-    return jax.vmap(scene.pose, out_axes=-1)(theta)
+def _numbers(scene: Scene, varied: Sequence[str]) -> dict[str, AbstractError]:
+    """The errors that vary, by numbers that their gaps are in proportion to."""
+    return {key: scene.errors[key].proportional() for key in varied}
+
+
+def _flat(scene: Scene, varied: Sequence[str]) -> Float[Array, " number"]:
+    return ravel_pytree(_numbers(scene, varied))[0].astype(scene.dtype)  # without any, ravel_pytree has its own dtype
+
+
+def _load(scene: Scene, torque: float) -> Scalar:
+    """Generalised force on the output over the stiffness of a contact, which is the same for all [m^2/rad]."""
+    return -torque / scene.linear_compliance.mean_stiffness(1)[0]
+
+
+def _edges(lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], analysis: str) -> Float[Array, " lane"]:
+    """The lower edge of the play, or all of it [rad]."""
+    per_lever = 1 / jnp.abs(lever).mean(axis=0, keepdims=True)
+
+    def edge(sign: float) -> Array:
+        return top(facing(lever, gap, sign, per_lever).T)
+
+    return edge(1.0) if analysis == "no_load" else -edge(-1.0) - edge(1.0)

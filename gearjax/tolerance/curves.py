@@ -115,6 +115,10 @@ class Curves(eqx.Module):
         spread = [_weighted(self.weights, column) for column in columns]
         return Touches(spread, strengths, self.pairs, None if self.series is None else (self.series, columns), alike)
 
+    def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
+        """The curve of an analysis of one gear set, at the samples [rad]."""
+        return self.touches(scene).curve(analysis, torque)
+
     def _looked_at(self, scene: Scene) -> tuple[Array, Array | None]:
         anchored = scene.anchored()
 

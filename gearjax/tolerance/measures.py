@@ -35,7 +35,7 @@ CODES = {
 }
 """What a result code says."""
 SAMPLES = 1581  # of one cycle, where nothing else is said
-TOGETHER = {"quick": 16, "other": 64, "dynamic": 64}  # gear sets side by side on one device
+TOGETHER = {"quick": 16, "balances": 64, "other": 64, "dynamic": 64}  # gear sets side by side on one device
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,28 +165,33 @@ class Measures:
         self.physics = scene.physics(*slots, *(path.split(".")[0] for path in self.free.paths))
         analyses = {measure.analysis for measure in self.measures}
         self.curves: Curves | Balances | None = None
-        if scene.system.two_sided:
-            self.curves = self._balances(analyses)
-        elif isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
-            stiffness = "mean" if "static" in analyses else "rigid"
-            population = jax.vmap(lambda row: self.free.set(self.physics, row))(
-                jnp.asarray(tolerances.examples, scene.dtype)
-            )
-            fixed = not any(path.startswith("system.") for path in self.free.paths)
-            curves = Curves.of(population, self.theta, stiffness, fixed)
-            if extremes == "samples" or curves.series is not None:
-                self.curves = curves if extremes == "between" else dataclasses.replace(curves, series=None)
+        if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
+            examples = jnp.asarray(tolerances.examples, scene.dtype)
+            population = jax.vmap(lambda row: self.free.set(self.physics, row))(examples)
+            quick = self._balances if scene.system.two_sided else self._touches
+            self.curves = quick(population, analyses)
         if "dynamic" in analyses:
             self.motion = _Motion.of(scene, self.theta)
 
-    def _balances(self, analyses: set[str]) -> Balances | None:
+    def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
+        """Curves of contacts that touch on one side."""
+        stiffness = "mean" if "static" in analyses else "rigid"
+        curves = Curves.of(population, self.theta, stiffness, not self._system_varies)
+        if self.extremes == "between":
+            return None if curves.series is None else curves
+        return dataclasses.replace(curves, series=None)
+
+    def _balances(self, population: Scene, analyses: set[str]) -> Balances | None:
         """Curves of two-sided contacts, where they come quickly: at the samples, with linear springs."""
-        scene = self.physics
-        varies = any(path.startswith("system.") for path in self.free.paths)
-        linear = "static" not in analyses or isinstance(scene.compliance, AbstractCompliance)
-        if varies or not linear or not isinstance(scene.contact, HardContact) or self.extremes == "between":
+        linear = "static" not in analyses or isinstance(population.compliance, AbstractCompliance)
+        if self._system_varies or not linear or self.extremes == "between":
             return None
-        return Balances.of(scene, self.theta, "mean" if "static" in analyses else "rigid")
+        varied = [path.split(".")[1] for path in self.free.paths if path.startswith("errors.")]
+        return Balances.of(population, self.theta, varied)
+
+    @property
+    def _system_varies(self) -> bool:
+        return any(path.startswith("system.") for path in self.free.paths)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -196,45 +201,46 @@ class Measures:
     @property
     def together(self) -> int:
         """How many gear sets are worked on side by side."""
-        dynamic = any(measure.analysis == "dynamic" for measure in self.measures)
-        return TOGETHER["dynamic" if dynamic else "quick" if self.curves is not None else "other"]
+        if any(measure.analysis == "dynamic" for measure in self.measures):
+            return TOGETHER["dynamic"]
+        if isinstance(self.curves, Balances):
+            return TOGETHER["balances"]
+        return TOGETHER["other" if self.curves is None else "quick"]
 
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
-        if isinstance(self.curves, Balances):
-            found, codes = self.rows(jax.vmap(self.prepared)(values[None]))
-            return found[0], codes[0]
         scene = self.free.set(self.physics, values)
-        touches = None if self.curves is None else self.curves.touches(scene)
+        curves = self.curves
+        touches = curves.touches(scene) if isinstance(curves, Curves) else None
 
         def record(analysis: str, torque: float | None) -> Record:
+            if isinstance(curves, Balances):
+                return _sampled(curves.curve(scene, analysis, torque))
             if touches is None:
                 return _analysed(scene, self.theta, self.extremes, analysis, torque)
             return _quick(touches, analysis, torque)
 
         return self._told(scene, record)
 
-    def prepared(self, values: Float[Array, " free"]) -> Any:
-        """What `rows` takes of a gear set: its numbers, or its scene with sines worked out."""
-        if not isinstance(self.curves, Balances):
-            return values
-        scene = self.free.set(self.physics, values)
-        errors = {key: getattr(error, "prepared", lambda error=error: error)() for key, error in scene.errors.items()}
-        return dataclasses.replace(scene, errors=errors)
+    def curve(self, values: Float[Array, " free"], measure: Measure) -> Float[Array, " n"]:
+        """The quasi-static curve that a measure is of, at the samples [rad], of a gear set with the given numbers."""
+        scene, key = self.free.set(self.physics, values), (measure.analysis, measure.torque)
+        assert self.curves is not None
+        return self.curves.curve(scene, *key)
 
-    def rows(self, prepared: Any) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
+    def rows(self, values: Float[Array, "row free"]) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
         """The same of several gear sets, their arrays laid out as is quick."""
         if not isinstance(self.curves, Balances):
-            return jax.vmap(self)(prepared)
-        balance = self.curves.rows(prepared)
-        keys = dict.fromkeys((m.analysis, m.torque) for m in self.measures if m.analysis != "dynamic")
-        curves = [balance.curve(*key) for key in keys]
+            return jax.vmap(self)(values)
+        scenes = jax.vmap(lambda row: self.free.set(self.physics, row))(values)
+        keys = list(dict.fromkeys((m.analysis, m.torque) for m in self.measures if m.analysis != "dynamic"))
+        curves = self.curves.curves(scenes, keys)
 
         def one(scene: Scene, curves: list[Array]) -> tuple[Array, Array]:
             known = dict(zip(keys, curves, strict=True))
             return self._told(scene, lambda *key: _sampled(known[key]))
 
-        return jax.vmap(one)(prepared, curves)
+        return jax.vmap(one, in_axes=(0, -1))(scenes, curves)
 
     def _told(self, scene: Scene, record: Callable[..., Record]) -> tuple[Array, Array]:
         """Measures and code from the records of quasi-static analyses, and of the dynamic one."""

@@ -342,8 +342,7 @@ def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Calla
     """A program for rows of arrays, its devices each working on their own part, and how the rows are laid out.
 
     Args:
-        one: of one row of each array. If it has methods ``prepared``, for one row, and ``rows``, for several that are
-            prepared, these are used: what is prepared is worked out before the loop over the rows, and not within.
+        one: of one row of each array; if it has a method ``rows``, that is used, of several.
         devices: that share the rows evenly.
         together: rows side by side on one device.
     """
@@ -351,10 +350,8 @@ def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Calla
     spec = PartitionSpec("sample")
 
     several = getattr(one, "rows", None) or jax.vmap(one)
-    prepared = getattr(one, "prepared", None)
 
     def part(*rows: Array) -> Any:
-        rows = rows if prepared is None else (jax.vmap(prepared)(*rows),)
         blocks = jax.tree.map(lambda row: row.reshape(len(row) // together, together, *row.shape[1:]), rows)
         found = jax.lax.map(lambda block: several(*block), blocks)
         return jax.tree.map(lambda found: found.reshape(-1, *found.shape[2:]), found)

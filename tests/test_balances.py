@@ -1,0 +1,161 @@
+"""Populations with two-sided contacts: gaps as sums of few products, balances one angle after the other."""
+
+import dataclasses
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.contact.search import closed_side, hard_balance
+from gearjax.errors import AbstractError
+from gearjax.parameters import length, name
+from gearjax.tolerance.affine import AffineGaps
+from gearjax.tolerance.balances import Balances
+from gearjax.tolerance.measures import Measure, Measures
+from gearjax.tolerance.monte_carlo import Work
+from gearjax.units import um
+from tests.rv import angles, scene
+
+NAMES = ["static.peak_to_peak@784Nm", "static.mean@-300Nm", "no_load.mean", "backlash.minimum"]
+
+
+def measures(population: gj.Tolerances, theta, names=NAMES) -> Measures:
+    return Measures([Measure.named(name) for name in names], population, theta, "samples")
+
+
+def some_pins() -> gj.Tolerances:
+    """Every third pin, run-out by its components, one pitch wave, a stiffness."""
+    spread: dict = {f"errors.pins.outward[{i}]": gj.Normal(0.0, 2 * um) for i in range(0, 40, 3)}
+    spread |= {"errors.run_out_1.amplitude": gj.Rayleigh(2 * um), "errors.run_out_1.phase": gj.UniformPhase()}
+    spread |= {"errors.pitch_2.phase": gj.UniformPhase(), "compliance.mean": gj.Uniform(1.5e8, 1.8e8)}
+    return gj.Tolerances(scene(with_errors=True), spread)
+
+
+@pytest.fixture(scope="module")
+def population() -> gj.Tolerances:
+    return some_pins()
+
+
+@pytest.fixture(scope="module")
+def quick(population) -> Measures:
+    return measures(population, jnp.asarray(angles(per_turn=12)))
+
+
+def one_by_one(population: gj.Tolerances, theta, values) -> list[float]:
+    own = population.with_values(jnp.asarray(values))
+    te, back = (gj.transmission_error(own, theta, torque).te for torque in (784.0, -300.0))
+    play = gj.backlash(own, theta)
+    return [float(x) for x in (jnp.ptp(te), back.mean(), play.lower.mean(), play.backlash.min())]
+
+
+def test_samples_are_the_analyses_one_by_one(population, quick):
+    assert isinstance(quick.curves, Balances)
+    rows = population.examples[:3]
+    found, codes = jax.jit(quick.rows)(jnp.asarray(rows))
+    assert not codes.any()
+    expected = [one_by_one(population, quick.theta, row) for row in rows]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_contacts_that_share_no_number_share_a_table(quick):
+    """Two sorts of numbers of the pins, two components of a run-out and of a pitch wave on either disc."""
+    gaps = quick.curves.gaps
+    assert gaps.influence.shape[1] == 4
+    assert gaps.nominal.shape == (12, 80)
+
+
+def test_gradients_are_central_differences_under_vmap_and_jit(population, quick):
+    rows = jnp.asarray(population.examples[5:7])
+    slopes = np.asarray(jax.jit(jax.vmap(jax.jacrev(lambda row: quick(row)[0])))(rows))
+    evaluate = jax.jit(quick.rows)
+    for column in (0, 5, len(population.paths) - 4, len(population.paths) - 3, len(population.paths) - 1):
+        step = 1e-4 * population.deviations[column]
+        ends = [np.asarray(evaluate(rows.at[:, column].add(sign * step))[0]) for sign in (1.0, -1.0)]
+        difference = (ends[0] - ends[1]) / (2 * step)
+        assert difference.any()
+        scale = (
+            np.abs(difference).max(axis=0) + 1e-3 * np.abs(difference).max()
+        )  # not every pin has to do with every measure
+        np.testing.assert_allclose(slopes[:, :, column] / scale, difference / scale, atol=1e-6)
+
+
+class Curved(AbstractError):
+    """Opens gaps by the square of its size."""
+
+    kind: ClassVar[str] = "curved"
+    body: str = name()
+    size: gj.typing.Number = length()
+
+    def gap(self, view):
+        return 1e3 * self.size**2 * view.sine
+
+
+def test_gaps_that_are_no_sums_are_looked_at_one_by_one():
+    own = scene()
+    own = dataclasses.replace(own, errors={**own.errors, "curved": Curved("disc_1", jnp.asarray(1e-5))})
+    population = gj.Tolerances(own, {"errors.curved.size": gj.Uniform(1e-5, 5e-5)})
+    theta = jnp.asarray(angles(1, 8))
+    other = measures(population, theta, NAMES[:1])
+    assert other.curves is None
+    values = jnp.asarray(population.examples[3])
+    te = gj.transmission_error(population.with_values(values), theta, 784.0).te
+    assert float(other(values)[0][0]) == pytest.approx(float(jnp.ptp(te)), rel=1e-9)
+
+
+def test_without_varied_errors():
+    population = gj.Tolerances(scene(), {"compliance.mean": gj.Uniform(1.5e8, 1.8e8)})
+    found = measures(population, jnp.asarray(angles(1, 8)))
+    assert found.curves.gaps.influence.shape[1] == 0
+    values = population.examples[0]
+    np.testing.assert_allclose(
+        found(jnp.asarray(values))[0], one_by_one(population, found.theta, values), rtol=1e-9, atol=1e-15
+    )
+
+
+def test_float32(population):
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), population.scene)
+    narrow = gj.Tolerances(single, population.distributions)
+    theta = angles(per_turn=12)
+    works = [Work(p, NAMES, number=16, theta=theta, extremes="samples") for p in (population, narrow)]
+    assert isinstance(works[1].one.curves, Balances)
+    wide, short = (work.evaluate(work.inputs(0, 16))[0] for work in works)
+    np.testing.assert_allclose(short, wide, atol=2e-9)
+
+
+def test_a_lane_that_cannot_carry_leaves_the_others_alone():
+    """Two contacts that hold against one side alone, one of which touches first."""
+    lever = jnp.array([[-0.06], [-0.03]])
+    gap = jnp.array([[1e-5, 1e-5], [2e-5, -1e-5]])
+    load = jnp.array([-1e-8, 1e-8])
+    start = closed_side(lever, gap, load)
+    found = hard_balance(lever, gap, load, start)
+    assert np.isnan(found[1])
+    assert float(found[0]) == pytest.approx((-1e-8 - 0.06 * 1e-5) / 0.06**2, rel=1e-12)
+    slopes = jax.jacfwd(hard_balance, argnums=2)(lever, gap, load, start)
+    assert float(slopes[0, 0]) == pytest.approx(1 / 0.06**2, rel=1e-12)
+    assert not slopes[0, 1]
+
+
+@pytest.mark.parametrize("begin", [-1e-2, 0.0, 3e-4, 1e-2])
+def test_any_start_leads_to_the_balance(begin, rng):
+    lever = jnp.asarray(rng.normal(size=(30, 1)) * 0.05)
+    gap = jnp.asarray(rng.normal(size=(30, 50)) * 1e-5)
+    load = jnp.asarray(rng.choice([-1.0, 1.0], 50) * 10.0 ** rng.uniform(-12, -3, 50))
+    position = hard_balance(lever, gap, load, jnp.full(50, begin))
+    arm, gap = np.asarray(lever), np.asarray(gap)
+    moment = (arm * np.maximum(arm * np.asarray(position) - gap, 0.0)).sum(axis=0)
+    np.testing.assert_allclose(moment, load, rtol=1e-9, atol=1e-22)
+
+
+def test_numbers_that_open_gaps_together_have_tables_of_their_own():
+    def gap(numbers, at):
+        return jnp.array([1.0, 2.0, 3.0]) * at + jnp.stack([numbers[0], numbers[1] * at, numbers[0] + numbers[2]])
+
+    at = jnp.linspace(0.1, 1.0, 7)
+    examples = jnp.arange(6.0).reshape(2, 3)
+    sums = AffineGaps.of(gap, at, examples)
+    assert sums.influence.shape == (7, 2, 3)
+    assert AffineGaps.of(lambda numbers, at: gap(numbers**2, at), at, examples) is None
