@@ -105,6 +105,7 @@ def test_gaps_that_are_no_sums_are_looked_at_one_by_one():
     assert float(other(values)[0][0]) == pytest.approx(float(jnp.ptp(te)), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_without_varied_errors():
     population = gj.Tolerances(scene(), {"compliance.mean": gj.Uniform(1.5e8, 1.8e8)})
     found = measures(population, jnp.asarray(angles(1, 8)))
@@ -115,6 +116,7 @@ def test_without_varied_errors():
     )
 
 
+@pytest.mark.slow
 def test_float32(population):
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), population.scene)
     narrow = gj.Tolerances(single, population.distributions)

@@ -24,18 +24,19 @@ def three_planets(scene):
 
 
 @pytest.mark.parametrize(
-    ("metric", "planets"), [("peak_to_peak", 2), pytest.param("amplitude", 3, marks=pytest.mark.slow)]
+    ("metric", "planets", "levels"), [("peak_to_peak", 2, 4), pytest.param("amplitude", 3, 6, marks=pytest.mark.slow)]
 )
-def test_the_structured_search_is_the_brute_force_one(scene, metric, planets):
+def test_the_structured_search_is_the_brute_force_one(scene, metric, planets, levels):
     """Small grids, the same combinations judged one by one."""
     chosen = scene if planets == 2 else three_planets(scene)
     paths = PHASES if planets == 2 else [*PHASES[:2], "errors.planet_3.phase", "errors.output_wheel.phase"]
     theta = window(scene, 3.0, 0.03)
-    quick = gj.grid_search(f"no_load_{metric}", chosen, where=paths, step=60 * deg, theta=theta)
+    step = 360 * deg / levels
+    quick = gj.grid_search(f"no_load_{metric}", chosen, where=paths, step=step, theta=theta)
     slow = gj.grid_search(
-        lambda s: getattr(gj.transmission_error(s, theta), metric), chosen, where=paths, step=60 * deg, theta=theta
+        lambda s: getattr(gj.transmission_error(s, theta), metric), chosen, where=paths, step=step, theta=theta
     )
-    assert quick.combinations == slow.combinations == slow.evaluated == 6**4
+    assert quick.combinations == slow.combinations == slow.evaluated == levels**4
     assert quick.evaluated < slow.evaluated
     np.testing.assert_allclose(quick.objectives, slow.objectives, rtol=1e-12)
     assert quick.objective == quick.objectives[0] == quick.objectives.min()

@@ -10,7 +10,6 @@ import pytest
 
 import gearjax as gj
 from gearjax.cli import main
-from gearjax.tolerance.monte_carlo import Work
 from gearjax.units import arcmin, um
 from tests.conftest import ROOT
 from tests.rv import HERTZ, TORQUE, angles, scene
@@ -116,25 +115,6 @@ def test_a_turn_of_the_crank_in_motion():
     assert float(jnp.abs(motion.te - exact.te).max()) * 58.5e-3 < 1e-8
     static = gj.transmission_error(one, one.run.times * one.system.input_speed, TORQUE)
     assert float(motion.mean) == pytest.approx(float(static.mean), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_samples_of_a_population_are_the_analyses_one_by_one():
-    one = scene(with_errors=True)
-    spread = {f"errors.pins.outward[{i}]": gj.Normal(0.0, 2 * um) for i in range(40)}
-    spread |= {"errors.run_out_1.amplitude": gj.Rayleigh(2 * um), "errors.run_out_1.phase": gj.UniformPhase()}
-    spread |= {"compliance.mean": gj.Uniform(1.5e8, 1.8e8)}
-    population, theta = gj.Tolerances(one, spread), angles(per_turn=24)
-    names = ["static.peak_to_peak@784Nm", "static.mean@-300Nm", "no_load.std", "backlash.minimum"]
-    work = Work(population, names, number=20, theta=theta, extremes="samples")
-    found, codes = work.evaluate(work.inputs(0, 20))
-    assert not codes.any()
-    for row, values in zip(found[:3], work.inputs(0, 3), strict=True):
-        own = population.with_values(jnp.asarray(values))
-        te, back = (gj.transmission_error(own, theta, t).te for t in (784.0, -300.0))
-        play = gj.backlash(own, theta)
-        expected = [jnp.ptp(te), back.mean(), play.lower.std(), play.backlash.min()]
-        np.testing.assert_allclose(row, np.asarray(expected), rtol=1e-9)
 
 
 def test_reproduce_prints_valid_json(capsys):
