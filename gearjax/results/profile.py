@@ -26,7 +26,7 @@ def save_profile(system: RVCycloidal, path: Path, points: int = 4000) -> Path:
         GearjaxError: the file cannot be written.
     """
     if path.suffix.lower() not in FORMATS:
-        raise ParameterError("--out", str(path), f"must end in {' or '.join(FORMATS)}")
+        raise ParameterError("path", str(path), f"must end in {' or '.join(FORMATS)}")
     least = 8 * (system.pins - 1)
     if points < least:
         raise ParameterError("points", points, f"must be at least {least}, eight per tooth")
