@@ -57,6 +57,7 @@ def test_a_batch_of_scenes_equals_a_loop(scene, with_contact, analysis, law, rng
             np.testing.assert_allclose(one[index], other, rtol=1e-12, atol=1e-12 * scale)
 
 
+@pytest.mark.slow
 def test_a_batch_of_torques_equals_a_loop(scene):
     ts = jnp.linspace(0.0, 0.1, 51)
     torques = jnp.array([3.0, 30.0, 300.0])

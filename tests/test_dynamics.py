@@ -88,6 +88,7 @@ def test_a_jammed_pair_has_two_springs_and_one_damper(oscillator):
     np.testing.assert_allclose(motion.te, expected, rtol=0, atol=2e-12)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_linear_oscillator(oscillator):
     """d x / d T and d x / d k at a time, against the exact solution."""
     ts = jnp.linspace(0.0, 0.002, 21)

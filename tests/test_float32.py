@@ -14,6 +14,7 @@ def single(scene):
     return jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
 
 
+@pytest.mark.slow
 def test_quasi_static(scene, single, theta):
     """No-load and static TE within 5e-5 arcmin over 3 s, metrics too; forces within a part in 10^4."""
     narrow = theta.astype(jnp.float32)

@@ -124,6 +124,7 @@ def test_quasi_static(spur):
     np.testing.assert_allclose(play.backlash, expected, rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_every_case_and_figure(spur, tmp_path):
     cases = list(results.run_cases(spur))
     assert [case.analysis for case in cases] == ["no_load", "backlash", "static", "dynamic"]

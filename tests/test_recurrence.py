@@ -63,6 +63,7 @@ def test_nested_batches(given):
     np.testing.assert_allclose(outer[1, 2], single, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_loop(given):
     """Both modes, alone and under vmap and jit, with respect to every argument; and twice."""
 
