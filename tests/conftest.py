@@ -35,7 +35,7 @@ _finished = 0
 
 
 def pytest_runtest_logfinish() -> None:
-    """Compiled programs take memory maps, some hundred a test; Linux gives a process 65,530, and no more memory then."""
+    """Compiled programs take memory maps, some hundred a test; Linux gives a process 65,530."""
     global _finished
     _finished += 1
     if _finished % TESTS_BETWEEN_LOOKS == 0 and MAPS.exists():

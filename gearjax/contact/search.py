@@ -1,8 +1,8 @@
 """Equilibrium of many contacts, or of springs that are not linear: Newton's method between bounds.
 
 The sum of the contacts' forces on the output never falls with its position, so that a root is between any two
-positions with sums on both sides of the load. The search does not take part in derivatives, which are implicit: one more
-step of Newton's method from its end (`search`), or a rule of its own (`hard_balance`).
+positions with sums on both sides of the load. The search does not take part in derivatives, which are implicit: by one
+more step of Newton's method from its end (`search`), or by a rule of its own (`hard_balance`).
 """
 
 from collections.abc import Callable
