@@ -2,7 +2,8 @@
 
 import contextlib
 import difflib
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import jax
@@ -56,11 +57,23 @@ def _clean(text: str) -> str:
 
 
 def nearest(name: object, names: Iterable[str]) -> str:
-    """``did you mean "x"? valid: a, b`` for a name that is not among ``names``."""
+    """``did you mean "x"? valid: a, b`` for a name that is not among ``names``;
+    the entries of a series are told together."""
     names = list(names)
     close = difflib.get_close_matches(name[:100], names, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f'did you mean "{close[0]}"? ' if close else ""
-    return f"{hint}valid: {', '.join(names) if names else '(none)'}"
+    told = ", ".join(_told(names))
+    return f"{hint}valid: {told or '(none)'}"
+
+
+def _told(names: Sequence[str]) -> Iterator[str]:
+    """Names, those of a series such as ``a[0]``, ``a[1]``, ``a[2]`` as ``a[0..2]``."""
+    for stem, group in itertools.groupby(names, lambda name: name[: name.rfind("[")] if name[-1:] == "]" else name):
+        members = list(group)
+        if len(members) > 2 and members == [f"{stem}[{index}]" for index in range(len(members))]:
+            yield f"{stem}[0..{len(members) - 1}]"
+        else:
+            yield from members
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from gearjax.tolerance.monte_carlo import Work
 from gearjax.units import um
 from tests.rv import angles, scene
 
-NAMES = ["static.peak_to_peak@784Nm", "static.mean@-300Nm", "no_load.mean", "backlash.minimum"]
+NAMES = ["static.peak_to_peak@784Nm", "static.mean@-300Nm", "static.mean@1e-6Nm", "no_load.mean", "backlash.minimum"]
 
 
 def measures(population: gj.Tolerances, theta, names=NAMES) -> Measures:
@@ -46,9 +46,9 @@ def quick(population) -> Measures:
 
 def one_by_one(population: gj.Tolerances, theta, values) -> list[float]:
     own = population.with_values(jnp.asarray(values))
-    te, back = (gj.transmission_error(own, theta, torque).te for torque in (784.0, -300.0))
+    te, back, slight = (gj.transmission_error(own, theta, torque).te for torque in (784.0, -300.0, 1e-6))
     play = gj.backlash(own, theta)
-    return [float(x) for x in (jnp.ptp(te), back.mean(), play.lower.mean(), play.backlash.min())]
+    return [float(x) for x in (jnp.ptp(te), back.mean(), slight.mean(), play.lower.mean(), play.backlash.min())]
 
 
 def test_samples_are_the_analyses_one_by_one(population, quick):
@@ -139,6 +139,31 @@ def test_a_lane_that_cannot_carry_leaves_the_others_alone():
     slopes = jax.jacfwd(hard_balance, argnums=2)(lever, gap, load, start)
     assert float(slopes[0, 0]) == pytest.approx(1 / 0.06**2, rel=1e-12)
     assert not slopes[0, 1]
+
+
+@pytest.mark.parametrize("torque", [0.0, 1e-9, -1e-9, 1e-6, 1e-3])
+def test_hardly_any_torque_in_play_is_found_from_anywhere(torque, rng):
+    """Play of 2e-4 rad, a wind-up of 1e-15 rad and up: the edge of the play, and nothing in it, is the balance."""
+    lever = jnp.asarray(0.06 * np.sin(np.linspace(0.1, 6.2, 30))[:, None])
+    gap = jnp.asarray(rng.uniform(5e-6, 2e-5, (30, 8)))
+    load = jnp.full(8, -torque / 1.6e8)
+    upper = jnp.where(lever > 0, gap / lever, np.inf).min(axis=0)
+    lower = jnp.where(lever < 0, gap / lever, -np.inf).max(axis=0)
+    within = lower + (upper - lower) * jnp.linspace(-0.3, 1.2, 8)
+    found = hard_balance(lever, gap, load, within)
+    edge = upper if torque < 0 else lower
+    forces = jnp.maximum(lever * found[None] - gap, 0.0)
+    np.testing.assert_allclose(found, edge, rtol=2e-11, atol=1e-5 * abs(torque))  # by one contact
+    np.testing.assert_allclose((lever * forces).sum(axis=0), load, rtol=1e-3, atol=0.06**2 * 2e-11 * 2e-4)
+
+
+def test_a_contact_that_hardly_turns_anything_does_not_hold_up_the_search():
+    """One that is wedged where its lever all but vanishes pushes through the play, against the other side."""
+    lever = jnp.array([[1e-7], [0.05], [-0.05]])
+    gap = jnp.array([[-1e-6], [1e-5], [1e-5]])
+    for start in (-1e-3, 0.0, 1e-3):
+        found = hard_balance(lever, gap, jnp.zeros(1), jnp.full(1, start))
+        np.testing.assert_allclose(found, -2e-4 - 1e-13 / 0.05**2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("begin", [-1e-2, 0.0, 3e-4, 1e-2])

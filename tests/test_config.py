@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.checks import nearest
 from gearjax.config.quantities import read_quantity
 from gearjax.reproduce import two_kv
 from gearjax.units import ANGLE, ANGULAR_SPEED, LENGTH, TORQUE
@@ -294,3 +295,9 @@ def test_three_planets_from_a_config(config_text):
     )
     scene = gj.loads(three)
     assert scene.system.bodies == ("planet_1", "planet_2", "planet_3", "revolution", "output_wheel")
+
+
+def test_names_that_would_be_right_are_told_in_one_line():
+    pins = [f"errors.pins.outward[{index}]" for index in range(40)]
+    told = nearest("errors.pin.outward[3]", ["torque", *pins, "x[1]", "x[2]", "x[4]"])
+    assert told == 'did you mean "errors.pins.outward[3]"? valid: torque, errors.pins.outward[0..39], x[1], x[2], x[4]'

@@ -19,6 +19,7 @@ MOST_STEPS = 200
 FLATTEST = 1e-9  # slope of the forces over that of the whole loaded side, below which it tells nothing
 LONGEST = 1.0  # rad, of a step
 ACCURACY = 0.7  # power of the dtype's spacing, relative to the position and typical travel: the last step but one
+SLIGHT = 1e-7  # rad, travel of loads that rounding hides where the wrong side begins to touch: it is not started from
 TYPICAL = 1e-6  # m, penetration at which springs that are not linear are called as stiff as they are there
 
 
@@ -67,8 +68,8 @@ def newton(
 
 
 def _ratio(excess: Array, slope: Array, steepness: Array) -> Array:
-    """Newton's step, as if all of the loaded side were closed where the slope tells nothing."""
-    return excess / jnp.where(slope > FLATTEST * steepness, slope, steepness)
+    """Newton's step, the longest one where the slope tells nothing: from there, contacts open one after the other."""
+    return excess / jnp.where(slope > FLATTEST * steepness, slope, jnp.finfo(slope.dtype).tiny)
 
 
 def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scalar) -> tuple[Scalar, Array, Array]:
@@ -95,7 +96,7 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scal
     safe = jnp.where(steepness > 0, steepness, 1.0)
     begin = jnp.where(steepness > 0, begin, jnp.nan)
     position, found = newton(
-        lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(weight) / safe
+        lambda position: _ratio(*sums(frozen, weight, position), safe), begin + weight / safe, jnp.abs(weight) / safe
     )
     position = jnp.where(found, position, 0.0)
     excess, slope = sums(contacts, load, position)
@@ -130,12 +131,14 @@ def hard_balance(
     Args:
         lever: of each contact, shape (contact, lane), or (contact, 1) for all [m/rad].
         gap: of each contact [m].
-        load: generalised force on the output over the stiffness of a contact, the same for all [m^2/rad].
+        load: generalised force on the output over the stiffness of a contact, the same for all [m^2/rad]; at zero, the
+            side that holds against a positive torque touches.
         start: positions to start from [rad].
 
     Returns:
         The positions [rad], nan where no contact can carry the load.
     """
+    load = jnp.where(load == 0, -jnp.finfo(load.dtype).tiny, load)  # in play, nothing is not yet carried
     squared = lever * lever
     sides = [jnp.where(side, squared, 0.0).sum(axis=0) for side in (lever > 0, lever < 0)]
     steepness = jnp.where(load > 0, *sides)
@@ -146,8 +149,12 @@ def hard_balance(
         excess, slope = _sums(*jax.lax.optimization_barrier((lever, gap, load, position)))
         return _ratio(excess, slope, safe)
 
-    begin = jnp.where(steepness > 0, start, jnp.nan)
-    position, found = newton(move, begin, jnp.abs(load) / safe)
+    travel = jnp.abs(load) / safe
+    slight = travel < SLIGHT
+    begin = jax.lax.cond(
+        slight.any(), lambda: jnp.where(slight, closed_side(lever, gap, load), start), lambda: jnp.asarray(start)
+    )
+    position, found = newton(move, jnp.where(steepness > 0, begin, jnp.nan), travel)
     return jnp.where(found, position, jnp.nan)
 
 
