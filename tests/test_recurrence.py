@@ -54,6 +54,21 @@ def test_batches_are_loops(given, batched):
         np.testing.assert_allclose(together[index], plain(*single), rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("lanes", [255, 256, 512])
+def test_many_lanes_are_few(rng, lanes):
+    """Vectors that would fight for places of the cache are longer than they need to be: none of it is seen."""
+    factor = {"stiffness": jnp.ones(3), "size": jnp.asarray(rng.uniform(0.5, 1.0, lanes))}
+    starts, pushes = jnp.asarray(rng.normal(size=lanes)), jnp.asarray(rng.normal(size=(lanes, STEPS)))
+    over = jax.jit(jax.vmap(run, (0, None, 0, {"stiffness": None, "size": 0})))
+    together = over(starts, jnp.ones(()), pushes, factor)
+    assert together.shape == (lanes, STEPS + 2)
+    for index in (0, lanes - 1):
+        single = {"stiffness": factor["stiffness"], "size": factor["size"][index]}
+        np.testing.assert_allclose(
+            together[index], plain(starts[index], jnp.ones(()), pushes[index], single), rtol=0, atol=1e-13
+        )
+
+
 def test_nested_batches(given):
     position, change, rows, factor = given
     inner = jax.vmap(run, (0, None, None, None))

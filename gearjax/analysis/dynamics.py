@@ -38,11 +38,9 @@ FAULTS = {
     4: "there is no equilibrium to start from",
     5: "the samples are not evenly spaced, as the fitted solver needs",
 }
-NODES, FEWER_NODES, MORE_NODES = 6, 4, 12  # of a block; of a batch in float32; of fast or unknown speeds
-WINDOW, FEWEST = 3000, 8  # steps of a window after its warm-up, and windows that pay
+WINDOW, FEWEST = (3000, 2000), 8  # steps after the warm-up of many windows and of few, and windows that pay
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
-UNKNOWN = 0.03  # rad per step of the bodies, where their speeds are traced
 
 
 class Even(NamedTuple):
@@ -59,11 +57,13 @@ class Fitted(NamedTuple):
         spacing: of samples and steps.
         windows: how the record is cut, or ``None``.
         fall_back: whether windows that do not agree are replaced, within the program, by the march in one go.
+        quick: for bodies that turn slowly, which one go finds out while it runs where no speed is known before.
     """
 
     spacing: march.Spacing
     windows: march.Windows | None
     fall_back: bool
+    quick: march.Spacing | None = None
 
 
 Method = Even | Fitted | AdaptiveStep | QuasiStatic
@@ -235,8 +235,8 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
     if decay <= 0 or (scene.load is not None and scene.load.alternates):
         return None
     warm_up = FORGOTTEN / decay
-    number = int(duration / max(WINDOW * step, warm_up))
-    number = number // march.LANES * march.LANES if number > march.LANES else number
+    long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
+    number = max(long // march.LANES * march.LANES, min(short, march.LANES))
     return Windows(number, warm_up) if number >= FEWEST else None
 
 
@@ -266,32 +266,19 @@ def _method(
     if stepper.windows is not None and spacing is None:
         raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
     batched = is_batched((scene, ts, torque))
-    block, signals = _block(phase, ts.dtype, batched)
-    beside, _ = _block(phase, ts.dtype, batched=True)
-    windows = _windows(stepper.windows, samples, spacing, beside) if stepper.windows and spacing else None
+    block, signals = march.suitable_block(phase, batched)
+    windows = _windows(stepper.windows, samples, spacing, block) if stepper.windows and spacing else None
     seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # the defect, outside of any trace
-    return Fitted(march.Spacing(samples, steps, block, signals), windows, fall_back=not seen)
+    whole = march.Spacing(samples, steps, block, signals)
+    alone = phase is None and not batched
+    quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
+    return Fitted(whole, windows, fall_back=not seen, quick=quick)
 
 
 def _are_even(ts: np.ndarray) -> bool:
     spacing = np.diff(ts)
     allowed = 1e-6 * spacing.mean() + 8 * np.finfo(ts.dtype).eps * np.abs(ts).max()
     return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
-
-
-def _block(phase: float | None, dtype: Any, batched: bool) -> tuple[march.Block, march.Signals]:
-    """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
-    few = FEWER_NODES if batched and jnp.finfo(dtype).bits <= 32 else NODES
-    for nodes in (few, MORE_NODES, tables.MOST_NODES) if phase is not None else (MORE_NODES, tables.MOST_NODES):
-        longest = tables.reach(nodes, dtype) / max(UNKNOWN if phase is None else phase, 1e-12)
-        steps = next((steps for steps in march.BLOCKS if steps <= longest), None)
-        if steps is not None:
-            break
-    else:
-        nodes, steps = tables.MOST_NODES, march.BLOCKS[-1]  # the program says that this is not enough
-    if batched:
-        return march.Block(steps, nodes), march.Signals.BATCH
-    return march.Block(steps, nodes), march.Signals.SUMS if nodes == few else march.Signals.TABLE
 
 
 def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:
@@ -361,11 +348,20 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
     def rest(time: Scalar) -> Array:
         return jnp.nan_to_num(equation.initial(time, "equilibrium")) * _per_step(equation, step)
 
-    def in_one_go() -> march.March:
-        found = march.march(drive, begun, first, method.spacing)
+    def resolves(block: march.Block, accuracy: float = tables.ACCURACY) -> Array:
+        return step * turning_rate(equation.scene) * block.steps <= 1.01 * tables.reach(block.nodes, accuracy)
+
+    def by(spacing: march.Spacing) -> march.March:
+        found = march.march(drive, begun, first, spacing)
         load = equation.scene.load
         growing = load is not None and load.alternates  # what else makes disturbances grow is not known
-        return watch(found, drive, begun, first, method.spacing) if growing else found
+        return watch(found, drive, begun, first, spacing) if growing else found
+
+    def in_one_go() -> march.March:
+        quick = method.quick
+        if quick is None:
+            return by(method.spacing)
+        return jax.lax.cond(resolves(*march.QUICK), lambda: by(quick), lambda: by(method.spacing))
 
     if method.windows is None:
         found = in_one_go()
@@ -376,9 +372,8 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
-    steps, nodes = method.spacing.block if method.windows is None else method.windows.block
-    unresolved = step * turning_rate(equation.scene) * steps > 1.01 * tables.reach(nodes, ts.dtype)
-    fast = unresolved | (step * fastest_rate(equation) > LONGEST_STEP)
+    resolved = resolves(method.spacing.block if method.windows is None else method.windows.block)
+    fast = ~resolved | (step * fastest_rate(equation) > LONGEST_STEP)
     failed = jnp.where(uneven, 5, jnp.where(fast, 2, 0))
     return Motion(
         ts,

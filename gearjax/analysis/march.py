@@ -18,10 +18,14 @@ from gearjax.analysis.fitted import State, advance, change_before, velocity
 from gearjax.analysis.metrics import top
 from gearjax.analysis.oscillator import Fast, Oscillator
 from gearjax.analysis.recurrence import recur
-from gearjax.analysis.signals import Basis, Drive, Drives, Given, tabulated, written_out
+from gearjax.analysis.signals import Basis, Drive, Drives, Given, at_nodes, tabulated, written_out
+from gearjax.analysis.tables import MOST_NODES, reach
 from gearjax.typing import Array, Float, Scalar
 
-BLOCKS = (384, 192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
+BLOCKS = (192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
+SUMMED = {4: 192, 6: 48}  # nodes that each step sums over, and the fewest steps of a block that they pay for
+MORE_NODES = 12  # of fast or unknown speeds
+UNKNOWN = 0.03  # rad per step of the bodies, where their speeds are traced
 LANES = 48  # windows side by side; many more take longer for each
 
 
@@ -30,6 +34,9 @@ class Block(NamedTuple):
 
     steps: int
     nodes: int
+
+
+QUICK = Block(96, 6), 1e-12  # of speeds that a run sees to be slow; as exact as more nodes
 
 
 class Signals(enum.Enum):
@@ -66,6 +73,21 @@ class Spacing(NamedTuple):
     def rows(self) -> int:
         """Samples of a block, or pieces."""
         return max(1, self.block.steps // self.each) if self.pieces == 1 else 1
+
+
+def suitable_block(phase: float | None, batched: bool) -> tuple[Block, Signals]:
+    """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
+    few = SUMMED if phase is not None else {}
+    for nodes, fewest in {**few, MORE_NODES: 1, MOST_NODES: 1}.items():
+        longest = reach(nodes) / max(UNKNOWN if phase is None else phase, 1e-12)
+        steps = next((steps for steps in BLOCKS if fewest <= steps <= longest), None)
+        if steps is not None:
+            break
+    else:
+        nodes, steps = MOST_NODES, BLOCKS[-1]  # the program says that this is not enough
+    if batched:
+        return Block(steps, nodes), Signals.BATCH
+    return Block(steps, nodes), Signals.SUMS if nodes in SUMMED else Signals.TABLE
 
 
 class March(NamedTuple):
@@ -118,11 +140,12 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing) -> t
     every = spacing.each // pieces
     steps, blocks = rows * every, math.ceil(spacing.samples * pieces / rows)
     basis, held = Basis.of(drive, steps, spacing.block.nodes), drive.oscillator.slow_at(start)
-    places = steps * np.arange(blocks)[:, None] + basis.places[None, :]
-    times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
-    nodes = jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
-    if spacing.signals is not Signals.BATCH:
-        nodes = jax.vmap(jax.vmap(drive.columns))(nodes)
+    if spacing.signals is Signals.BATCH:
+        places = steps * np.arange(blocks)[:, None] + basis.places[None, :]
+        times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
+        nodes = jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
+    else:
+        nodes = at_nodes(drive, start, steps, spacing.block.nodes, blocks)
     origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 
 from gearjax.typing import Array
 
+ALIASED = 2048  # bytes; beginnings of vectors a multiple of it apart fight for the same places of a cache
 Step = Callable[[Array, Array, Any], Array]
 
 
@@ -50,15 +51,19 @@ def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: 
     @run.def_vmap
     def side_by_side(size: int, batched: Any, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
         """Lanes last, so that every number of a step is one vector."""
+        extra = _extra(size * position.dtype.itemsize)
 
         def laid(value: Array, batched: bool) -> Array:
-            return jnp.moveaxis(value, 0, -1) if batched else value
+            if not batched:
+                return value
+            last = jnp.moveaxis(value, 0, -1)
+            return jnp.pad(last, [(0, 0)] * (last.ndim - 1) + [(0, extra)], mode="edge") if extra else last
 
         def lane(batched: Any) -> Any:
             return jax.tree.map(lambda one: -1 if one else None, batched)
 
         position, change = (
-            value if one else jnp.broadcast_to(value, (size, *value.shape))
+            laid(value, True) if one else jnp.broadcast_to(value, (size + extra, *value.shape))
             for value, one in zip((position, change), batched[:2], strict=True)
         )
         rows, constants = (
@@ -66,9 +71,16 @@ def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: 
         )
         over = jax.vmap(step, (0, 0, lane(batched[2]), *lane(batched[3])))
         ended, path = _loop(over, position, change, rows, constants)
+        ended, path = jax.tree.map(lambda lanes: lanes[..., :size], (ended, path))
         return (ended, path.T), ((True, True), True)
 
     return run(position, change, rows, constants)
+
+
+def _extra(size: int) -> int:
+    """Lanes that keep vectors of a size [bytes] from beginning at the same places of a processor's cache, which holds
+    few of such."""
+    return 8 if size % ALIASED == 0 else 0
 
 
 _recur = jax.custom_jvp(_scan, nondiff_argnums=(0,))

@@ -4,6 +4,7 @@ A block of steps is covered by Chebyshev nodes. Where these are few, each step s
 because nothing is known of the speeds, one motion reads rows of a table that is made a block at a time.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -12,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.analysis import tables
 from gearjax.analysis.equation import Moment
 from gearjax.analysis.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
-from gearjax.analysis.tables import depends, interpolation
 from gearjax.typing import Array, Float, Scalar
 
+COARSE, EXACT = 20, 1e-14  # nodes that cover several blocks, and their accuracy: to rounding
 Drives = Callable[[Any], tuple[Slow, Fast]]
 
 
@@ -36,7 +38,7 @@ class Drive(eqx.Module):
     @classmethod
     def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
         """The signals of an oscillator; the time [s] is that of any sample."""
-        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(depends(oscillator.slow_at, time)))
+        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(tables.depends(oscillator.slow_at, time)))
 
     def columns(self, moment: Moment) -> Float[Array, " column"]:
         """What changes of the slow signals, at a moment."""
@@ -93,7 +95,8 @@ class Basis(NamedTuple):
     @classmethod
     def of(cls, drive: Drive, steps: int, nodes: int) -> "Basis":
         """The basis of blocks of some steps and nodes."""
-        places, weights = interpolation(steps, nodes)
+        places = tables.nodes(steps, nodes)
+        weights = tables.weights(steps, nodes, np.arange(steps + 1))
         rate = mesh_rate(drive.oscillator.equation) * drive.oscillator.step
         order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
         angle = jnp.arange(steps + 1).astype(rate.dtype)[:, None] * (rate * order)[None, :]
@@ -113,6 +116,33 @@ class Given(NamedTuple):
     columns: Array
     waves: Harmonics
     load: Array
+
+
+def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) -> Float[Array, "block node column"]:
+    """What changes of the slow signals at the nodes of blocks, from fewer nodes that cover many blocks at once.
+
+    Args:
+        drive: of the oscillator.
+        start: time of the first step [s].
+        steps: of a block.
+        number: nodes of a block, which resolve its signals.
+        blocks: one after the other.
+    """
+    phase = tables.reach(number)
+    enough = (n for n in range(number + 1, COARSE) if tables.reach(n, EXACT) >= blocks * phase)
+    coarse = next(enough, max(number, COARSE))
+    together = max(1, min(blocks, int(tables.reach(coarse, EXACT) / phase)))
+    pieces = math.ceil(blocks / together)
+    if pieces * coarse >= blocks * number:
+        coarse, together, pieces = number, 1, blocks
+    places = together * steps * np.arange(pieces)[:, None] + tables.nodes(together * steps, coarse)[None, :]
+    times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
+    found = jax.vmap(jax.vmap(lambda time: drive.columns(drive.oscillator.equation.moment(time))))(times)
+    if together == 1:
+        return found
+    fine = (steps * np.arange(together)[:, None] + tables.nodes(steps, number)[None, :]).ravel()
+    weights = jnp.asarray(tables.weights(together * steps, coarse, fine), start.dtype)
+    return jax.vmap(_spread, in_axes=(None, 0))(weights, found).reshape(pieces * together, number, -1)[:blocks]
 
 
 def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:

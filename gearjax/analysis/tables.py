@@ -13,29 +13,27 @@ import numpy as np
 from jax.extend.core import Literal
 
 MOST_NODES = 24
+ACCURACY = 1e-7  # of the interpolation, relative to a sine of the fastest rate: far below what a step is wrong by
 
 
-def accuracy(dtype: Any) -> float:
-    """Of the interpolation, relative to a sine of the fastest rate; in float32 below what that rounds."""
-    return 1e-10 if np.finfo(dtype).bits > 32 else 1e-8
-
-
-def reach(number: int, dtype: Any) -> float:
+def reach(number: int, accuracy: float = ACCURACY) -> float:
     """Largest phase per block that a number of nodes resolves [rad]."""
-    return 4 * (0.5 * accuracy(dtype) * math.factorial(number)) ** (1 / number)
+    return 4 * (0.5 * accuracy * math.factorial(number)) ** (1 / number)
 
 
-def interpolation(steps: int, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev nodes in steps, shape (node,), and the weights of the steps of a block and of the one after it, shape
-    (steps + 1, node)."""
-    angles = np.pi * (np.arange(number) + 0.5) / number
-    places = 0.5 * steps * (1 - np.cos(angles))
-    barycentric = (-1.0) ** np.arange(number) * np.sin(angles)
-    away = np.arange(steps + 1)[:, None] - places[None, :]
+def nodes(steps: int, number: int) -> np.ndarray:
+    """Chebyshev nodes of a block in steps, shape (node,)."""
+    return 0.5 * steps * (1 - np.cos(np.pi * (np.arange(number) + 0.5) / number))
+
+
+def weights(steps: int, number: int, at: np.ndarray) -> np.ndarray:
+    """Weights of the nodes of a block at places in steps, shape (place, node) (Berrut and Trefethen 2004, eq. 4.2)."""
+    barycentric = (-1.0) ** np.arange(number) * np.sin(np.pi * (np.arange(number) + 0.5) / number)
+    away = at[:, None] - nodes(steps, number)[None, :]
     met = np.isclose(away, 0, atol=1e-12)
-    weights = barycentric / np.where(met, 1.0, away)
-    weights /= weights.sum(axis=1, keepdims=True)
-    return places, np.where(np.any(met, axis=1, keepdims=True), met, weights)
+    found = barycentric / np.where(met, 1.0, away)
+    found /= found.sum(axis=1, keepdims=True)
+    return np.where(np.any(met, axis=1, keepdims=True), met, found)
 
 
 def depends(function: Callable[[Any], Any], argument: Any) -> list[bool]:
