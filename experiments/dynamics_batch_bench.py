@@ -2,8 +2,9 @@
 
 C (structure of arrays, 64 lanes, same scheme, ``-O3 -march=native -ffast-math``) and gearjax (one ``vmap``, 1,024
 scenes at a time) on one core, both precisions; diffrax with a fixed classical Runge-Kutta, its steps batched by
-``vmap``; then gearjax on one and on two devices by sharding. 75 ms, 1,200 steps, position at the end. Prints
-nanoseconds per scene and step, medians of interleaved repeats, compile time apart. Needs gcc.
+``vmap``; all again with XLA told of wide vectors and whole loops (`XLA`), 128 scenes at a time; then gearjax on one and
+on two devices by sharding. 75 ms, 1,200 steps, position at the end. Prints nanoseconds per scene and step, medians of
+interleaved repeats, compile time apart. Needs gcc.
 
     python experiments/dynamics_batch_bench.py [--scenes 10240] [--repeats 5]
 """
@@ -31,7 +32,11 @@ from gearjax.analysis.equation import Equation
 
 CONFIG = Path(__file__).parents[1] / "configs" / "two_kv" / "wang_2020.toml"
 BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
-TORQUE, SPACING, EACH, SAMPLES, CHUNK = 100.0, 1e-3, 16, 76, 1024
+TORQUE, SPACING, EACH, SAMPLES = 100.0, 1e-3, 16, 76
+XLA = (
+    "--xla_cpu_prefer_vector_width=512 "  # of processors with AVX-512
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000"  # loops as one kernel each
+)
 STEPS = EACH * (SAMPLES - 1)
 
 C = r"""
@@ -125,7 +130,7 @@ def scene_of(phases, scene=None):
     return dataclasses.replace(scene, errors=errors)
 
 
-def by_gearjax(phases):
+def by_gearjax(phases, chunk=1024):
     """Position at the end along the line of action [m], of many assemblies."""
     scene = reference(str(phases.dtype))
     ts = SPACING * np.arange(SAMPLES)
@@ -134,7 +139,7 @@ def by_gearjax(phases):
         motion = gj.simulate(scene_of(row, scene), ts, TORQUE, stepper=gj.FixedStep(per_sample=EACH))
         return motion.te[-1] * scene.system.radius
 
-    return jax.lax.map(end, phases, batch_size=CHUNK)
+    return jax.lax.map(end, phases, batch_size=chunk)
 
 
 def by_diffrax(phases):
@@ -161,8 +166,8 @@ def by_diffrax(phases):
     return jax.vmap(end)(phases)
 
 
-def one_core(scenes: int, repeats: int) -> None:
-    """gearjax against C and diffrax; the process is held to one core."""
+def one_core(scenes: int, repeats: int, chunk: int) -> None:
+    """gearjax, some scenes at a time, against C and diffrax; the process is held to one core."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     phases = np.random.default_rng(0).uniform(-np.pi, np.pi, (scenes, len(BODIES)))
     _, constants = reducer(reference(), TORQUE)
@@ -191,7 +196,7 @@ def one_core(scenes: int, repeats: int) -> None:
 
         return run
 
-    few, program = min(scenes, 1024), jax.jit(by_gearjax)
+    few, program = min(scenes, 1024), jax.jit(functools.partial(by_gearjax, chunk=chunk))
     peer = jax.jit(by_diffrax)
     tasks = {
         "C, float64": by_c("double", np.float64),
@@ -204,7 +209,8 @@ def one_core(scenes: int, repeats: int) -> None:
     truth = np.asarray(results["gearjax, float64"])
     numbers = {name: few if name.startswith("diffrax") else scenes for name in tasks}
     each = {name: 1e9 * median / numbers[name] / STEPS for name, median in medians.items()}
-    print(f"{scenes} scenes x {STEPS} steps, one core, median of {repeats}")
+    print(f"{scenes} scenes x {STEPS} steps, gearjax {chunk} at a time, one core, median of {repeats}")
+    print(f"XLA_FLAGS: {os.environ.get('XLA_FLAGS', '')}")
     print(f"{'':44s} {'ns':>8s} {'first [s]':>10s} {'from gearjax float64, at most [um]':>36s}")
     for name, found in results.items():
         off = 1e6 * np.abs(np.asarray(found) - truth[: numbers[name]]).max()
@@ -233,14 +239,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="batches of dynamic solves against C and diffrax")
     parser.add_argument("--scenes", type=int, default=10240)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--part", choices=("one_core", "two_devices"))
+    parser.add_argument("--part", choices=("one_core", "wide", "two_devices"))
     given = parser.parse_args()
-    if given.part:
-        {"one_core": one_core, "two_devices": two_devices}[given.part](given.scenes, given.repeats)
-        return
-    for part in ("one_core", "two_devices"):
-        sizes = ["--scenes", str(given.scenes), "--repeats", str(given.repeats)]
-        subprocess.run([sys.executable, __file__, *sizes, "--part", part], check=True)
+    if given.part == "two_devices":
+        two_devices(given.scenes, given.repeats)
+    elif given.part:
+        one_core(given.scenes, given.repeats, 128 if given.part == "wide" else 1024)
+    else:
+        for part, flags in (("one_core", ""), ("wide", XLA), ("two_devices", "")):
+            command = [sys.executable, __file__, "--scenes", str(given.scenes), "--repeats", str(given.repeats)]
+            subprocess.run([*command, "--part", part], check=True, env={**os.environ, "XLA_FLAGS": flags})
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import numpy as np
 
 import gearjax as gj
 
+RUNS, SHORT, LONG = 5, 0.02, 0.2  # runs of a turn; of tasks shorter than [s]; longer ones run once [s]
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC")
 
 
@@ -65,7 +66,7 @@ def interleaved(
 
     Args:
         tasks: by name.
-        repeats: turns of each.
+        repeats: turns of each, with `RUNS` runs where these are short.
         slow: a first call that takes longer [s] has three turns only.
     """
     results, first, times = {}, {}, {name: [] for name in tasks}
@@ -73,12 +74,15 @@ def interleaved(
         began = time.perf_counter()
         results[name] = jax.block_until_ready(task())
         first[name] = time.perf_counter() - began
+
+    def timed(task: Callable[[], Any]) -> float:
+        began = time.perf_counter()
+        jax.block_until_ready(task())
+        return time.perf_counter() - began
+
     for turn in range(repeats):
         for name, task in tasks.items():
             if turn < 3 or first[name] < slow:
-                if times[name] and times[name][-1] < 0.2:
-                    jax.block_until_ready(task())
-                began = time.perf_counter()
-                jax.block_until_ready(task())
-                times[name].append(time.perf_counter() - began)
+                once = timed(task)
+                times[name] += [timed(task) for _ in range(RUNS if once < SHORT else 1)] if once < LONG else [once]
     return results, first, {name: float(np.median(values)) for name, values in times.items()}

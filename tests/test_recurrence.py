@@ -95,6 +95,26 @@ def test_derivatives_are_those_of_the_loop(given):
     np.testing.assert_allclose(found, second, rtol=1e-8)
 
 
+@pytest.mark.parametrize("moved", ["position", "change", "rows", "stiffness", "size"])
+def test_derivatives_where_the_rest_stays(given, moved):
+    """What no derivative is asked for is left out of the work; the derivative is the same."""
+    position, change, rows, factor = (jax.tree.map(lambda leaf: leaf[0], part) for part in given)
+    numbers = {"position": position, "change": change, "rows": rows, **factor}
+
+    def of(function):
+        def ended(number):
+            put = {**numbers, moved: number}
+            factor = {"stiffness": put["stiffness"], "size": put["size"]}
+            return function(put["position"], put["change"], put["rows"], factor)[-2]
+
+        return ended
+
+    expected = jax.grad(of(plain))(numbers[moved])
+    assert np.any(np.asarray(expected) != 0)
+    for gradient in (jax.grad, jax.jacfwd):
+        np.testing.assert_allclose(jax.jit(gradient(of(run)))(numbers[moved]), expected, rtol=1e-10, atol=1e-12)
+
+
 def test_the_highest_of_equal_values_has_a_derivative():
     """The first of them carries it; the built-in maximum would share it, and lose it where it is rounded otherwise."""
     values = jnp.array([[1.0, 3.0, 3.0], [2.0, 0.0, 1.0]])

@@ -266,7 +266,7 @@ def _method(
     if stepper.windows is not None and spacing is None:
         raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
     batched = is_batched((scene, ts, torque))
-    block, signals = march.suitable_block(phase, batched)
+    block, signals = march.suitable_block(phase, ts.dtype, batched)
     windows = _windows(stepper.windows, samples, spacing, block) if stepper.windows and spacing else None
     seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # the defect, outside of any trace
     whole = march.Spacing(samples, steps, block, signals)
@@ -348,7 +348,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
     def rest(time: Scalar) -> Array:
         return jnp.nan_to_num(equation.initial(time, "equilibrium")) * _per_step(equation, step)
 
-    def resolves(block: march.Block, accuracy: float = tables.ACCURACY) -> Array:
+    def resolves(block: march.Block, accuracy: float) -> Array:
         return step * turning_rate(equation.scene) * block.steps <= 1.01 * tables.reach(block.nodes, accuracy)
 
     def by(spacing: march.Spacing) -> march.March:
@@ -372,7 +372,8 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
-    resolved = resolves(method.spacing.block if method.windows is None else method.windows.block)
+    block = method.spacing.block if method.windows is None else method.windows.block
+    resolved = resolves(block, tables.accuracy(ts.dtype))
     fast = ~resolved | (step * fastest_rate(equation) > LONGEST_STEP)
     failed = jnp.where(uneven, 5, jnp.where(fast, 2, 0))
     return Motion(

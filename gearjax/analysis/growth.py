@@ -24,18 +24,16 @@ def growth(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: march
     Args:
         drive, start, first, spacing: as for `gearjax.analysis.march.march`.
     """
-    rows = spacing.rows
-    most = max(rows, MOST_STEPS // spacing.each // rows * rows)
-    parts = max(1, spacing.samples // most)
-    samples = rows * max(1, spacing.samples // parts // rows)
-    part = spacing._replace(samples=samples)
-    length = samples * spacing.each * drive.oscillator.step
+    parts = max(1, spacing.samples * spacing.each // MOST_STEPS)
+    part = spacing._replace(samples=max(1, spacing.samples // parts)).of_whole_blocks()
+    length = part.samples * spacing.each * drive.oscillator.step
     velocity = 1 / (drive.oscillator.step * drive.oscillator.equation.frequency)
 
     def follow(carry: tuple, number: Array) -> tuple[tuple, Array]:
         state, way = carry
         begun = start + number.astype(start.dtype) * length
-        state, way = jax.jvp(lambda *state: march.run_blocks(drive, begun, state, part)[0], state, way)
+        nodes = march.nodes_of(drive, begun, part)
+        state, way = jax.jvp(lambda *state: march.run_blocks(drive, begun, state, part, nodes)[0], state, way)
         size = jnp.sqrt(way[0] ** 2 + (way[1] * velocity) ** 2)
         nothing = size == 0  # it died out within one part
         safe = jnp.where(nothing, 1.0, size)

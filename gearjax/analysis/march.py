@@ -14,16 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.analysis import tables
 from gearjax.analysis.fitted import State, advance, change_before, velocity
 from gearjax.analysis.metrics import top
 from gearjax.analysis.oscillator import Fast, Oscillator
 from gearjax.analysis.recurrence import recur
 from gearjax.analysis.signals import Basis, Drive, Drives, Given, at_nodes, tabulated, written_out
-from gearjax.analysis.tables import MOST_NODES, reach
 from gearjax.typing import Array, Float, Scalar
 
 BLOCKS = (192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
-SUMMED = {4: 192, 6: 48}  # nodes that each step sums over, and the fewest steps of a block that they pay for
+SUMMED = {4: 96, 6: 12}  # nodes that each step sums over, and the fewest steps of a block that they pay for
 MORE_NODES = 12  # of fast or unknown speeds
 UNKNOWN = 0.03  # rad per step of the bodies, where their speeds are traced
 LANES = 48  # windows side by side; many more take longer for each
@@ -71,20 +71,36 @@ class Spacing(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """Samples of a block, or pieces."""
-        return max(1, self.block.steps // self.each) if self.pieces == 1 else 1
+        """Samples of a block, or pieces: as many in each as its steps allow, the last block not much emptier."""
+        most = max(1, self.block.steps // self.each) if self.pieces == 1 else 1
+        return math.ceil(self.samples / math.ceil(self.samples / most))
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks, the last of which may reach beyond the last sample."""
+        return math.ceil(self.samples * self.pieces / self.rows)
+
+    @property
+    def steps(self) -> int:
+        """Steps of a block."""
+        return self.rows * self.each // self.pieces
+
+    def of_whole_blocks(self) -> "Spacing":
+        """The same with more samples, until the last block is full."""
+        block = self.block._replace(steps=self.steps)
+        return self._replace(samples=self.blocks * self.rows // self.pieces, block=block)
 
 
-def suitable_block(phase: float | None, batched: bool) -> tuple[Block, Signals]:
+def suitable_block(phase: float | None, dtype: Any, batched: bool) -> tuple[Block, Signals]:
     """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
-    few = SUMMED if phase is not None else {}
-    for nodes, fewest in {**few, MORE_NODES: 1, MOST_NODES: 1}.items():
-        longest = reach(nodes) / max(UNKNOWN if phase is None else phase, 1e-12)
+    few = {} if phase is None else SUMMED
+    for nodes, fewest in {**few, MORE_NODES: 1, tables.MOST_NODES: 1}.items():
+        longest = tables.reach(nodes, tables.accuracy(dtype)) / max(UNKNOWN if phase is None else phase, 1e-12)
         steps = next((steps for steps in BLOCKS if fewest <= steps <= longest), None)
         if steps is not None:
             break
     else:
-        nodes, steps = MOST_NODES, BLOCKS[-1]  # the program says that this is not enough
+        nodes, steps = tables.MOST_NODES, BLOCKS[-1]  # the program says that this is not enough
     if batched:
         return Block(steps, nodes), Signals.BATCH
     return Block(steps, nodes), Signals.SUMS if nodes in SUMMED else Signals.TABLE
@@ -118,7 +134,7 @@ def march(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: Spacin
         first: scaled position, and velocity times step, there.
         spacing: of samples and steps.
     """
-    _, found = run_blocks(drive, start, begin(drive, start, first), spacing)
+    _, found = run_blocks(drive, start, begin(drive, start, first), spacing, nodes_of(drive, start, spacing))
     return _joined(found, jnp.zeros((), start.dtype))
 
 
@@ -129,23 +145,32 @@ def _joined(found: tuple, defect: Scalar) -> March:
     return March(x, speeds, forces, high, low, defect)
 
 
-def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing) -> tuple[tuple, tuple]:
+def nodes_of(drive: Drive, start: Scalar, spacing: Spacing) -> Any:
+    """What changes of the slow signals at the nodes of blocks, or for a batch the moments there; the first axis of each
+    array the blocks."""
+    if spacing.signals is not Signals.BATCH:
+        return at_nodes(drive, start, spacing.steps, spacing.block.nodes, spacing.blocks)
+    within = tables.nodes(spacing.steps, spacing.block.nodes)
+    places = spacing.steps * np.arange(spacing.blocks)[:, None] + within[None, :]
+    times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
+    return jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
+
+
+def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, nodes: Any) -> tuple[tuple, tuple]:
     """The steps of as many samples, from position and last change at a time [s].
+
+    Args:
+        drive, start, spacing: as for `march`.
+        carry: position and last change.
+        nodes: as by `nodes_of`.
 
     Returns:
         Position and last change after the last block, which may reach beyond the last sample, and what `_measured`
         found at each sample.
     """
-    pieces, rows = spacing.pieces, spacing.rows
+    pieces, steps, blocks = spacing.pieces, spacing.steps, spacing.blocks
     every = spacing.each // pieces
-    steps, blocks = rows * every, math.ceil(spacing.samples * pieces / rows)
     basis, held = Basis.of(drive, steps, spacing.block.nodes), drive.oscillator.slow_at(start)
-    if spacing.signals is Signals.BATCH:
-        places = steps * np.arange(blocks)[:, None] + basis.places[None, :]
-        times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
-        nodes = jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
-    else:
-        nodes = at_nodes(drive, start, steps, spacing.block.nodes, blocks)
     origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:
@@ -269,21 +294,21 @@ def march_windows(
     """
     groups = math.ceil(windows.number / LANES)
     lanes = math.ceil(windows.number / groups)
-    # whole blocks, so that each window ends where the next one begins
-    beside = spacing._replace(block=windows.block, signals=Signals.SUMS)
-    samples, warm = (
-        beside.rows * math.ceil(number / beside.rows)
-        for number in (spacing.samples / (groups * lanes), windows.warm_up)
-    )
-    own, before = (beside._replace(samples=number) for number in (samples, warm))
+    samples = math.ceil(spacing.samples / (groups * lanes))
+    # whole blocks, so that each window ends where the next one begins, and shares nodes with the one before
+    own = spacing._replace(samples=samples, block=windows.block, signals=Signals.SUMS).of_whole_blocks()
+    warm = own._replace(samples=own.rows * math.ceil(windows.warm_up / own.rows))
+    whole = own._replace(samples=warm.samples + groups * lanes * own.samples)
     spaced, real = drive.oscillator.step * spacing.each, begin(drive, start, first)
+    nodes = nodes_of(drive, start - warm.samples * spaced, whole)
 
     def window(number: Array) -> tuple:
-        begun = start + (number * samples).astype(start.dtype) * spaced
-        early = begun - warm * spaced
-        carry, _ = run_blocks(drive, early, begin(drive, early, rest(early)), before)
+        begun = start + (number * own.samples).astype(start.dtype) * spaced
+        early = begun - warm.samples * spaced
+        here = jax.lax.dynamic_slice_in_dim(nodes, number * own.blocks, warm.blocks + own.blocks)
+        carry, _ = run_blocks(drive, early, begin(drive, early, rest(early)), warm, here[: warm.blocks])
         carry = tuple(jnp.where(number == 0, one, other) for one, other in zip(real, carry, strict=True))
-        return carry, *run_blocks(drive, begun, carry, own)
+        return carry, *run_blocks(drive, begun, carry, own, here[warm.blocks :])
 
     numbers = jnp.arange(groups * lanes).reshape(groups, lanes)
     begun, ended, found = jax.tree.map(

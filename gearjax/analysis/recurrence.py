@@ -10,10 +10,13 @@ whose transpose is another one, backwards. Both modes follow from this one rule.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from gearjax.typing import Array
 
@@ -38,9 +41,18 @@ def _loop(step: Callable, position: Array, change: Array, rows: Any, constants: 
     def one(carry, row):
         position, change = carry
         change = step(position, change, row, *constants)
-        return (position + change, change), position  # an output that takes no work is not worked out twice
+        return (_moved(position, change), change), position  # an output that takes no work is not worked out twice
 
     return jax.lax.scan(one, (position, change), rows)
+
+
+def _moved(position: Array, change: Array) -> Array:
+    moved = position + change
+    if moved.ndim == 0:
+        return moved
+    # the bounds matter to no motion: XLA's CPU compiler makes a bare sum of two vectors take twice as long (jax 0.10)
+    most = np.finfo(moved.dtype).max
+    return jax.lax.clamp(-most, moved, most)
 
 
 def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
@@ -86,25 +98,18 @@ def _extra(size: int) -> int:
 _recur = jax.custom_jvp(_scan, nondiff_argnums=(0,))
 
 
-@_recur.defjvp
+@partial(_recur.defjvp, symbolic_zeros=True)
 def _recur_jvp(step: Callable, primals: tuple, tangents: tuple) -> tuple:
     position, change, rows, constants = primals
     (last, ended), path = _recur(step, position, change, rows, constants)
     after = jnp.concatenate([path[1:], last[None]])
     changes = jnp.concatenate([change[None], after[:-1] - path[:-1]])
 
-    def at(x: Array, c: Array, row: Any, dx: Any, dc: Any, row_dot: Any, constants_dot: Any) -> Array:
-        return jax.jvp(step, (x, c, row, *constants), (dx, dc, row_dot, *constants_dot))[1]
+    def by_position(x: Array, c: Array, row: Any) -> Array:
+        return jax.jvp(lambda x: step(x, c, row, *constants), (x,), (jnp.ones_like(x),))[1]
 
-    nothing = jnp.zeros_like(path)
-    still_rows = jax.tree.map(jnp.zeros_like, rows)
-    still = tuple(jnp.zeros_like(constant) for constant in constants)
-    over = (0, 0, 0, 0, 0, 0, None)
-    one = jnp.ones_like(path)
-    by_position = jax.vmap(at, over)(path, changes, rows, one, nothing, still_rows, still)
-    by_change = jax.vmap(at, over)(path, changes, rows, nothing, one, still_rows, still)
-    position_dot, change_dot, rows_dot, constants_dot = tangents
-    driven = jax.vmap(at, over)(path, changes, rows, nothing, nothing, rows_dot, constants_dot)
+    def by_change(x: Array, c: Array, row: Any) -> Array:
+        return jax.jvp(lambda c: step(x, c, row, *constants), (c,), (jnp.ones_like(c),))[1]
 
     def linear(carry, given):
         dx, dc = carry
@@ -112,5 +117,30 @@ def _recur_jvp(step: Callable, primals: tuple, tangents: tuple) -> tuple:
         dc = a * dx + b * dc + push
         return (dx + dc, dc), dx
 
-    (last_dot, ended_dot), path_dot = jax.lax.scan(linear, (position_dot, change_dot), (by_position, by_change, driven))
+    slopes = (jax.vmap(slope)(path, changes, rows) for slope in (by_position, by_change))
+    driven = _driven(step, path, changes, (rows, constants), tangents[2:])
+    start = (
+        jnp.zeros_like(value) if isinstance(way, SymbolicZero) else way
+        for value, way in zip(primals[:2], tangents[:2], strict=True)
+    )
+    (last_dot, ended_dot), path_dot = jax.lax.scan(linear, tuple(start), (*slopes, driven))
     return ((last, ended), path), ((last_dot, ended_dot), path_dot)
+
+
+def _driven(step: Callable, path: Array, changes: Array, given: tuple, ways: tuple) -> Array:
+    """What each step's change moves by along a way of rows and constants; those that stay as they are cost nothing."""
+    values, tree = jax.tree.flatten(given)
+    moved = {i: way for i, way in enumerate(jax.tree.leaves(ways)) if not isinstance(way, SymbolicZero)}
+    if not moved:
+        return jnp.zeros_like(path)
+    stepped = len(jax.tree.leaves(given[0]))
+    axes = [0 if i < stepped else None for i in range(len(values))]
+
+    def one(x: Array, c: Array, values: list, ways: dict) -> Array:
+        def at(parts: dict) -> Array:
+            row, constants = jax.tree.unflatten(tree, [parts.get(i, value) for i, value in enumerate(values)])
+            return step(x, c, row, *constants)
+
+        return jax.jvp(at, ({i: values[i] for i in moved},), (ways,))[1]
+
+    return jax.vmap(one, (0, 0, axes, {i: axes[i] for i in moved}))(path, changes, values, moved)

@@ -40,11 +40,10 @@ class Drive(eqx.Module):
         """The signals of an oscillator; the time [s] is that of any sample."""
         return cls(oscillator, Harmonics.of(oscillator.equation), tuple(tables.depends(oscillator.slow_at, time)))
 
-    def columns(self, moment: Moment) -> Float[Array, " column"]:
-        """What changes of the slow signals, at a moment."""
+    def columns(self, moment: Moment) -> tuple[Scalar, ...]:
+        """What changes of the slow signals, at a moment: numbers apart, which a batch works out as one vector each."""
         leaves = jax.tree.leaves(self.oscillator.slow(moment))
-        parts = [leaf.ravel() for leaf, new in zip(leaves, self.changing, strict=True) if new]
-        return jnp.concatenate([jnp.zeros((0,), self.oscillator.step.dtype), *parts])
+        return tuple(n for leaf, new in zip(leaves, self.changing, strict=True) if new for n in _numbers(leaf.ravel()))
 
     def slow(self, held: Slow, columns: Sequence[Array] | Array) -> Slow:
         """The slow signals with what changes put in.
@@ -82,12 +81,10 @@ class Basis(NamedTuple):
     """What all blocks of a length share.
 
     Args:
-        places: of the nodes of a block, in steps, shape (node,).
         weights: of the nodes at each step, the last one that of the next block, shape (step, node).
         cosine, sine: of the mesh harmonics at each step from the start of a block, shape (step, harmonic).
     """
 
-    places: np.ndarray
     weights: Array
     cosine: Array
     sine: Array
@@ -95,30 +92,29 @@ class Basis(NamedTuple):
     @classmethod
     def of(cls, drive: Drive, steps: int, nodes: int) -> "Basis":
         """The basis of blocks of some steps and nodes."""
-        places = tables.nodes(steps, nodes)
         weights = tables.weights(steps, nodes, np.arange(steps + 1))
         rate = mesh_rate(drive.oscillator.equation) * drive.oscillator.step
         order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
         angle = jnp.arange(steps + 1).astype(rate.dtype)[:, None] * (rate * order)[None, :]
         cosine, sine = (jnp.cos(angle), jnp.sin(angle)) if angle.size else (angle, angle)
-        return cls(places, jnp.asarray(weights, rate.dtype), cosine, sine)
+        return cls(jnp.asarray(weights, rate.dtype), cosine, sine)
 
 
 class Given(NamedTuple):
     """What one block is made from.
 
     Args:
-        columns: what changes of the slow signals at its nodes, shape (node, column).
+        columns: what changes of the slow signals at its nodes, each of shape (node,).
         waves: stiffness harmonics, counted from its start.
         load: of each of its steps, or one number [N m].
     """
 
-    columns: Array
+    columns: tuple[Array, ...] | Float[Array, "column node"]
     waves: Harmonics
     load: Array
 
 
-def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) -> Float[Array, "block node column"]:
+def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) -> Float[Array, "block column node"]:
     """What changes of the slow signals at the nodes of blocks, from fewer nodes that cover many blocks at once.
 
     Args:
@@ -128,7 +124,7 @@ def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) 
         number: nodes of a block, which resolve its signals.
         blocks: one after the other.
     """
-    phase = tables.reach(number)
+    phase = tables.reach(number, tables.accuracy(start.dtype))
     enough = (n for n in range(number + 1, COARSE) if tables.reach(n, EXACT) >= blocks * phase)
     coarse = next(enough, max(number, COARSE))
     together = max(1, min(blocks, int(tables.reach(coarse, EXACT) / phase)))
@@ -137,19 +133,25 @@ def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) 
         coarse, together, pieces = number, 1, blocks
     places = together * steps * np.arange(pieces)[:, None] + tables.nodes(together * steps, coarse)[None, :]
     times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
-    found = jax.vmap(jax.vmap(lambda time: drive.columns(drive.oscillator.equation.moment(time))))(times)
-    if together == 1:
-        return found
-    fine = (steps * np.arange(together)[:, None] + tables.nodes(steps, number)[None, :]).ravel()
-    weights = jnp.asarray(tables.weights(together * steps, coarse, fine), start.dtype)
-    return jax.vmap(_spread, in_axes=(None, 0))(weights, found).reshape(pieces * together, number, -1)[:blocks]
+    nothing = jnp.zeros((0,), start.dtype)  # of bodies without errors
+
+    def together_at(time: Scalar) -> Float[Array, " column"]:
+        return jnp.hstack([nothing, *drive.columns(drive.oscillator.equation.moment(time))])
+
+    found = jax.vmap(jax.vmap(together_at))(times)
+    if together > 1:
+        fine = (steps * np.arange(together)[:, None] + tables.nodes(steps, number)[None, :]).ravel()
+        weights = jnp.asarray(tables.weights(together * steps, coarse, fine), start.dtype)
+        found = jax.vmap(_spread, in_axes=(None, 0))(weights, found)
+        found = found.reshape(pieces * together, number, found.shape[-1])[:blocks]
+    return found.swapaxes(1, 2)
 
 
 def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:
     """Rows of one table for the steps of a block, and what they mean."""
     waves, load = given.waves, given.load
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
-    rows = _spread(basis.weights, given.columns), stiffness, (load,) if load.ndim else ()
+    rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (load,) if load.ndim else ()
 
     def drives(row: Any) -> tuple[Slow, Fast]:
         return drive.slow(held, row[0]), Fast(row[1], row[2][0] if row[2] else load)
@@ -165,8 +167,8 @@ def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[A
     def drives(row: Any) -> tuple[Slow, Fast]:
         # whole arrays are taken into the step, so that lanes can be laid out side by side there
         weights, cosine, sine = (_numbers(part) for part in row[:3])
-        nothing = jnp.zeros((), given.columns.dtype)
-        columns = [_product(weights, _numbers(column), nothing) for column in given.columns.T]
+        nothing = jnp.zeros((), waves.mean.dtype)
+        columns = [_product(weights, _numbers(column), nothing) for column in given.columns]
         apart = jax.tree.map(lambda leaf: tuple(_numbers(leaf)) if leaf.ndim else leaf, held)
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
         stiffness = [_product(sine, _numbers(s), _product(cosine, _numbers(c), mean)) for mean, c, s in series]

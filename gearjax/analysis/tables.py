@@ -13,11 +13,15 @@ import numpy as np
 from jax.extend.core import Literal
 
 MOST_NODES = 24
-ACCURACY = 1e-7  # of the interpolation, relative to a sine of the fastest rate: far below what a step is wrong by
 
 
-def reach(number: int, accuracy: float = ACCURACY) -> float:
-    """Largest phase per block that a number of nodes resolves [rad]."""
+def accuracy(dtype: Any) -> float:
+    """Of the interpolation, relative to a sine of the fastest rate; in float32 below what that rounds."""
+    return 1e-10 if np.finfo(dtype).bits > 32 else 1e-8
+
+
+def reach(number: int, accuracy: float) -> float:
+    """Largest phase per block that a number of nodes resolves to an accuracy [rad]."""
     return 4 * (0.5 * accuracy * math.factorial(number)) ** (1 / number)
 
 
