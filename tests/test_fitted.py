@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis import tables
+from gearjax.analysis import march, tables
 from gearjax.analysis.equation import Equation, turning_rate
 from gearjax.analysis.fitted import ExponentialFit, OscillatorTerm, State
 from gearjax.analysis.oscillator import Oscillator
@@ -227,6 +227,16 @@ def test_nodes_of_blocks_from_fewer_nodes(scene, blocks):
     assert found.shape == direct.shape == (blocks, 6, number)
     swing = np.abs(direct).max(axis=(0, 2))[:, None]
     np.testing.assert_allclose(found / swing, direct / swing, rtol=0, atol=1e-13)
+
+
+def test_steps_between_samples_make_long_blocks():
+    """A prime number of steps between samples would leave blocks of a single step."""
+    ts = np.array([0.0, 1.0])
+    for fewest in range(1, 4000):
+        each = gj.FixedStep(step=1 / fewest).steps(ts)
+        assert fewest <= each <= 1.0625 * fewest
+        spacing = march.Spacing(samples=2, each=each, block=march.Block(96, 12), signals=march.Signals.TABLE)
+        assert min(each, 49) <= spacing.steps <= 96
 
 
 def test_a_sweep_compiles_once(scene):
