@@ -5,6 +5,7 @@ step under ``lax.scan``, because the adjoints of ``diffeqsolve`` cost hundreds o
 `AdaptiveStep` is diffrax's own adaptive loop: the yardstick for accuracy, for single scenes.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import ClassVar, NamedTuple
@@ -17,6 +18,8 @@ import numpy as np
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
+
+LONG = 96  # steps of a block; where there are more between samples, blocks have at least half of it
 
 
 class RungeKutta4(diffrax.AbstractSolver):
@@ -63,7 +66,7 @@ class FixedStep(eqx.Module):
 
     Args:
         step: longest step [s]. Each interval between samples is divided evenly, so that a step ends on each sample, and
-            by up to 6 % more than needed where that lets many steps be cut into long blocks.
+            by a few more than needed where many steps could not be cut into long blocks (168, not 167).
         per_sample: number of steps between samples, in place of ``step``; needed where the sample times are traced.
             Above 96, numbers with small factors only (128, not 127) are many times as fast where speeds are traced.
         solver: `ExponentialFit` (second order, exact between changes of contact), or any solver of diffrax such as
@@ -89,8 +92,7 @@ class FixedStep(eqx.Module):
         if not is_concrete(ts):
             raise SceneError("ts is traced: its spacing is unknown, give stepper=FixedStep(per_sample=...)")
         fewest = max(1, math.ceil(float(np.diff(np.asarray(ts)).max(initial=0.0)) / self.step - 1e-6))
-        unit = 2 ** max(0, fewest.bit_length() - 5)  # many are a multiple of this, so that blocks of them are long
-        return unit * math.ceil(fewest / unit)
+        return next(n for n in itertools.count(fewest) if n <= LONG or any(n % k == 0 for k in range(LONG // 2, LONG)))
 
 
 class AdaptiveStep(eqx.Module):
