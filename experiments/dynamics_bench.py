@@ -4,9 +4,9 @@ Writes its peers itself, for this one reducer (two pairs, four contacts, three s
 C (``-O3 -march=native -ffast-math``, sequential) with the same scheme and with Runge-Kutta, sines by rotation;
 numba with Runge-Kutta; diffrax with Dopri5; scipy with LSODA on a numba right-hand side. Errors are those of the
 3,001 samples against Runge-Kutta at 12 million steps in C. Prints medians of interleaved repeats, compile time apart.
-The process is held to one core, as C has one thread. gearjax's 18,000 steps have smaller errors than the adaptive peers
-that they are compared with. ``XLA_FLAGS`` works as ever: see `XLA` in ``dynamics_batch_bench.py``. Needs gcc and numba
-(``pip install numba``).
+The process is held to one core, as C has one thread. At 100 N m gearjax's 18,000 steps have smaller errors than the
+adaptive peers that they are compared with. ``XLA_FLAGS`` works as ever: see `XLA` in ``dynamics_batch_bench.py``.
+Needs gcc and numba (``pip install numba``).
 
     python experiments/dynamics_bench.py [--torque 100] [--repeats 9]
 """

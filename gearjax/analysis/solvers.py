@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.fitted import ExponentialFit
+from gearjax.analysis.march import QUICK
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 
-LONG = 96  # steps of a block; where there are more between samples, blocks have at least half of it
+LONG = QUICK[0].steps  # of a block; where there are more between samples, blocks have at least half of it
 
 
 class RungeKutta4(diffrax.AbstractSolver):
