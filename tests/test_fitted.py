@@ -178,7 +178,9 @@ def test_the_default_is_the_same_inside_a_trace(scene):
 def test_the_default_takes_windows_where_they_pay(scene):
     from gearjax.analysis.dynamics import suitable_step
 
-    assert suitable_step(scene, 3.0).windows is not None
+    windows = suitable_step(scene, 3.0).windows
+    assert windows is not None
+    assert windows.number % 8 == 0, "whole vectors"
     assert suitable_step(scene, 0.05).windows is None
     assert suitable_step(dataclasses.replace(scene, damping=None), 3.0).windows is None
     assert suitable_step(dataclasses.replace(scene, load=gj.SinusoidalLoad("mesh")), 3.0).windows is None
@@ -205,6 +207,27 @@ def test_gradients_of_statistics(scene, windows):
     central = (both(phases + step) - both(phases - step)) / (2 * step)
     np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(forward, central, rtol=0, atol=1e-6 * float(abs(central).max()))
+
+
+def test_windows_warm_up_from_the_quasi_static_solution(scene):
+    """Which they know from the nodes of their blocks."""
+    with_all = dataclasses.replace(scene, inertia=gj.EquivalentMass(MASS), damping=gj.DampingRatio(0.1))
+    step, time = jnp.asarray(2e-5), jnp.asarray(0.3)
+    spacing = march.Spacing(100, 16, *march.suitable_block(0.001, step.dtype, batched=False))
+
+    @jax.jit
+    def both(scene):
+        equation = Equation.of(scene, jnp.asarray(30.0))
+        drive = Drive.of(Oscillator(equation, step), time)
+        warm = march.follow(drive, time, spacing, march.nodes_of(drive, time, spacing)[0])
+
+        def resting(time):
+            return equation.resting(time, equation.springs(time)[1], equation.load(time)) / equation.scale
+
+        return jnp.stack(warm), jnp.stack([resting(time), resting(time + step) - resting(time)])
+
+    warm, known = both(with_all)
+    np.testing.assert_allclose(warm, known, rtol=1e-8)
 
 
 @pytest.mark.parametrize("blocks", [1, 7, 300])

@@ -25,7 +25,7 @@ from gearjax.analysis.signals import Drive
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
 from gearjax.scene import Scene, require
-from gearjax.typing import Array, ArrayLike, Float, Scalar
+from gearjax.typing import Array, ArrayLike, Scalar
 
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
 LONGEST_STEP = 1.0  # rad of the fastest motion; Runge-Kutta is stable to 2.8
@@ -171,21 +171,16 @@ def growth_rate(
 
 @eqx.filter_jit
 def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: march.Spacing) -> Scalar:
-    equation = Equation.of(scene, torque)
-    return growth(*_begin(equation, ts, equation.initial(ts[0], start), spacing), spacing)
+    drive, carry, _ = _begin(Equation.of(scene, torque), ts, start, spacing)
+    return growth(drive, ts[0], carry, spacing)
 
 
-def _begin(
-    equation: Equation, ts: Array, state: Array, spacing: march.Spacing
-) -> tuple[Drive, Scalar, Float[Array, "2"]]:
-    """What drives the even steps of a record, its start [s], and the scaled position and velocity times step there."""
+def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) -> tuple[Drive, tuple, Array]:
+    """What drives the even steps of a record, where they begin, and whether there is an equilibrium to begin from."""
     step = (ts[-1] - ts[0]) / ((spacing.samples - 1) * spacing.each)
-    return Drive.of(Oscillator(equation, step), ts[0]), ts[0], state * _per_step(equation, step)
-
-
-def _per_step(equation: Equation, step: Scalar) -> Float[Array, "2"]:
-    """From scaled position and velocity to position and velocity times step."""
-    return jnp.stack([jnp.ones_like(step), equation.frequency * step])
+    drive = Drive.of(Oscillator(equation, step), ts[0])
+    state = None if start == "equilibrium" else equation.initial(ts[0], start)
+    return drive, *march.begin(drive, ts[0], spacing.signals, state)
 
 
 class Limits(NamedTuple):
@@ -236,8 +231,10 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
         return None
     warm_up = FORGOTTEN / decay
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
-    number = max(long // march.LANES * march.LANES, min(short, march.LANES))
-    return Windows(number, warm_up) if number >= FEWEST else None
+    if short < FEWEST:
+        return None
+    few = min(math.ceil(short / FEWEST) * FEWEST, march.LANES)  # whole vectors: what is left over takes longer
+    return Windows(max(long // march.LANES * march.LANES, few), warm_up)
 
 
 def _method(
@@ -303,23 +300,22 @@ def _advice(limits: Limits | None, fault: int) -> str:
 @eqx.filter_jit
 def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str, method: Method) -> Motion:
     equation = Equation.of(scene, torque)
-    state = equation.initial(ts[0], start)
-    fault = jnp.where(jnp.isfinite(state).all(), 0, 4)
-    state = jnp.nan_to_num(state)
     if isinstance(method, Fitted):
-        motion = _fitted(equation, ts, settle, state, method)
+        motion = _fitted(equation, ts, settle, start, method)
     else:
-        motion = _integrated(equation, ts, settle, state, method)
-    fault = jnp.where(fault > 0, fault, motion.result)
-    fault = jnp.where((fault == 0) & ~(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.velocity).all()), 1, fault)
+        motion = _integrated(equation, ts, settle, start, method)
+    lost = ~(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.velocity).all())
+    fault = jnp.where((motion.result == 0) & lost, 1, motion.result)
     return eqx.tree_at(lambda motion: motion.result, motion, fault)
 
 
 def _integrated(
-    equation: Equation, ts: Array, settle: Array, state: Array, method: Even | AdaptiveStep | QuasiStatic
+    equation: Equation, ts: Array, settle: Array, start: str, method: Even | AdaptiveStep | QuasiStatic
 ) -> Motion:
     """By a solver of diffrax, or by following the quasi-static position; extremes of the latter are those of the
     samples."""
+    state = equation.initial(ts[0], start)
+    there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     if isinstance(method, QuasiStatic):
         place, speed = follow(equation, ts, method)
         states = jnp.stack([place / equation.scale, speed / (equation.scale * equation.frequency)], axis=1)
@@ -335,27 +331,25 @@ def _integrated(
     te = states[:, 0] * scale
     forces = jax.vmap(equation.forces)(ts, te)
     velocity = states[:, 1] * (scale * equation.frequency)
+    failed = jnp.where(there, failed, 4)
     whole, pairs = jnp.zeros_like(scale), equation.pairs
     return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, whole, pairs)
 
 
-def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: Fitted) -> Motion:
+def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
     """By the exponentially fitted scheme."""
-    drive, begun, first = _begin(equation, ts, state, method.spacing)
-    step = drive.oscillator.step
+    drive, carry, there = _begin(equation, ts, start, method.spacing)
+    begun, step = ts[0], drive.oscillator.step
     spacing = step * method.spacing.each
-
-    def rest(time: Scalar) -> Array:
-        return jnp.nan_to_num(equation.initial(time, "equilibrium")) * _per_step(equation, step)
 
     def resolves(block: march.Block, accuracy: float) -> Array:
         return step * turning_rate(equation.scene) * block.steps <= 1.01 * tables.reach(block.nodes, accuracy)
 
     def by(spacing: march.Spacing) -> march.March:
-        found = march.march(drive, begun, first, spacing)
+        found = march.march(drive, begun, carry, spacing)
         load = equation.scene.load
         growing = load is not None and load.alternates  # what else makes disturbances grow is not known
-        return watch(found, drive, begun, first, spacing) if growing else found
+        return watch(found, drive, begun, carry, spacing) if growing else found
 
     def in_one_go() -> march.March:
         quick = method.quick
@@ -366,7 +360,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
     if method.windows is None:
         found = in_one_go()
     else:
-        found = march.march_windows(drive, begun, first, rest, method.spacing, method.windows)
+        found = march.march_windows(drive, begun, carry, method.spacing, method.windows)
         if method.fall_back:
             whole = found.defect <= _allowed(ts.dtype)
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
@@ -375,7 +369,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, state: Array, method: 
     block = method.spacing.block if method.windows is None else method.windows.block
     resolved = resolves(block, tables.accuracy(ts.dtype))
     fast = ~resolved | (step * fastest_rate(equation) > LONGEST_STEP)
-    failed = jnp.where(uneven, 5, jnp.where(fast, 2, 0))
+    failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
     return Motion(
         ts,
         found.positions * scale,

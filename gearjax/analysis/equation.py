@@ -57,6 +57,7 @@ class Equation(eqx.Module):
         mass: inertia on the line of action, that the damping counts with [kg].
         pairs: number of driving contacts.
         levers_turn: whether the levers change over time.
+        two_sided: whether the sign of its lever tells which flank a contact is.
     """
 
     scene: Scene
@@ -66,6 +67,7 @@ class Equation(eqx.Module):
     mass: Scalar
     pairs: int = eqx.field(static=True)
     levers_turn: bool = eqx.field(static=True)
+    two_sided: bool = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "Equation":
@@ -78,7 +80,7 @@ class Equation(eqx.Module):
         frequency = jnp.sqrt(stiffness / scene.inertia.moment(arm))
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
-        return cls(scene, torque, frequency, scale, mass, contacts.pairs, turn)
+        return cls(scene, torque, frequency, scale, mass, contacts.pairs, turn, contacts.two_sided)
 
     def load(self, time: Scalar) -> Scalar:
         """Load torque [N m]."""
@@ -92,13 +94,13 @@ class Equation(eqx.Module):
         assert contacts.linear is not None
         return contacts.lever, contacts.linear
 
-    def moment(self, time: Scalar) -> Moment:
-        """What the system shows at a time [s]."""
+    def moment(self, time: Scalar, moving: bool = False) -> Moment:
+        """What the system shows at a time [s], and its rate where dampers count it or ``moving`` asks for it."""
 
         def pose(time: Scalar) -> Pose:
             return self.scene.pose(self.scene.system.input_speed * time)
 
-        if self.scene.damping is None:
+        if self.scene.damping is None and not moving:
             return Moment(pose(time), None)
         return Moment(*jax.jvp(pose, (time,), (jnp.ones_like(time),)))
 
@@ -151,18 +153,43 @@ class Equation(eqx.Module):
         acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)
         return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
 
+    def equilibrium(self, lever: Array, gap: Array, stiffness: Array, load: Scalar) -> Scalar:
+        """Position where the contacts balance a load [rad]; arguments as for `following`."""
+        contacts = ContactSet(lever[:, None], gap, stiffness, self.pairs, self.two_sided)
+        return rest(contacts, self.scene, load).position
+
     def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:
         """Static equilibrium at a time [s] under a stiffness [N/m] and a load [N m]: position [rad]."""
         now = self.scene.contacts(self.scene.system.input_speed * time)
-        return rest(ContactSet(now.jacobian, now.gap, stiffness, now.pairs, now.two_sided), self.scene, load).position
+        return self.equilibrium(now.lever, now.gap, stiffness, load)
+
+    def following(self, now: Gaps, stiffness: Float[Array, " contact"], load: Scalar) -> Float[Array, "2"]:
+        """Scaled position and velocity of the static equilibrium, moving as the gaps move it.
+
+        Args:
+            now: levers and gaps, with their rates.
+            stiffness: of each contact [N/m].
+            load: [N m].
+        """
+        assert now.gap_rate is not None
+        turning = jnp.zeros_like(now.lever) if now.lever_rate is None else now.lever_rate
+        position, velocity = jax.jvp(
+            lambda lever, gap: self.equilibrium(lever, gap, stiffness, load),
+            (now.lever, now.gap),
+            (turning, now.gap_rate),
+        )
+        return jnp.stack([position, velocity / self.frequency]) / self.scale
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2"]:
         """Scaled position and velocity to start from."""
         if start == "zero":
             return jnp.zeros((2,), time.dtype)
-        held = self.springs(time)[1], self.load(time)  # the output moves as the gaps move it
-        position, velocity = jax.jvp(lambda time: self.resting(time, *held), (time,), (jnp.ones_like(time),))
-        return jnp.stack([position, velocity / self.frequency]) / self.scale
+        now = self.gaps(self.moment(time, moving=True))
+        return self.following(now, self.springs(time)[1], self.load(time))
+
+    def per_step(self, step: Scalar) -> Float[Array, "2"]:
+        """From scaled position and velocity to position and velocity times step."""
+        return jnp.stack([jnp.ones_like(step), self.frequency * step])
 
 
 def fastest_rate(equation: Equation) -> Scalar:

@@ -9,28 +9,28 @@ import jax.numpy as jnp
 
 from gearjax.analysis import march
 from gearjax.analysis.signals import Drive
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Scalar
 
 MOST_STEPS = 2048  # that a disturbance is followed before it is made small again
 LOST = math.log(1e6)  # growth over a record after which gradients of its samples mean nothing
 
 
-def growth(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: march.Spacing) -> Scalar:
+def growth(drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing) -> Scalar:
     """Mean rate at which a small disturbance grows after the first part of a record [1/s]; negative where it dies out.
 
     The largest Lyapunov exponent, from the linearised steps of the motion (Benettin et al. 1980), its sizes measured
     as position and velocity over the natural frequency.
 
     Args:
-        drive, start, first, spacing: as for `gearjax.analysis.march.march`.
+        drive, start, carry, spacing: as for `gearjax.analysis.march.march`.
     """
     parts = max(1, spacing.samples * spacing.each // MOST_STEPS)
     part = spacing._replace(samples=max(1, spacing.samples // parts)).of_whole_blocks()
     length = part.samples * spacing.each * drive.oscillator.step
     velocity = 1 / (drive.oscillator.step * drive.oscillator.equation.frequency)
 
-    def follow(carry: tuple, number: Array) -> tuple[tuple, Array]:
-        state, way = carry
+    def follow(state: tuple, number: Array) -> tuple[tuple, Array]:
+        state, way = state
         begun = start + number.astype(start.dtype) * length
         nodes = march.nodes_of(drive, begun, part)
         state, way = jax.jvp(lambda *state: march.run_blocks(drive, begun, state, part, nodes)[0], state, way)
@@ -41,12 +41,14 @@ def growth(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: march
         return (state, kept), jnp.log(jnp.where(nothing, jnp.finfo(size.dtype).tiny, size))
 
     seed = jnp.ones_like(start), jnp.zeros_like(start)
-    _, grown = jax.lax.scan(follow, (march.begin(drive, start, first), seed), jnp.arange(parts))
+    _, grown = jax.lax.scan(follow, (carry, seed), jnp.arange(parts))
     grown = grown[min(1, parts - 1) :]
     return grown.mean() / length
 
 
-def watch(found: march.March, drive: Drive, start: Scalar, first: Array, spacing: march.Spacing) -> march.March:
+def watch(
+    found: march.March, drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing
+) -> march.March:
     """The same march, which warns when it is differentiated although disturbances of it grow; arguments as for
     `growth`."""
 
@@ -62,7 +64,7 @@ def watch(found: march.March, drive: Drive, start: Scalar, first: Array, spacing
         jax.debug.callback(_warn, growth(given[0], given[1], given[2], spacing), length)
         return found, tangents[0]
 
-    return same(found, (drive, start, first))
+    return same(found, (drive, start, carry))
 
 
 def _warn(rate: Any, length: Any) -> None:

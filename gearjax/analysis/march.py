@@ -7,7 +7,6 @@ solution; how far they are apart where they meet is measured.
 
 import enum
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import tables
-from gearjax.analysis.fitted import State, advance, change_before, velocity
+from gearjax.analysis.equation import Gaps, Moment
+from gearjax.analysis.fitted import advance, change_before, velocity
 from gearjax.analysis.metrics import top
-from gearjax.analysis.oscillator import Fast, Oscillator
+from gearjax.analysis.oscillator import Fast, Oscillator, Slow
 from gearjax.analysis.recurrence import recur
 from gearjax.analysis.signals import Basis, Drive, Drives, Given, at_nodes, tabulated, written_out
 from gearjax.typing import Array, Float, Scalar
@@ -125,16 +125,16 @@ class March(NamedTuple):
     defect: Scalar
 
 
-def march(drive: Drive, start: Scalar, first: Float[Array, "2"], spacing: Spacing) -> March:
+def march(drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: Spacing) -> March:
     """All steps one after the other.
 
     Args:
         drive: of the oscillator.
         start: time of the first sample [s].
-        first: scaled position, and velocity times step, there.
+        carry: scaled position and its last change there, as by `begin`.
         spacing: of samples and steps.
     """
-    _, found = run_blocks(drive, start, begin(drive, start, first), spacing, nodes_of(drive, start, spacing))
+    _, found = run_blocks(drive, start, carry, spacing, nodes_of(drive, start, spacing))
     return _joined(found, jnp.zeros((), start.dtype))
 
 
@@ -189,18 +189,60 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, node
     return ended, (x[kept], speeds[kept], forces[kept], top(highest), -top(-lowest))
 
 
-def begin(drive: Drive, time: Scalar, state: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
-    """Scaled position and its last change, from position and velocity times step at a time [s]."""
-    oscillator = drive.oscillator
+def begin(
+    drive: Drive, time: Scalar, signals: Signals, state: Float[Array, "2"] | None = None
+) -> tuple[tuple[Scalar, Scalar], Array]:
+    """Where a motion begins.
 
-    def at(time: Scalar) -> State:
-        stiffness, load = drive.turned(time), oscillator.equation.load(time)
-        fast = Fast(stiffness.mean + stiffness.cosine.sum(axis=0), load)
-        return oscillator.state(oscillator.slow_at(time), fast, state[0])
+    Args:
+        drive: of the oscillator.
+        time: [s].
+        signals: how the steps that follow come by what drives them.
+        state: scaled position, and velocity times step; without, those of the equilibrium, moving as the gaps move it,
+            or zero where there is none.
 
-    both = jax.vmap(at)(jnp.stack([time, time + oscillator.step]))
-    now, later = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in range(2))
-    return state[0], change_before(state[1], now, later.push - now.push)
+    Returns:
+        Scaled position and its last change, and whether there is such an equilibrium.
+    """
+    oscillator, equation = drive.oscillator, drive.oscillator.equation
+    times = jnp.stack([time, time + oscillator.step])
+    moments = jax.vmap(lambda time: equation.moment(time, moving=True))(times)
+
+    def slow_at(moment: Moment) -> tuple[Gaps, Slow]:
+        return equation.gaps(moment), oscillator.slow(moment)
+
+    def fast_at(time: Scalar) -> Fast:
+        waves = drive.turned(time)
+        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.load(time))
+
+    # in a loop, what both times share is worked out once, not again for every number that it is part of
+    both = jax.lax.map(slow_at, moments) if signals is Signals.BATCH else jax.vmap(slow_at)(moments)
+    every = *both, jax.vmap(fast_at)(times)
+    (gaps, *now), (_, *later) = (jax.tree.map(lambda leaf, i=i: leaf[i], every) for i in range(2))
+    found = jnp.asarray(True)
+    if state is None:
+        _, fast = now
+        stiffness = jnp.tile(fast.stiffness, gaps.gap.shape[0] // equation.pairs)
+        state = equation.following(gaps, stiffness, fast.load) * equation.per_step(oscillator.step)
+        found, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
+    first, second = (oscillator.state(slow, fast, state[0]) for slow, fast in (now, later))
+    return (state[0], change_before(state[1], first, second.push - first.push)), found
+
+
+def follow(drive: Drive, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
+    """Where a warm-up begins: scaled position and change of the quasi-static solution, zero where there is none.
+
+    Args:
+        drive: of the oscillator.
+        time: at which the first block begins [s].
+        spacing: of samples and steps.
+        nodes: of the first block.
+    """
+    basis = Basis.of(drive, spacing.steps, spacing.block.nodes)
+    given = Given(nodes, drive.turned(time), drive.loads(time, spacing.steps + 1))
+    rows, drives = written_out(drive, basis, drive.oscillator.slow_at(time), given)
+    now, later = jax.vmap(lambda row: drive.oscillator.resting(*drives(row)))(_rows(rows, slice(0, 2)))
+    return jnp.nan_to_num(now), jnp.nan_to_num(later - now)
 
 
 def _rows(table: Any, chosen: slice) -> Any:
@@ -280,16 +322,14 @@ class Windows(NamedTuple):
 def march_windows(
     drive: Drive,
     start: Scalar,
-    first: Float[Array, "2"],
-    rest: Callable[[Scalar], Float[Array, "2"]],
+    carry: tuple[Scalar, Scalar],
     spacing: Spacing,
     windows: Windows,
 ) -> March:
     """All windows at once, each lane of a vector one window; many windows in groups of `LANES`.
 
     Args:
-        drive, start, first, spacing: as for `march`.
-        rest: scaled position, and velocity times step, of the quasi-static solution at a time [s].
+        drive, start, carry, spacing: as for `march`.
         windows: how the record is cut.
     """
     groups = math.ceil(windows.number / LANES)
@@ -299,16 +339,16 @@ def march_windows(
     own = spacing._replace(samples=samples, block=windows.block, signals=Signals.SUMS).of_whole_blocks()
     warm = own._replace(samples=own.rows * math.ceil(windows.warm_up / own.rows))
     whole = own._replace(samples=warm.samples + groups * lanes * own.samples)
-    spaced, real = drive.oscillator.step * spacing.each, begin(drive, start, first)
+    spaced = drive.oscillator.step * spacing.each
     nodes = nodes_of(drive, start - warm.samples * spaced, whole)
 
     def window(number: Array) -> tuple:
         begun = start + (number * own.samples).astype(start.dtype) * spaced
         early = begun - warm.samples * spaced
         here = jax.lax.dynamic_slice_in_dim(nodes, number * own.blocks, warm.blocks + own.blocks)
-        carry, _ = run_blocks(drive, early, begin(drive, early, rest(early)), warm, here[: warm.blocks])
-        carry = tuple(jnp.where(number == 0, one, other) for one, other in zip(real, carry, strict=True))
-        return carry, *run_blocks(drive, begun, carry, own, here[warm.blocks :])
+        warmed, _ = run_blocks(drive, early, follow(drive, early, warm, here[0]), warm, here[: warm.blocks])
+        own_start = tuple(jnp.where(number == 0, one, other) for one, other in zip(carry, warmed, strict=True))
+        return own_start, *run_blocks(drive, begun, own_start, own, here[warm.blocks :])
 
     numbers = jnp.arange(groups * lanes).reshape(groups, lanes)
     begun, ended, found = jax.tree.map(

@@ -117,12 +117,22 @@ class Oscillator(eqx.Module):
             left = left * part
         return State(push, _total(stiffness, nothing), damped, left)
 
-    def forces(self, slow: Slow, fast: Fast, position: Array) -> Float[Array, " contact"]:
-        """Elastic force of each contact [N]."""
+    def resting(self, slow: Slow, fast: Fast) -> Scalar:
+        """Scaled position of the static equilibrium."""
+        lever, gap, stiffness = self._springs(slow, fast)
+        scale = self.equation.scale
+        return self.equation.equilibrium(lever / scale, gap, stiffness, fast.load) / scale
+
+    def _springs(self, slow: Slow, fast: Fast) -> tuple[Array, Array, Array]:
+        """Lever per scaled position, gap and stiffness of each contact."""
         flanks = len(slow.gap) // len(fast.stiffness)
         lever, gap, stiffness = (jnp.stack(part) for part in (slow.lever, slow.gap, tuple(fast.stiffness) * flanks))
-        penetration = self.equation.scene.contact.penetration(lever * position - gap)
-        return stiffness * penetration
+        return lever, gap, stiffness
+
+    def forces(self, slow: Slow, fast: Fast, position: Array) -> Float[Array, " contact"]:
+        """Elastic force of each contact [N]."""
+        lever, gap, stiffness = self._springs(slow, fast)
+        return stiffness * self.equation.scene.contact.penetration(lever * position - gap)
 
 
 def _part(numbers: Numbers, pair: int | slice, first: int = 0) -> Array:

@@ -104,11 +104,11 @@ def _problem(scene: Scene, torque: ArrayLike, period: ArrayLike) -> _Problem:
 def _over_a_period(state: Float[Array, "2"], problem: _Problem, steps: int) -> march.March:
     """The march over one period, from a scaled position and a velocity times step."""
     equation = Equation.of(problem.scene, problem.torque)
-    drive = march.Drive.of(Oscillator(equation, problem.period / steps), jnp.zeros_like(problem.period))
-    block = march.Block(max(steps // 8, 8), MOST_NODES)
-    return march.march(
-        drive, jnp.zeros_like(problem.period), state, march.Spacing(steps + 1, 1, block, march.Signals.TABLE)
-    )
+    start = jnp.zeros_like(problem.period)
+    drive = march.Drive.of(Oscillator(equation, problem.period / steps), start)
+    spacing = march.Spacing(steps + 1, 1, march.Block(max(steps // 8, 8), MOST_NODES), march.Signals.TABLE)
+    carry, _ = march.begin(drive, start, spacing.signals, state)
+    return march.march(drive, start, carry, spacing)
 
 
 @eqx.filter_jit
