@@ -209,6 +209,27 @@ def test_gradients_of_statistics(scene, windows):
     np.testing.assert_allclose(forward, central, rtol=0, atol=1e-6 * float(abs(central).max()))
 
 
+def test_gradients_of_what_drives_the_teeth(scene):
+    """With respect to the speed, which moves everything, and to the stiffness and its harmonics alone."""
+    ts = np.linspace(0.0, 0.05, 26)
+
+    def metrics(numbers):
+        speed, mean, harmonic, phase = numbers
+        moved = dataclasses.replace(
+            scene,
+            system=dataclasses.replace(scene.system, input_speed=speed * scene.system.input_speed),
+            compliance=gj.HarmonicStiffness(mean * STIFFNESS, [harmonic], [phase]),
+        )
+        motion = gj.simulate(moved, ts, 100.0, stepper=gj.FixedStep(per_sample=32))
+        return jnp.stack([motion.std, motion.te[-1]]) / arcmin
+
+    given, step = jnp.array([0.8, 1.3, 0.3, -1.0]), 1e-6
+    reverse = jax.jit(jax.jacrev(metrics))(given)
+    value = jax.jit(metrics)
+    central = [(value(given + step * way) - value(given - step * way)) / (2 * step) for way in np.eye(4)]
+    np.testing.assert_allclose(reverse, np.stack(central, axis=-1), rtol=1e-6, atol=1e-7)
+
+
 def test_windows_warm_up_from_the_quasi_static_solution(scene):
     """Which they know from the nodes of their blocks."""
     with_all = dataclasses.replace(scene, inertia=gj.EquivalentMass(MASS), damping=gj.DampingRatio(0.1))

@@ -12,12 +12,15 @@ STEPS = 30
 
 
 def run(position, change, rows, factor):
-    """A springy step whose numbers come from a row and from a constant."""
+    """A springy step that is driven by a number from a row and a constant, and has a constant of its own."""
 
-    def step(position, change, row):
-        return 0.9 * change - 0.1 * factor["stiffness"][1] * jnp.sin(position) + row["push"] * factor["size"]
+    def step(position, change, push):
+        return 0.9 * change - 0.1 * factor["stiffness"][1] * jnp.sin(position) + push
 
-    (last, ended), path = recur(step, position, change, {"push": rows})
+    def driven(row):  # or rows
+        return row["push"] * factor["size"]
+
+    (last, ended), path = recur(step, driven, driven, position, change, {"push": rows})
     return jnp.concatenate([path, last[None], ended[None]])
 
 

@@ -263,11 +263,11 @@ def _steps(oscillator: Oscillator, drives: Drives, carry: tuple, rows: Any) -> t
         Position and last change after them, and the path: a position before, those of all rows.
     """
 
-    def step(position: Array, change: Array, row: Any) -> Array:
-        slow, fast = drives(row)
+    def step(position: Array, change: Array, numbers: Any) -> Array:
+        slow, fast = drives.put(numbers)
         return advance(change, oscillator.state(slow, fast, position))
 
-    ended, path = recur(step, carry[0], carry[1], _rows(rows, slice(0, -1)))
+    ended, path = recur(step, drives.at, drives.table, carry[0], carry[1], _rows(rows, slice(0, -1)))
     return ended, jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
 
 

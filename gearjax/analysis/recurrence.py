@@ -6,7 +6,8 @@ at once, after the scan; what is left in sequence is the linear recurrence
 
     dc_n+1 = (dc/dx)_n dx_n + (dc/dc)_n dc_n + b_n,     dx_n+1 = dx_n + dc_n+1
 
-whose transpose is another one, backwards. Both modes follow from this one rule.
+whose transpose is another one, backwards. Both modes follow from this one rule. What drives the steps follows from rows
+and constants, within the step as the scan runs, but as a table for the derivative, which is a few matrix products.
 """
 
 from collections.abc import Callable
@@ -18,23 +19,31 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
+from gearjax.analysis.tables import depends
 from gearjax.typing import Array
 
 ALIASED = 2048  # bytes; beginnings of vectors a multiple of it apart fight for the same places of a cache
 Step = Callable[[Array, Array, Any], Array]
 
 
-def recur(step: Step, position: Array, change: Array, rows: Any) -> tuple[tuple[Array, Array], Array]:
+def recur(
+    step: Step, at: Callable[[Any], Any], table: Callable[[Any], Any], position: Array, change: Array, rows: Any
+) -> tuple[tuple[Array, Array], Array]:
     """Positions before each step, and position and change after the last.
 
     Args:
-        step: from position, last change and a row to the next change, numbers.
+        step: from position, last change and what drives a step to the next change, numbers.
+        at: from a row to what drives its step, a tree of numbers.
+        table: the same of all rows, a tree of arrays.
         position, change: at the start.
         rows: a tree of arrays, their first axis the steps.
     """
     first = jax.tree.map(lambda column: column[0], rows)
-    converted, constants = jax.closure_convert(step, position, change, first)
-    return _recur(converted, position, change, rows, tuple(constants))
+    whole, constants = jax.closure_convert(lambda x, c, row: step(x, c, at(row)), position, change, first)
+    tabulate, of_table = jax.closure_convert(table, rows)
+    bare, of_step = jax.closure_convert(step, position, change, at(first))
+    given = rows, tuple(constants), tuple(of_table), tuple(of_step)
+    return _recur((whole, tabulate, bare), position, change, *given)
 
 
 def _loop(step: Callable, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
@@ -95,21 +104,27 @@ def _extra(size: int) -> int:
     return 8 if size % ALIASED == 0 else 0
 
 
-_recur = jax.custom_jvp(_scan, nondiff_argnums=(0,))
+def _primal(steps: tuple, position: Array, change: Array, rows: Any, constants: tuple, *of_parts: tuple) -> tuple:
+    del of_parts  # of the derivative
+    return _scan(steps[0], position, change, rows, constants)
+
+
+_recur = jax.custom_jvp(_primal, nondiff_argnums=(0,))
 
 
 @partial(_recur.defjvp, symbolic_zeros=True)
-def _recur_jvp(step: Callable, primals: tuple, tangents: tuple) -> tuple:
-    position, change, rows, constants = primals
-    (last, ended), path = _recur(step, position, change, rows, constants)
+def _recur_jvp(steps: tuple, primals: tuple, tangents: tuple) -> tuple:
+    _, change, rows, _, of_table, of_step = primals
+    _, tabulate, step = steps
+    (last, ended), path = _recur(steps, *primals)
     after = jnp.concatenate([path[1:], last[None]])
     changes = jnp.concatenate([change[None], after[:-1] - path[:-1]])
 
     def by_position(x: Array, c: Array, row: Any) -> Array:
-        return jax.jvp(lambda x: step(x, c, row, *constants), (x,), (jnp.ones_like(x),))[1]
+        return jax.jvp(lambda x: step(x, c, row, *of_step), (x,), (jnp.ones_like(x),))[1]
 
     def by_change(x: Array, c: Array, row: Any) -> Array:
-        return jax.jvp(lambda c: step(x, c, row, *constants), (c,), (jnp.ones_like(c),))[1]
+        return jax.jvp(lambda c: step(x, c, row, *of_step), (c,), (jnp.ones_like(c),))[1]
 
     def linear(carry, given):
         dx, dc = carry
@@ -117,8 +132,9 @@ def _recur_jvp(step: Callable, primals: tuple, tangents: tuple) -> tuple:
         dc = a * dx + b * dc + push
         return (dx + dc, dc), dx
 
-    slopes = (jax.vmap(slope)(path, changes, rows) for slope in (by_position, by_change))
-    driven = _driven(step, path, changes, (rows, constants), tangents[2:])
+    numbers, moving = _along(lambda rows, given: tabulate(rows, *given), (rows, of_table), (tangents[2], tangents[4]))
+    slopes = (jax.vmap(slope)(path, changes, numbers) for slope in (by_position, by_change))
+    driven = _driven(step, path, changes, (numbers, of_step), [*moving, *_ways(tangents[5])])
     start = (
         jnp.zeros_like(value) if isinstance(way, SymbolicZero) else way
         for value, way in zip(primals[:2], tangents[:2], strict=True)
@@ -127,10 +143,37 @@ def _recur_jvp(step: Callable, primals: tuple, tangents: tuple) -> tuple:
     return ((last, ended), path), ((last_dot, ended_dot), path_dot)
 
 
-def _driven(step: Callable, path: Array, changes: Array, given: tuple, ways: tuple) -> Array:
-    """What each step's change moves by along a way of rows and constants; those that stay as they are cost nothing."""
+def _ways(tangents: Any) -> list[Array | None]:
+    """How each leaf moves, ``None`` where it stays as it is."""
+    return [None if isinstance(way, SymbolicZero) else way for way in jax.tree.leaves(tangents)]
+
+
+def _along(function: Callable, given: tuple, tangents: tuple) -> tuple[Any, list[Array | None]]:
+    """Values of a function of trees, and how each leaf of them moves along a way of what is given."""
     values, tree = jax.tree.flatten(given)
-    moved = {i: way for i, way in enumerate(jax.tree.leaves(ways)) if not isinstance(way, SymbolicZero)}
+    moved = {i: way for i, way in enumerate(_ways(tangents)) if way is not None}
+    start = {i: values[i] for i in moved}
+
+    def at(parts: dict) -> Any:
+        return function(*jax.tree.unflatten(tree, [parts.get(i, value) for i, value in enumerate(values)]))
+
+    found, along = jax.jvp(at, (start,), (moved,))
+    return found, [
+        way if moves else None for way, moves in zip(jax.tree.leaves(along), depends(at, start), strict=True)
+    ]
+
+
+def _driven(step: Callable, path: Array, changes: Array, given: tuple, ways: list[Array | None]) -> Array:
+    """What each step's change moves by; numbers and constants that stay as they are cost nothing.
+
+    Args:
+        step: from position, last change, numbers and constants.
+        path, changes: of all steps.
+        given: numbers of all steps, and constants.
+        ways: how each leaf of them moves.
+    """
+    values, tree = jax.tree.flatten(given)
+    moved = {i: way for i, way in enumerate(ways) if way is not None}
     if not moved:
         return jnp.zeros_like(path)
     stepped = len(jax.tree.leaves(given[0]))
@@ -138,8 +181,8 @@ def _driven(step: Callable, path: Array, changes: Array, given: tuple, ways: tup
 
     def one(x: Array, c: Array, values: list, ways: dict) -> Array:
         def at(parts: dict) -> Array:
-            row, constants = jax.tree.unflatten(tree, [parts.get(i, value) for i, value in enumerate(values)])
-            return step(x, c, row, *constants)
+            numbers, constants = jax.tree.unflatten(tree, [parts.get(i, value) for i, value in enumerate(values)])
+            return step(x, c, numbers, *constants)
 
         return jax.jvp(at, ({i: values[i] for i in moved},), (ways,))[1]
 

@@ -6,12 +6,14 @@ because nothing is known of the speeds, one motion reads rows of a table that is
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from gearjax.analysis import tables
 from gearjax.analysis.equation import Moment
@@ -19,7 +21,24 @@ from gearjax.analysis.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_
 from gearjax.typing import Array, Float, Scalar
 
 COARSE, EXACT = 20, 1e-14  # nodes that cover several blocks, and their accuracy: to rounding
-Drives = Callable[[Any], tuple[Slow, Fast]]
+
+
+class Drives(NamedTuple):
+    """From rows to what drives steps.
+
+    Args:
+        at: numbers of one row.
+        table: those of all rows, each an array with the rows along its first axis.
+        put: what they mean.
+    """
+
+    at: Callable[[Any], Any]
+    table: Callable[[Any], Any]
+    put: Callable[[Any], tuple[Slow, Fast]]
+
+    def __call__(self, row: Any) -> tuple[Slow, Fast]:
+        """What drives the step of one row."""
+        return self.put(self.at(row))
 
 
 class Drive(eqx.Module):
@@ -153,10 +172,10 @@ def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
     rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (load,) if load.ndim else ()
 
-    def drives(row: Any) -> tuple[Slow, Fast]:
+    def put(row: Any) -> tuple[Slow, Fast]:
         return drive.slow(held, row[0]), Fast(row[1], row[2][0] if row[2] else load)
 
-    return rows, drives
+    return rows, Drives(lambda row: row, lambda rows: rows, put)
 
 
 def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:
@@ -164,17 +183,47 @@ def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[A
     waves, load = given.waves, given.load
     rows = basis.weights, basis.cosine, basis.sine, (load,) if load.ndim else ()
 
-    def drives(row: Any) -> tuple[Slow, Fast]:
+    def at(row: Any) -> tuple:
         # whole arrays are taken into the step, so that lanes can be laid out side by side there
         weights, cosine, sine = (_numbers(part) for part in row[:3])
         nothing = jnp.zeros((), waves.mean.dtype)
-        columns = [_product(weights, _numbers(column), nothing) for column in given.columns]
-        apart = jax.tree.map(lambda leaf: tuple(_numbers(leaf)) if leaf.ndim else leaf, held)
+        slow = tuple(_product(weights, _numbers(column), nothing) for column in given.columns)
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
-        stiffness = [_product(sine, _numbers(s), _product(cosine, _numbers(c), mean)) for mean, c, s in series]
-        return drive.slow(apart, columns), Fast(tuple(stiffness), row[3][0] if row[3] else load)
+        stiffness = (_product(sine, _numbers(s), _product(cosine, _numbers(c), mean)) for mean, c, s in series)
+        return slow, tuple(stiffness), row[3]
 
-    return rows, drives
+    def table(rows: Any) -> tuple:
+        weights, cosine, sine, loads = rows
+        slow = tuple(summed(weights, column) for column in given.columns)
+        series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
+        stiffness = (mean + summed(cosine, c) + summed(sine, s) for mean, c, s in series)
+        return slow, tuple(stiffness), loads
+
+    def put(numbers: tuple) -> tuple[Slow, Fast]:
+        slow, stiffness, loads = numbers
+        apart = jax.tree.map(lambda leaf: tuple(_numbers(leaf)) if leaf.ndim else leaf, held)
+        return drive.slow(apart, slow), Fast(stiffness, loads[0] if loads else load)
+
+    return rows, Drives(at, table, put)
+
+
+@jax.custom_jvp
+def summed(weights: Float[Array, "step node"], values: Float[Array, " node"]) -> Float[Array, " step"]:
+    """Sums over nodes, written out; their derivative a product of matrices."""
+    nothing = jnp.zeros((weights.shape[0],), values.dtype)
+    return _product([weights[:, node] for node in range(values.shape[0])], _numbers(values), nothing)
+
+
+@partial(summed.defjvp, symbolic_zeros=True)
+def _summed_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    weights, values = primals
+    along = []
+    if not isinstance(tangents[0], SymbolicZero):
+        along.append(summed(tangents[0], values))
+    if not isinstance(tangents[1], SymbolicZero):
+        # in this order its transpose, which gradients take, reads the weights of a node in a row: in half the time
+        along.append(tangents[1] @ weights.T)
+    return summed(weights, values), sum(along[1:], along[0])
 
 
 def _numbers(values: Array) -> list[Array]:
