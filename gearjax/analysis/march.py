@@ -174,15 +174,17 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, node
     origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:
-        columns, waves, origin = now
+        columns, (cosine, sine), origin = now
         if spacing.signals is Signals.BATCH:  # in the loop, so that what is the same for all times is worked out once
             columns = jax.vmap(drive.columns)(columns)
+        waves = drive.harmonics._replace(cosine=cosine, sine=sine)
         given = Given(columns, waves, drive.loads(origin, steps + 1))
-        table, drives = (tabulated if spacing.signals is Signals.TABLE else written_out)(drive, basis, held, given)
-        ended, path = _steps(drive.oscillator, drives, carry, table)
-        return ended, _measured(drive.oscillator, drives, table, path, every)
+        rows, drives = (tabulated if spacing.signals is Signals.TABLE else written_out)(drive, basis, held, given)
+        ended, path = _steps(drive.oscillator, drives, carry, rows.own)
+        return ended, _measured(drive.oscillator, drives, rows.every, path, every)
 
-    ended, found = jax.lax.scan(block, carry, (nodes, jax.vmap(drive.turned)(origins), origins))
+    turned = jax.vmap(lambda time: drive.turned(time)[1:])(origins)  # but the mean, which stays
+    ended, found = jax.lax.scan(block, carry, (nodes, turned, origins))
     x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), found)
     kept = slice(0, spacing.samples * pieces, pieces)
     highest, lowest = (part.reshape(-1, pieces)[: spacing.samples] for part in extremes)
@@ -241,7 +243,7 @@ def follow(drive: Drive, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Sc
     basis = Basis.of(drive, spacing.steps, spacing.block.nodes)
     given = Given(nodes, drive.turned(time), drive.loads(time, spacing.steps + 1))
     rows, drives = written_out(drive, basis, drive.oscillator.slow_at(time), given)
-    now, later = jax.vmap(lambda row: drive.oscillator.resting(*drives(row)))(_rows(rows, slice(0, 2)))
+    now, later = jax.vmap(lambda row: drive.oscillator.resting(*drives(row)))(_rows(rows.every, slice(0, 2)))
     return jnp.nan_to_num(now), jnp.nan_to_num(later - now)
 
 
@@ -251,23 +253,23 @@ def _rows(table: Any, chosen: slice) -> Any:
 
 
 def _steps(oscillator: Oscillator, drives: Drives, carry: tuple, rows: Any) -> tuple[tuple, Array]:
-    """The steps of a table but its last row, which is that of the next block.
+    """The steps of a block.
 
     Args:
         oscillator: whose steps they are.
         drives: from a row to what drives a step.
         carry: position and last change.
-        rows: the table.
+        rows: of the steps.
 
     Returns:
-        Position and last change after them, and the path: a position before, those of all rows.
+        Position and last change after them, and the path: a position before, those of all steps, that after them.
     """
 
     def step(position: Array, change: Array, numbers: Any) -> Array:
         slow, fast = drives.put(numbers)
         return advance(change, oscillator.state(slow, fast, position))
 
-    ended, path = recur(step, drives.at, drives.table, carry[0], carry[1], _rows(rows, slice(0, -1)))
+    ended, path = recur(step, drives.at, drives.table, carry[0], carry[1], rows)
     return ended, jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
 
 
@@ -275,8 +277,9 @@ def _measured(oscillator: Oscillator, drives: Drives, rows: Any, path: Array, ea
     """Positions, speeds and forces at the samples, and highest and lowest position up to the next sample.
 
     Args:
-        oscillator, drives, rows: as for `_steps`.
-        path: its path.
+        oscillator, drives: as for `_steps`.
+        rows: of the steps and the first one of the next block.
+        path: of the steps.
         each: steps between samples.
     """
     now, following = path[1:-1:each], path[2::each]

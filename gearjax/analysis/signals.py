@@ -102,11 +102,13 @@ class Basis(NamedTuple):
     Args:
         weights: of the nodes at each step, the last one that of the next block, shape (step, node).
         cosine, sine: of the mesh harmonics at each step from the start of a block, shape (step, harmonic).
+        own: the same of the block's own steps; sliced within the loop over blocks, they would be for each of them.
     """
 
     weights: Array
     cosine: Array
     sine: Array
+    own: tuple[Array, ...]
 
     @classmethod
     def of(cls, drive: Drive, steps: int, nodes: int) -> "Basis":
@@ -116,7 +118,8 @@ class Basis(NamedTuple):
         order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
         angle = jnp.arange(steps + 1).astype(rate.dtype)[:, None] * (rate * order)[None, :]
         cosine, sine = (jnp.cos(angle), jnp.sin(angle)) if angle.size else (angle, angle)
-        return cls(jnp.asarray(weights, rate.dtype), cosine, sine)
+        every = jnp.asarray(weights, rate.dtype), cosine, sine
+        return cls(*every, tuple(part[:-1] for part in every))
 
 
 class Given(NamedTuple):
@@ -166,7 +169,19 @@ def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) 
     return found.swapaxes(1, 2)
 
 
-def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:
+class Rows(NamedTuple):
+    """What a block reads: trees of arrays, their first axis the steps.
+
+    Args:
+        own: of its own steps.
+        every: of these and the first one of the next block.
+    """
+
+    own: Any
+    every: Any
+
+
+def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Rows, Drives]:
     """Rows of one table for the steps of a block, and what they mean."""
     waves, load = given.waves, given.load
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
@@ -175,13 +190,15 @@ def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any
     def put(row: Any) -> tuple[Slow, Fast]:
         return drive.slow(held, row[0]), Fast(row[1], row[2][0] if row[2] else load)
 
-    return rows, Drives(lambda row: row, lambda rows: rows, put)
+    return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), Drives(lambda row: row, lambda rows: rows, put)
 
 
-def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Any, Drives]:
+def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Rows, Drives]:
     """Weights for the steps of a block, and the sums over its nodes that they mean."""
     waves, load = given.waves, given.load
-    rows = basis.weights, basis.cosine, basis.sine, (load,) if load.ndim else ()
+    loads = (load,) if load.ndim else ()
+    own = *basis.own, tuple(part[:-1] for part in loads)
+    rows = Rows(own, (basis.weights, basis.cosine, basis.sine, loads))
 
     def at(row: Any) -> tuple:
         # whole arrays are taken into the step, so that lanes can be laid out side by side there
