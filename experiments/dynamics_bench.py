@@ -245,8 +245,9 @@ def main() -> None:
         )
         return 1e-5 * found.y[0]
 
-    dopri5 = ours(ts, torque, gj.AdaptiveStep(1e-4, 1e-4, solver=diffrax.Dopri5()))
-    adaptive = min(np.abs(found - truth).max() for found in (lsoda(), radius * np.asarray(dopri5())))
+    dopri5 = gj.AdaptiveStep(1e-4, 1e-4, solver=diffrax.Dopri5())
+    found = lsoda(), radius * np.asarray(ours(ts, torque, dopri5)())
+    adaptive = min(np.abs(one - truth).max() for one in found)
     each = next(each for each in range(3, 64) if np.abs(c("fitted", each)() - truth).max() < adaptive)
     few = f"{3 * each}k"
     long = jnp.linspace(0.0, 15.8, 15801)
@@ -260,7 +261,7 @@ def main() -> None:
         "gearjax, one go, 48k, constants": all_constant(ts, torque, gj.FixedStep(per_sample=16)),
         "gearjax, one go, 48k, all traced": all_traced(ts, torque, gj.FixedStep(per_sample=16)),
         "numba, Runge-Kutta, 24k": lambda: by_numba(gaps, numbers, 1e-3 / 8, 3001, 8, *first),
-        "diffrax Dopri5, 1e-4": dopri5,
+        "diffrax Dopri5, 1e-4": ours(ts, torque, dopri5),
         "scipy LSODA, 1e-4": lsoda,
         "C, Runge-Kutta, 15.8 s": c("runge_kutta", 16, 16),
         "gearjax, one go, 15.8 s": ours(long, torque, gj.FixedStep(per_sample=16)),
