@@ -240,7 +240,7 @@ def test_windows_warm_up_from_the_quasi_static_solution(scene):
     def both(scene):
         equation = Equation.of(scene, jnp.asarray(30.0))
         drive = Drive.of(Oscillator(equation, step), time)
-        warm = march.follow(drive, time, spacing, march.nodes_of(drive, time, spacing)[0])
+        warm = march.warm_start(drive, time, spacing, march.nodes_of(drive, time, spacing)[0])
 
         def resting(time):
             return equation.resting(time, equation.springs(time)[1], equation.load(time)) / equation.scale

@@ -170,7 +170,7 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, node
     """
     pieces, steps, blocks = spacing.pieces, spacing.steps, spacing.blocks
     every = spacing.each // pieces
-    basis, held = Basis.of(drive, steps, spacing.block.nodes), drive.oscillator.slow_at(start)
+    basis = Basis.of(drive, steps, spacing.block.nodes)
     origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:
@@ -179,7 +179,7 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, node
             columns = jax.vmap(drive.columns)(columns)
         waves = drive.harmonics._replace(cosine=cosine, sine=sine)
         given = Given(columns, waves, drive.loads(origin, steps + 1))
-        rows, drives = (tabulated if spacing.signals is Signals.TABLE else written_out)(drive, basis, held, given)
+        rows, drives = (tabulated if spacing.signals is Signals.TABLE else written_out)(drive, basis, given)
         ended, path = _steps(drive.oscillator, drives, carry, rows.own)
         return ended, _measured(drive.oscillator, drives, rows.every, path, every)
 
@@ -231,7 +231,7 @@ def begin(
     return (state[0], change_before(state[1], first, second.push - first.push)), found
 
 
-def follow(drive: Drive, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
+def warm_start(drive: Drive, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
     """Where a warm-up begins: scaled position and change of the quasi-static solution, zero where there is none.
 
     Args:
@@ -242,7 +242,7 @@ def follow(drive: Drive, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Sc
     """
     basis = Basis.of(drive, spacing.steps, spacing.block.nodes)
     given = Given(nodes, drive.turned(time), drive.loads(time, spacing.steps + 1))
-    rows, drives = written_out(drive, basis, drive.oscillator.slow_at(time), given)
+    rows, drives = written_out(drive, basis, given)
     now, later = jax.vmap(lambda row: drive.oscillator.resting(*drives(row)))(_rows(rows.every, slice(0, 2)))
     return jnp.nan_to_num(now), jnp.nan_to_num(later - now)
 
@@ -349,7 +349,7 @@ def march_windows(
         begun = start + (number * own.samples).astype(start.dtype) * spaced
         early = begun - warm.samples * spaced
         here = jax.lax.dynamic_slice_in_dim(nodes, number * own.blocks, warm.blocks + own.blocks)
-        warmed, _ = run_blocks(drive, early, follow(drive, early, warm, here[0]), warm, here[: warm.blocks])
+        warmed, _ = run_blocks(drive, early, warm_start(drive, early, warm, here[0]), warm, here[: warm.blocks])
         own_start = tuple(jnp.where(number == 0, one, other) for one, other in zip(carry, warmed, strict=True))
         return own_start, *run_blocks(drive, begun, own_start, own, here[warm.blocks :])
 

@@ -117,7 +117,7 @@ def _shooting(problem: _Problem, steps: int, guess: Array | None, max_steps: int
     step = period / steps
     if guess is None:
         first = equation.initial(jnp.zeros_like(period), "equilibrium")
-        start = first * jnp.stack([jnp.ones_like(step), equation.frequency * step])
+        start = first * equation.per_step(step)
     else:
         start = guess / equation.scale * jnp.stack([jnp.ones_like(step), step])
 

@@ -47,39 +47,39 @@ class Drive(eqx.Module):
     Args:
         oscillator: what is driven.
         harmonics: of its stiffness.
-        changing: which leaves of its slow signals change over time.
+        held: its slow signals at any time.
+        changing: which leaves of them change over time.
     """
 
     oscillator: Oscillator
     harmonics: Harmonics
+    held: Slow
     changing: tuple[bool, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
         """The signals of an oscillator; the time [s] is that of any sample."""
-        return cls(oscillator, Harmonics.of(oscillator.equation), tuple(tables.depends(oscillator.slow_at, time)))
+        changing = tuple(tables.depends(oscillator.slow_at, time))
+        return cls(oscillator, Harmonics.of(oscillator.equation), oscillator.slow_at(time), changing)
 
     def columns(self, moment: Moment) -> tuple[Scalar, ...]:
         """What changes of the slow signals, at a moment: numbers apart, which a batch works out as one vector each."""
         leaves = jax.tree.leaves(self.oscillator.slow(moment))
         return tuple(n for leaf, new in zip(leaves, self.changing, strict=True) if new for n in _numbers(leaf.ravel()))
 
-    def slow(self, held: Slow, columns: Sequence[Array] | Array) -> Slow:
+    def slow(self, columns: Sequence[Array] | Array) -> Slow:
         """The slow signals with what changes put in.
 
         Args:
-            held: at any time; its leaves may be tuples of numbers in place of arrays.
-            columns: what changes, shape (column,); a list of numbers where the leaves are tuples.
+            columns: what changes, shape (column,); a list of numbers for signals of numbers apart.
         """
-        leaves, tree = jax.tree.flatten(held, is_leaf=_is_apart)
+        apart = not isinstance(columns, jax.Array)
         taken, found = 0, []
-        for leaf, new in zip(leaves, self.changing, strict=True):
-            number = len(leaf) if _is_apart(leaf) else jnp.size(leaf)
-            part = columns[taken : taken + number] if new else []
-            taken += len(part)
-            put = tuple(part) if _is_apart(leaf) else part[0] if new and jnp.ndim(leaf) == 0 else part
-            found.append(put if new else leaf)
-        return jax.tree.unflatten(tree, found)
+        for leaf, new in zip(jax.tree.leaves(self.held), self.changing, strict=True):
+            part = columns[taken : taken + leaf.size] if new else _numbers(leaf.ravel()) if apart else leaf.ravel()
+            taken += leaf.size if new else 0
+            found.append(part[0] if leaf.ndim == 0 else tuple(part) if apart else part)
+        return jax.tree.unflatten(jax.tree.structure(self.held), found)
 
     def turned(self, time: Scalar) -> Harmonics:
         """Stiffness harmonics counted from a time [s]."""
@@ -181,19 +181,19 @@ class Rows(NamedTuple):
     every: Any
 
 
-def tabulated(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Rows, Drives]:
+def tabulated(drive: Drive, basis: Basis, given: Given) -> tuple[Rows, Drives]:
     """Rows of one table for the steps of a block, and what they mean."""
     waves, load = given.waves, given.load
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
     rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (load,) if load.ndim else ()
 
     def put(row: Any) -> tuple[Slow, Fast]:
-        return drive.slow(held, row[0]), Fast(row[1], row[2][0] if row[2] else load)
+        return drive.slow(row[0]), Fast(row[1], row[2][0] if row[2] else load)
 
     return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), Drives(lambda row: row, lambda rows: rows, put)
 
 
-def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[Rows, Drives]:
+def written_out(drive: Drive, basis: Basis, given: Given) -> tuple[Rows, Drives]:
     """Weights for the steps of a block, and the sums over its nodes that they mean."""
     waves, load = given.waves, given.load
     loads = (load,) if load.ndim else ()
@@ -218,8 +218,7 @@ def written_out(drive: Drive, basis: Basis, held: Slow, given: Given) -> tuple[R
 
     def put(numbers: tuple) -> tuple[Slow, Fast]:
         slow, stiffness, loads = numbers
-        apart = jax.tree.map(lambda leaf: tuple(_numbers(leaf)) if leaf.ndim else leaf, held)
-        return drive.slow(apart, slow), Fast(stiffness, loads[0] if loads else load)
+        return drive.slow(slow), Fast(stiffness, loads[0] if loads else load)
 
     return rows, Drives(at, table, put)
 
@@ -245,10 +244,6 @@ def _summed_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 def _numbers(values: Array) -> list[Array]:
     return [jax.lax.index_in_dim(values, index, keepdims=False) for index in range(values.shape[0])]
-
-
-def _is_apart(leaf: Any) -> bool:
-    return type(leaf) is tuple  # not one of the named ones
 
 
 def _product(weights: list[Array], numbers: list[Array], total: Array) -> Array:
