@@ -11,6 +11,8 @@ from gearjax.typing import Array, Float, Number, Scalar
 class EquivalentMass(eqx.Module):
     """Inertia of the output as a mass on the line of action (Wang et al. 2020, eq. 19).
 
+    Where levers turn with the input, those at input angle zero make it a moment of inertia, which is constant.
+
     Args:
         mass: equivalent mass [kg].
     """

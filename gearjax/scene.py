@@ -170,20 +170,37 @@ class Scene(eqx.Module):
         back = None if self.backlash is None else self._side(theta, Flank.BACK)
         return Pose(theta, self._side(theta, Flank.DRIVE), back)
 
-    def contacts(self, theta: Scalar | Pose, stiffness: Stiffness = "rigid") -> ContactSet:
+    def contacts(
+        self, theta: Scalar | Pose, stiffness: Stiffness = "rigid", position: Scalar | None = None
+    ) -> ContactSet:
         """Candidate contacts at an input angle [rad], errors, reference and backlash included.
 
         Args:
             theta: input angle [rad], or the pose there.
             stiffness: ``"rigid"`` for none, ``"mean"``, or ``"varying"`` with the mesh phase.
+            position: of the output, where a scene of exact geometry is looked at; its ideal position without [rad].
         """
         pose = theta if isinstance(theta, Pose) else self.pose(theta)
-        drive = self._flank(pose.drive, Flank.DRIVE)
+        if self.system.exact:
+            drive = self._displaced(pose.theta, jnp.zeros_like(pose.theta) if position is None else position)
+        else:
+            drive = self._flank(pose.drive, Flank.DRIVE)
         back = None if pose.back is None else self._flank(pose.back, Flank.BACK)
         if back is not None and self.backlash is not None:
             back = ContactFrame(back.jacobian, back.gap + self.backlash.initial)
         springs = None if stiffness == "rigid" else self._stiffness(pose.theta, drive.gap.shape[0], stiffness)
         return join(drive, back, springs, self.system.two_sided)
+
+    def _displaced(self, theta: Scalar, position: Scalar) -> ContactFrame:
+        """Contacts of the displaced bodies, in a straight line about a position of the output [rad]."""
+        by_body: dict[str, list[AbstractError]] = {}
+        for error in self.errors.values():
+            by_body.setdefault(error.body, []).append(error)
+        moved = {body: self.system.movements(body, theta).of(errors) for body, errors in by_body.items()}
+        gap, rate = jax.jvp(
+            lambda at: self.system.displaced_gaps(theta, moved, at), (position,), (jnp.ones_like(position),)
+        )
+        return ContactFrame(-rate[:, None], gap - rate * position)
 
     def _stiffness(self, theta: Scalar, pairs: int, stiffness: Stiffness) -> Float[Array, " pair"] | LineSprings:
         if self.compliance is None:

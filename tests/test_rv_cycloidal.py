@@ -22,17 +22,22 @@ def arms(one: gj.Scene, theta: float) -> np.ndarray:
 def check_accepted(row):
     one = scene(row.design, row.discs, with_errors=row.with_errors, compliance=LAWS[row.law])
     theta = jnp.asarray(angles(39 if row.with_errors else 1))
-    te, play = gj.transmission_error(one, theta, share(row.discs)), gj.backlash(one, theta)
+    # the study loads the pins behind the throw: without errors the stage is its own mirror, with errors it is another
+    # flank, which a load that helps the output carries
+    te, play = gj.transmission_error(one, theta, -share(row.discs)), gj.backlash(one, theta)
     # the study leaves the shifting out of the curvature and of the short-width coefficient of its line contacts
     relative = (2e-2 if row.with_errors else 5e-2) if row.law == "line" else 1e-5
     assert float(jnp.ptp(te.te)) / arcmin == pytest.approx(row.peak_to_peak, rel=relative)
-    assert -float(te.mean) / arcmin == pytest.approx(row.mean, abs=1e-3 if row.law == "line" else 1e-5)
+    assert float(te.mean) / arcmin == pytest.approx(row.mean, abs=1e-3 if row.law == "line" else 1e-5)
     assert float(play.backlash.min()) / arcmin == pytest.approx(row.backlash[0], abs=1e-5)
     assert float(play.mean) / arcmin == pytest.approx(row.backlash[1], abs=1e-5)
     assert float(te.forces.max()) == pytest.approx(row.force, rel=1e-2 if row.law == "line" else 1e-5)
     assert (int(te.engaged.min()), int(te.engaged.max())) == row.engaged
     if row.unloaded is not None:
-        assert float(jnp.ptp(gj.transmission_error(one, theta).te)) / arcmin == pytest.approx(row.unloaded, abs=1e-6)
+        assert float(jnp.ptp(play.upper)) / arcmin == pytest.approx(row.unloaded, abs=1e-6)
+    if not row.with_errors:
+        forward = gj.transmission_error(one, theta, share(row.discs))
+        assert -float(forward.mean) / arcmin == pytest.approx(row.mean, abs=1e-3 if row.law == "line" else 1e-5)
 
 
 def test_one_row_of_the_study():
@@ -95,7 +100,7 @@ def test_hertz_is_stiffer_than_the_paper_by_as_much_as_the_study_found():
     radii = Radii(jnp.asarray([3 * mm]), curvature(own.profile, place)[None])
     soft, stiff = (float(law.springs(radii).approach(jnp.array([1910.0]))[0]) for law in (HU, HERTZ))
     assert soft / mm == pytest.approx(0.0116, abs=5e-5)
-    assert soft / stiff == pytest.approx(1.75, abs=0.02)
+    assert soft / stiff == pytest.approx(2.0, abs=0.02)
 
 
 @pytest.mark.parametrize("compliance", [LINEAR, pytest.param(HERTZ, marks=pytest.mark.slow)])
@@ -180,14 +185,14 @@ def test_a_mirrored_stage_gives_way_as_much_backwards():
 def test_one_pin_alone_and_one_pin_missing(compliance):
     whole, theta = scene(discs=1, compliance=compliance), jnp.asarray([0.3, 0.31])
     thin = np.full(40, -1 * mm)
-    thin[37] = 0.0
+    thin[9] = 0.0
     alone = gj.transmission_error(with_errors(whole, size=gj.Sizes("pin_ring", thin)), theta, 50.0)
-    np.testing.assert_array_equal(np.flatnonzero(np.asarray(alone.forces[0])), [37])
-    assert float(alone.forces[0, 37] * -arms(whole, 0.3)[37]) == pytest.approx(50.0, rel=1e-9)
+    np.testing.assert_array_equal(np.flatnonzero(np.asarray(alone.forces[0])), [9])
+    assert float(alone.forces[0, 9] * -arms(whole, 0.3)[9]) == pytest.approx(50.0, rel=1e-9)
     missing = np.zeros(40)
-    missing[37] = -1 * mm
+    missing[9] = -1 * mm
     less = gj.transmission_error(with_errors(whole, size=gj.Sizes("pin_ring", missing)), theta, 431.0)
-    assert float(less.forces[0, 37]) == 0.0
+    assert float(less.forces[0, 9]) == 0.0
     assert bool((less.te < gj.transmission_error(whole, theta, 431.0).te).all())
 
 
@@ -275,11 +280,15 @@ def test_the_first_stage_adds_its_error_and_costs_nothing_where_it_is_absent():
     assert float(two_stages.system.ratio) == pytest.approx(1 + 60 / 22 * 40)
     theta = jnp.asarray(angles(1, 64)) * float(two_stages.system.ratio) / 39
     clean = gj.transmission_error(two_stages, theta, 784.0).te
-    np.testing.assert_allclose(clean, gj.transmission_error(scene(), jnp.asarray(angles(1, 64)), 784.0).te, rtol=1e-9)
+    longer = (40 + 22 / 60) / 39  # levers, as the cranks turn with the output
+    held = gj.transmission_error(scene(), jnp.asarray(angles(1, 64)), 784.0 / longer).te / longer
+    np.testing.assert_allclose(clean, held, rtol=1e-9)
     sun = with_errors(two_stages, sun=gj.Eccentricity("sun", 10 * um, 0.3))
     added = np.asarray(gj.transmission_error(sun, theta, 784.0).te - clean)
     radius = 0.5 * 60 * 1.25 * mm * np.cos(np.radians(20))
-    expected = -10 * um / (40 * radius) * np.sin((1 - 1 / float(two_stages.system.ratio)) * np.asarray(theta) + 0.3)
+    expected = (
+        10 * um / ((40 + 22 / 60) * radius) * np.sin((1 - 1 / float(two_stages.system.ratio)) * np.asarray(theta) + 0.3)
+    )
     np.testing.assert_allclose(added, expected, atol=1e-13)
     one = jnp.asarray(0.3)
     bare, listed = (str(jax.make_jaxpr(lambda t, s=s: s.contacts(t).gap)(one)) for s in (scene(), sun))

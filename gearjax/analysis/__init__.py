@@ -4,9 +4,11 @@ from gearjax.analysis.dynamics import growth_rate, simulate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.fitted_many import ExponentialFitMany
 from gearjax.analysis.follow import QuasiStatic
+from gearjax.analysis.metrics import FewAngles
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.periodic import Periodic, Sweep, harmonic_balance, shooting, speed_sweep
-from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, transmission_error
+from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, interference, transmission_error
+from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
 from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost_motion, torsion
@@ -16,7 +18,9 @@ __all__ = [
     "Backlash",
     "ExponentialFit",
     "ExponentialFitMany",
+    "FewAngles",
     "FixedStep",
+    "Interference",
     "LostMotion",
     "Motion",
     "Periodic",
@@ -31,6 +35,7 @@ __all__ = [
     "contact_pressure",
     "growth_rate",
     "harmonic_balance",
+    "interference",
     "lost_motion",
     "order_spectrum",
     "shooting",

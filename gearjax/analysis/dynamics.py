@@ -3,6 +3,7 @@
 Times come from the sample and step number.
 """
 
+import dataclasses
 import math
 import warnings
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import march, tables
-from gearjax.analysis.equation import Equation, fastest_order, fastest_rate, slowest_decay, turning_rate
+from gearjax.analysis.equation import Equation, fastest_rate, slowest_decay, turning_rate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic, follow
 from gearjax.analysis.growth import growth, watch
@@ -259,7 +260,7 @@ def _method(
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
-        phase = fastest_order(scene) * float(np.asarray(scene.system.input_speed)) * spacing / steps
+        phase = scene.system.fastest_order * float(np.asarray(scene.system.input_speed)) * spacing / steps
     if stepper.windows is not None and spacing is None:
         raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
     batched = is_batched((scene, ts, torque))
@@ -304,6 +305,9 @@ def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str,
         motion = _fitted(equation, ts, settle, start, method)
     else:
         motion = _integrated(equation, ts, settle, start, method)
+    if equation.two_sided:
+        able = jax.vmap(equation.carriers)(ts)
+        motion = dataclasses.replace(motion, carriers=able)
     lost = ~(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.velocity).all())
     fault = jnp.where((motion.result == 0) & lost, 1, motion.result)
     return eqx.tree_at(lambda motion: motion.result, motion, fault)

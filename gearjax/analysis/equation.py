@@ -12,12 +12,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.analysis.quasi_static import rest
 from gearjax.analysis.tables import depends
-from gearjax.contact import ContactSet
+from gearjax.contact import ContactSet, equilibrium
 from gearjax.contact.frame import Pose
 from gearjax.scene import Scene
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Float, Int, Scalar
 
 LENGTH_SCALE = 1e-5  # m on the line of action
 
@@ -54,7 +53,8 @@ class Equation(eqx.Module):
         torque: size of the load [N m].
         frequency: highest natural frequency, all pairs in contact at their peak stiffness [rad/s]; scales time.
         scale: position per scaled position [rad].
-        mass: inertia on the line of action, that the damping counts with [kg].
+        inertia: moment of inertia on the output's axis; constant, as a body's is, where levers turn too [kg m2].
+        mass: the same on the line of action, that the damping counts with [kg].
         pairs: number of driving contacts.
         levers_turn: whether the levers change over time.
         two_sided: whether the sign of its lever tells which flank a contact is.
@@ -64,6 +64,7 @@ class Equation(eqx.Module):
     torque: Scalar
     frequency: Scalar
     scale: Scalar
+    inertia: Scalar
     mass: Scalar
     pairs: int = eqx.field(static=True)
     levers_turn: bool = eqx.field(static=True)
@@ -77,10 +78,11 @@ class Equation(eqx.Module):
         contacts = scene.contacts(start)
         arm = contacts.lever[: contacts.pairs]
         stiffness = (arm * arm).sum() * scene.linear_compliance.peak_stiffness()
-        frequency = jnp.sqrt(stiffness / scene.inertia.moment(arm))
+        inertia = scene.inertia.moment(arm)
+        frequency = jnp.sqrt(stiffness / inertia)
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
-        return cls(scene, torque, frequency, scale, mass, contacts.pairs, turn, contacts.two_sided)
+        return cls(scene, torque, frequency, scale, inertia, mass, contacts.pairs, turn, contacts.two_sided)
 
     def load(self, time: Scalar) -> Scalar:
         """Load torque [N m]."""
@@ -132,7 +134,6 @@ class Equation(eqx.Module):
     def acceleration(self, now: Excitation, position: Scalar, velocity: Scalar) -> Scalar:
         """Acceleration of the output's deviation [rad/s2]."""
         scene, gaps = self.scene, now.gaps
-        assert scene.inertia is not None
         pairs = self.pairs
         overlap = gaps.lever * position - gaps.gap
         moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
@@ -146,7 +147,11 @@ class Equation(eqx.Module):
                 engaged = 1.0 - (1.0 - engaged[:pairs]) * (1.0 - engaged[pairs:])
             engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged
             moment = moment - (gaps.lever[:pairs] * coefficient * engaged * speed[:pairs]).sum()
-        return moment / scene.inertia.moment(gaps.lever[:pairs])
+        return moment / self.inertia
+
+    def carriers(self, time: Scalar) -> Int[Array, ""]:
+        """Number of pairs that could carry the torque at a time [s]."""
+        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.load(time))
 
     def rate(self, now: Excitation, state: Float[Array, "2"]) -> Float[Array, "2"]:
         """Change of the scaled state per scaled time."""
@@ -156,7 +161,7 @@ class Equation(eqx.Module):
     def equilibrium(self, lever: Array, gap: Array, stiffness: Array, load: Scalar) -> Scalar:
         """Position where the contacts balance a load [rad]; arguments as for `following`."""
         contacts = ContactSet(lever[:, None], gap, stiffness, self.pairs, self.two_sided)
-        return rest(contacts, self.scene, load).position
+        return equilibrium(contacts, -load, self.scene.contact).position
 
     def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:
         """Static equilibrium at a time [s] under a stiffness [N/m] and a load [N m]: position [rad]."""
@@ -218,12 +223,7 @@ def fastest_rate(equation: Equation) -> Scalar:
 
 def turning_rate(scene: Scene) -> Scalar:
     """Fastest rate of the turning bodies, which the gaps follow [rad/s]."""
-    return jnp.asarray(fastest_order(scene), scene.dtype) * scene.system.input_speed
-
-
-def fastest_order(scene: Scene) -> float:
-    """Turns of the fastest body per turn of the input."""
-    return max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
+    return jnp.asarray(scene.system.fastest_order, scene.dtype) * scene.system.input_speed
 
 
 def slowest_decay(equation: Equation) -> Scalar:

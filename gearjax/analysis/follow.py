@@ -35,11 +35,9 @@ def follow(equation: Equation, ts: Float[Array, " n"], method: QuasiStatic) -> t
         # what the equation of motion lacks at the followed position, over the stiffness there
         now = equation.excitation(time)
         missing = acceleration - equation.acceleration(now, place, velocity)
-        assert equation.scene.inertia is not None
         closed = equation.scene.contact.closed(now.gaps.lever * place - now.gaps.gap)
         stiffness = (closed * now.stiffness * now.gaps.lever**2).sum()
-        moment = equation.scene.inertia.moment(now.gaps.lever[: equation.pairs])
-        step = jnp.where(stiffness > 0, moment * missing / jnp.where(stiffness > 0, stiffness, 1.0), 0.0)
+        step = jnp.where(stiffness > 0, equation.inertia * missing / jnp.where(stiffness > 0, stiffness, 1.0), 0.0)
         return place - step, velocity
 
     return jax.vmap(at)(ts)

@@ -7,17 +7,62 @@ are bisected on the slope, and the value is taken where the tangents at the turn
 where an interval hides two turning points, or where more than `MOST_INTERVALS` intervals bound higher than the best.
 """
 
+import math
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from gearjax.checks import is_concrete
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
+FEWEST = 20.0  # angles per turn of what turns fastest, below which extremes between them are missed
 MOST_INTERVALS = 32
 HALVINGS = 30  # of an interval
+
+
+class FewAngles(UserWarning):
+    """Extremes of a curve may be missed: it was looked at too few angles."""
+
+
+def angles_per_turn(theta: Float[Array, " n"], fastest_order: float) -> float:
+    """Fewest angles per turn of what turns fastest; infinite for a single angle.
+
+    Args:
+        theta: input angles, increasing, shape (n,) [rad].
+        fastest_order: its turns per turn of the input.
+    """
+    angles = np.asarray(theta)
+    if angles.shape[-1] < 2 or fastest_order <= 0:
+        return math.inf
+    return float(2 * math.pi / (np.diff(angles, axis=-1).max() * fastest_order))
+
+
+def few_angles(theta: Float[Array, " n"], fastest_order: float) -> str | None:
+    """What a reader of the extremes should know, ``None`` where there are angles enough."""
+    fewest = angles_per_turn(theta, fastest_order)
+    if fewest > FEWEST * (1 - 1e-3):
+        return None
+    angles = np.asarray(theta)
+    needed = math.ceil(FEWEST * fastest_order * float((angles[..., -1] - angles[..., 0]).max()) / (2 * math.pi)) + 1
+    return (
+        f"only {fewest:.3g} angles per turn of what turns fastest ({fastest_order:.4g} per turn of the input): "
+        f"peak-to-peak and amplitude may miss extremes, {needed} even angles would do"
+    )
+
+
+def warn_of_few_angles(theta: Float[Array, "... n"], fastest_order: float) -> None:
+    """Warn where extremes between the angles may be missed; single and two angles are not taken for a curve, and inside
+    a trace nothing is known."""
+    if not is_concrete(theta) or theta.shape[-1] < 3:
+        return
+    words = few_angles(theta, fastest_order)
+    if words is not None:
+        warnings.warn(words, FewAngles, stacklevel=3)
 
 
 class Extremes(eqx.Module):
@@ -237,16 +282,20 @@ def deviation(record: Float[Array, "... n"]) -> Float[Array, "..."]:
     return root((centred * centred).mean(axis=-1))
 
 
-def load_sharing_factor(forces: Float[Array, "... n contact"], pairs: int) -> Float[Array, "... n"]:
-    """Share of the most loaded pair over the mean share, 1 (even) to ``pairs`` (one carries all), shape (n,).
+def load_sharing_factor(
+    forces: Float[Array, "... n contact"], carriers: Int[Array, "... n"] | int, pairs: int
+) -> Float[Array, "... n"]:
+    """Load of the most loaded pair over the mean load of those that could carry, 1 (even) to their number (one carries
+    all), shape (n,).
 
     The mesh load factor ``K_gamma`` of ISO 6336-1 for planet wheels, at each sample; nan without load.
 
     Args:
         forces: compression of each contact, driving flanks first, shape (n, contact) [N].
+        carriers: number of pairs that could carry, shape (n,) or one for all.
         pairs: number of driving contacts.
     """
     carried = forces.reshape(*forces.shape[:-1], -1, pairs).sum(axis=-2)
     total = carried.sum(axis=-1)
     loaded = total > 0
-    return jnp.where(loaded, pairs * carried.max(axis=-1) / jnp.where(loaded, total, 1.0), jnp.nan)
+    return jnp.where(loaded, carriers * carried.max(axis=-1) / jnp.where(loaded, total, 1.0), jnp.nan)

@@ -20,6 +20,7 @@ class Motion(eqx.Module):
         result: 0 good, else a key of `gearjax.analysis.dynamics.FAULTS`.
         defect: how far windows of time were apart where they meet, 0 without windows [rad].
         pairs: number of driving contacts.
+        carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` where all could.
     """
 
     ts: Float[Array, " n"]
@@ -32,6 +33,7 @@ class Motion(eqx.Module):
     result: Int[Array, ""]
     defect: Scalar
     pairs: int = eqx.field(static=True)
+    carriers: Int[Array, " n"] | None = None
 
     @property
     def settled(self) -> Array:
@@ -85,8 +87,8 @@ class Motion(eqx.Module):
 
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
-        """Load of the most loaded pair over the mean load, shape (n,) [-]."""
-        return load_sharing_factor(self.forces, self.pairs)
+        """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
+        return load_sharing_factor(self.forces, self.pairs if self.carriers is None else self.carriers, self.pairs)
 
 
 def _pick(values: Float[Array, "... n"], index: Int[Array, "..."]) -> Float[Array, "..."]:

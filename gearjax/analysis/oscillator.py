@@ -65,10 +65,8 @@ class Oscillator(eqx.Module):
     def slow(self, moment: Moment) -> Slow:
         """Slow numbers of the step at a moment."""
         scene, now, scale = self.equation.scene, self.equation.gaps(moment), self.equation.scale
-        assert scene.inertia is not None
-        pairs = self.equation.pairs
+        pairs, inertia = self.equation.pairs, self.equation.inertia
         arm = now.lever[:pairs]
-        inertia = scene.inertia.moment(arm)
         inverse = self.step * self.step / (inertia * scale * scale)
         damping = drag = jnp.zeros((pairs,), now.gap.dtype)
         turning = None

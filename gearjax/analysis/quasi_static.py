@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor
+from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor, warn_of_few_angles
+from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import SceneError, is_concrete
-from gearjax.contact import ContactSet, Equilibrium, equilibrium, first_contact
+from gearjax.contact import Equilibrium
 from gearjax.contact.frame import Pose
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -22,9 +23,14 @@ class TransmissionError(eqx.Module):
         theta: input angles, shape (n,) [rad].
         te: transmission error, shape (n,) [rad].
         forces: compression of each contact, driving flanks first, shape (n, contact) [N]; ``None`` without torque.
-        result: 0 found, 1 no flank can carry the torque, shape (n,).
+        result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), shape (n,).
         extremes: highest and lowest value over the span of theta, between samples too [rad].
-        pairs: number of driving contacts.
+        pairs: number of driving contacts; of contacts that touch either flank, of all.
+        fastest_order: turns of what the curve follows fastest per turn of the input.
+        carriers: number of pairs that could carry the torque, shape (n,); of contacts that touch either flank those
+            on the loaded side. ``None`` without torque.
+        interference: of rigid bodies, where back flanks are modelled; ``None`` under torque, which elastic bodies
+            carry in spite of it (`gearjax.interference` tells it for every scene).
     """
 
     theta: Float[Array, " n"]
@@ -33,15 +39,20 @@ class TransmissionError(eqx.Module):
     result: Int[Array, " n"]
     extremes: Extremes
     pairs: int = eqx.field(static=True)
+    fastest_order: float = eqx.field(static=True)
+    carriers: Int[Array, " n"] | None = None
+    interference: Interference | None = None
 
     @property
     def peak_to_peak(self) -> Float[Array, "..."]:
         """Highest minus lowest [rad]."""
+        warn_of_few_angles(self.theta, self.fastest_order)
         return self.extremes.maximum - self.extremes.minimum
 
     @property
     def amplitude(self) -> Float[Array, "..."]:
         """Largest absolute value [rad]."""
+        warn_of_few_angles(self.theta, self.fastest_order)
         return jnp.maximum(self.extremes.maximum, -self.extremes.minimum)
 
     @property
@@ -63,10 +74,10 @@ class TransmissionError(eqx.Module):
 
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
-        """Load of the most loaded pair over the mean load, shape (n,) [-]."""
-        if self.forces is None:
+        """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
+        if self.forces is None or self.carriers is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
-        return load_sharing_factor(self.forces, self.pairs)
+        return load_sharing_factor(self.forces, self.carriers, self.pairs)
 
 
 class Backlash(eqx.Module):
@@ -77,12 +88,21 @@ class Backlash(eqx.Module):
         lower: output position at which the first driving flank touches (the no-load TE), shape (n,) [rad].
         upper: output position at which the first back flank touches, shape (n,) [rad].
         extremes: largest and smallest backlash over the span of theta, between samples too [rad].
+        interference: of rigid bodies.
+        fastest_order: turns of what the curve follows fastest per turn of the input.
     """
 
     theta: Float[Array, " n"]
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
     extremes: Extremes
+    interference: Interference
+    fastest_order: float = eqx.field(static=True)
+
+    @property
+    def result(self) -> Int[Array, "... n"]:
+        """0 clear, 2 rigid bodies interfere, shape (n,)."""
+        return self.interference.result
 
     @property
     def backlash(self) -> Float[Array, "... n"]:
@@ -92,6 +112,7 @@ class Backlash(eqx.Module):
     @property
     def range(self) -> Float[Array, "..."]:
         """Largest minus smallest backlash [rad]."""
+        warn_of_few_angles(self.theta, self.fastest_order)
         return self.extremes.maximum - self.extremes.minimum
 
     peak_to_peak = range
@@ -99,6 +120,7 @@ class Backlash(eqx.Module):
     @property
     def amplitude(self) -> Float[Array, "..."]:
         """Largest absolute value [rad]."""
+        warn_of_few_angles(self.theta, self.fastest_order)
         return jnp.maximum(self.extremes.maximum, -self.extremes.minimum)
 
     @property
@@ -172,6 +194,30 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
     return _backlash(scene.physics("backlash"), angles_of(scene, theta))
 
 
+def interference(scene: Scene, theta: ArrayLike) -> Interference:
+    """How far rigid bodies overlap at each input angle wherever the output is: jammed teeth, pins that a disc cannot
+    clear.
+
+    Elastic bodies give way by that much when they are assembled, and are under preload. Without load there is no
+    position that is free of it: the no-load TE and the backlash have ``result`` 2 there.
+
+    Args:
+        scene: the scene, with back flanks.
+        theta: input angles, increasing, shape (n,) [rad].
+
+    Raises:
+        SceneError: the scene has no back flanks.
+
+    Example:
+        >>> import gearjax as gj, jax.numpy as jnp
+        >>> scene = gj.load("configs/rv_cycloidal/hu_2020.toml")
+        >>> bool(gj.interference(scene, jnp.linspace(0.0, 6.2, 50)).interferes.any())
+        False
+    """
+    require(scene, "interference", "backlash")
+    return _interference(scene.physics("backlash"), angles_of(scene, theta))
+
+
 def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
     """Input angles of an analysis, checked, shape (n,) [rad]."""
     theta = jnp.asarray(theta, dtype=scene.dtype)
@@ -182,42 +228,33 @@ def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
     return theta
 
 
-def rest(contacts: ContactSet, scene: Scene, torque: Scalar) -> Equilibrium:
-    """Equilibrium under a load torque [N m], by the scene's contact law."""
-    return equilibrium(contacts, -torque, scene.contact)
-
-
 def no_load(scene: Scene, angle: Scalar | Pose) -> Scalar:
     """No-load TE at one input angle or pose [rad]: the lower edge of the play."""
-    return first_contact(scene.contacts(angle), scene.contact)[0]
+    return edge(scene, angle)
 
 
 def static(physics: tuple[Scene, Scalar], angle: Scalar | Pose) -> Scalar:
     """Static TE of a scene under a torque [N m] at one angle [rad]."""
     scene, torque = physics
-    return rest(scene.contacts(angle, "mean"), scene, torque).position
+    return rest(scene, angle, torque).position
 
 
 def play(scene: Scene, angle: Scalar | Pose) -> Scalar:
     """Backlash at one angle [rad]."""
-    lower, upper = _edges(scene, angle)
+    lower, upper = edges(scene, angle)
     return upper - lower
-
-
-def _edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:
-    lower, upper = first_contact(scene.contacts(angle), scene.contact)
-    assert upper is not None  # the caller requires a backlash
-    return lower, upper
 
 
 @eqx.filter_jit
 def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> TransmissionError:
     scene = scene.anchored()
-    pairs = jax.eval_shape(scene.contacts, theta[0]).pairs
+    pairs, fastest = jax.eval_shape(scene.contacts, theta[0]).pairs, scene.system.fastest_order
     if torque is None:
         te = jax.vmap(no_load, in_axes=(None, 0))(scene, theta)
-        result = jnp.zeros(theta.shape, int)
-        return TransmissionError(theta, te, None, result, extremes(no_load, scene, theta, te), pairs)
+        found = extremes(no_load, scene, theta, te)
+        overlap = _clash(scene, theta) if scene.has_back else None
+        result = jnp.zeros(theta.shape, int) if overlap is None else overlap.result
+        return TransmissionError(theta, te, None, result, found, pairs, fastest, None, overlap)
 
     def at(angle: Scalar, torque: Array) -> Scalar:
         """Torque at an angle, between its samples too."""
@@ -227,16 +264,28 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
         scene, torque = physics
         return static((scene, at(angle, torque)), angle)
 
-    axis = 0 if torque.ndim else None
-    each = jax.vmap(lambda angle, size: rest(scene.contacts(angle, "mean"), scene, size), in_axes=(0, axis))
-    rests = each(theta, torque)
+    def loaded(angle: Scalar, torque: Scalar) -> tuple[Equilibrium, Array]:
+        return rest(scene, angle, torque), carriers(scene, angle, torque)
+
+    rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
     found = extremes(under, (scene, torque), theta, rests.position)
-    return TransmissionError(theta, rests.position, rests.forces, rests.result, found, pairs)
+    return TransmissionError(theta, rests.position, rests.forces, rests.result, found, pairs, fastest, able)
 
 
 @eqx.filter_jit
 def _backlash(scene: Scene, theta: Array) -> Backlash:
     scene = scene.anchored()
 
-    lower, upper = jax.vmap(_edges, in_axes=(None, 0))(scene, theta)
-    return Backlash(theta, lower, upper, extremes(play, scene, theta, upper - lower))
+    lower, upper = jax.vmap(edges, in_axes=(None, 0))(scene, theta)
+    found, overlap = extremes(play, scene, theta, upper - lower), _clash(scene, theta)
+    return Backlash(theta, lower, upper, found, overlap, scene.system.fastest_order)
+
+
+@eqx.filter_jit
+def _interference(scene: Scene, theta: Array) -> Interference:
+    return _clash(scene.anchored(), theta)
+
+
+def _clash(scene: Scene, theta: Array) -> Interference:
+    overlap = jax.vmap(lambda angle: clash(scene, angle))(theta)
+    return Interference(theta, overlap.overlap, overlap.contact, overlap.position)

@@ -4,7 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.analysis.quasi_static import TransmissionError, angles_of, backlash, rest
+from gearjax.analysis.quasi_static import TransmissionError, angles_of, backlash
+from gearjax.analysis.resting import rest
 from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.compliance import AbstractLineContact
 from gearjax.scene import Scene, require
@@ -152,7 +153,6 @@ def _positions(scene: Scene, theta: Array, torques: Array) -> Array:
     scene = scene.anchored()
 
     def one(angle: Array) -> Array:
-        contacts = scene.contacts(angle, "mean")
-        return jax.vmap(lambda torque: rest(contacts, scene, torque).position)(torques)
+        return jax.vmap(lambda torque: rest(scene, angle, torque).position)(torques)
 
     return jax.vmap(one, out_axes=1)(theta)

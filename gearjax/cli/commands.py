@@ -15,6 +15,7 @@ from gearjax.cli.tables import print_cases, print_optimisation, print_rows, prin
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
 from gearjax.reproduce import PAPERS, Row
 from gearjax.results import (
+    clash_of,
     growth_remark,
     remarks,
     run_cases,
@@ -82,6 +83,10 @@ def run(
         if remark is not None:
             _progress.print(f"note: {remark}", soft_wrap=True)
         cases.append(case)
+    overlap = clash_of(scene, cases)
+    words = None if overlap is None else overlap.told(scene)
+    if words is not None:
+        _progress.print(f"warning: {words}", soft_wrap=True)
     folder = _folder(out, json_, config)
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
@@ -89,7 +94,10 @@ def run(
         written = save(scene, cases, text, folder) + save_figures(scene, cases, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
-        print(json.dumps({"config": str(config), "cases": [case.as_json() for case in cases]}, allow_nan=False))
+        told = {"config": str(config), "cases": [case.as_json() for case in cases]}
+        if overlap is not None and words is not None:
+            told["interference"] = overlap.as_json(scene)
+        print(json.dumps(told, allow_nan=False))
     else:
         print_cases(cases)
 

@@ -21,7 +21,7 @@ from gearjax.contact.search import search
 from gearjax.typing import Array, Float, Int, Scalar
 
 MAX_SMOOTH_PAIRS = 5  # the smooth equilibrium looks at every subset of each flank
-SMALLEST_LEVER = 1e-9  # of the mean one, below which a two-sided contact turns nothing
+SHORTEST_LEVER = 0.03  # of the mean one, below which a contact is radial: it does not say where the output is
 FAR = 1.0  # rad, where a contact that does not touch counts as touching
 
 
@@ -57,15 +57,16 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
     return lower, -law.maximum(-touch[contacts.pairs :] * scale) / scale
 
 
-def facing(lever: Array, gap: Array, sign: float, per_lever: Array) -> Array:
+def facing(lever: Array, gap: Array, sign: float | Array, per_lever: Array) -> Array:
     """Positions at which two-sided contacts of one side touch, those of the other side far away [rad].
 
     Args:
         lever, gap: of the contacts, arrays of any one shape [m/rad], [m].
         sign: 1 for the side that holds against a positive torque, -1 for the other, whose positions are negated.
-        per_lever: one over the mean lever; a contact whose lever all but vanishes turns nothing.
+        per_lever: one over the mean lever. A contact whose lever all but vanishes does not decide: the output can
+            hardly clear an overlap there, which is interference and told as such (`least_overlap`).
     """
-    faces = sign * lever * per_lever < -SMALLEST_LEVER
+    faces = sign * lever * per_lever < -SHORTEST_LEVER
     size = jnp.where(faces, jnp.abs(lever), 1.0)
     return jnp.where(faces, jnp.clip(-gap / size, -FAR, FAR), -FAR)
 
@@ -90,10 +91,16 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     if contacts.stiffness is None:
         raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
     if contacts.two_sided or isinstance(contacts.stiffness, LineSprings):
-        lower, upper = first_contact(contacts, HardContact())
-        edge = lower if upper is None else jnp.where(load > 0, upper, lower)
-        position, forces, found = search(contacts, load, law, edge)
-        return Equilibrium(position, forces, jnp.where(found, 0, 1))
+        side = jnp.where(load > 0, -1.0, 1.0).astype(contacts.gap.dtype)
+        touch = facing(contacts.lever, contacts.gap, side, 1 / _scale(contacts))
+        first = jnp.argmax(touch)
+        edge = side * touch[first]
+        # counted from where the first contact touches, so that the forces of a tiny torque are not lost in rounding
+        apart = contacts.gap - contacts.lever * edge
+        apart = jnp.where((jnp.arange(touch.shape[0]) == first) & (jnp.abs(edge) < FAR), 0.0, apart)
+        counted = eqx.tree_at(lambda c: c.gap, contacts, apart)
+        position, forces, found = search(counted, load, law)
+        return Equilibrium(edge + position, forces, jnp.where(found, 0, 1))
     if isinstance(law, HardContact):
         return _hard(contacts, contacts.stiffness, load)
     return _smooth(contacts, contacts.stiffness, load, law)
@@ -106,13 +113,14 @@ def _scale(contacts: ContactSet) -> Scalar:
 
 def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar) -> Equilibrium:
     lever = contacts.lever
-    touch = contacts.gap / lever
+    # apart from what uses it: a fused difference of two quotients rounds one of them, and equal ones would differ
+    touch = jax.lax.optimization_barrier(contacts.gap / lever)
     driving = lever < 0
     # reaction[j]: what all the contacts together carry where contact j begins to touch
     apart = touch[None, :] - touch[:, None]
     overlap = jnp.maximum(lever[:, None] * apart, 0.0)
     reaction = ((lever * stiffness)[:, None] * overlap).sum(axis=0)
-    active = jnp.where(driving, reaction >= load, reaction < load)
+    active = jnp.where(driving, reaction >= load, reaction < load) | _first_loaded(touch, driving, load)
     weight = jnp.where(active, lever * lever * stiffness, 0.0)
     found = active.any()
     total = jnp.where(found, weight.sum(), 1.0)
@@ -121,6 +129,17 @@ def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scala
     position = jnp.where(found, touch[one] + travel[one], jnp.nan)
     forces = jnp.where(active, stiffness * lever * travel, 0.0)
     return Equilibrium(position, forces, jnp.where(found, 0, 1))
+
+
+def _first_loaded(touch: Array, driving: Array, load: Scalar) -> Array:
+    """The contact that a load closes first: the first driving one, or under a positive load the first back one.
+
+    It always carries: nothing on its side holds the output before it does, and the other side only pushes towards it.
+    Said apart, because rounding may hide it at hardly any load.
+    """
+    on_side = jnp.where(load > 0, ~driving, driving)
+    place = jnp.where(on_side, jnp.where(load > 0, -touch, touch), -jnp.inf)
+    return on_side & (jnp.arange(touch.shape[0]) == jnp.argmax(place))
 
 
 def hard_edges(touch: Sequence[Array], pairs: int) -> tuple[Array, Array | None]:

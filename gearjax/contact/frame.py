@@ -13,13 +13,15 @@ sign of ``J`` tells which flank it is, and there are no others.
 """
 
 import enum
+from collections.abc import Sequence
+from typing import Protocol
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from gearjax.contact.line import LineSprings
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Float, Int, Scalar
 
 
 class Flank(enum.IntEnum):
@@ -114,6 +116,66 @@ class BodyView(eqx.Module):
         self.cosine = cosine * jnp.cos(place) - sine * jnp.sin(place)
 
 
+class Movements(eqx.Module):
+    """How the errors of one body displace it: in each direction what a view along that direction sees.
+
+    Args:
+        x, y: displacement in two directions, which the system chooses [m].
+        turn: rotation [rad].
+    """
+
+    x: BodyView | None = None
+    y: BodyView | None = None
+    turn: BodyView | None = None
+
+    def of(self, errors: "Sequence[Error]") -> "Moved":
+        """The displacements that errors make."""
+        views = {name: view for name, view in (("x", self.x), ("y", self.y), ("turn", self.turn)) if view is not None}
+        blind = _blind(next(iter(views.values())))
+
+        def seen(view: BodyView) -> Float[Array, " contact"]:
+            return jax.tree.reduce(jnp.add, [error.gap(view) for error in errors])
+
+        alone = seen(blind)  # what opens the gaps whatever the direction, such as a smaller pin
+        nothing = jnp.zeros_like(alone)
+        return Moved(alone, **{name: seen(views[name]) - alone if name in views else nothing for name in _DIRECTIONS})
+
+
+_DIRECTIONS = ("x", "y", "turn")
+
+
+class Error(Protocol):
+    """What adds to the gaps of a body that is seen in some way."""
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        """Change of the gaps, shape (contact,) [m]."""
+        ...
+
+
+class Moved(eqx.Module):
+    """A displaced body, as each contact has it.
+
+    Args:
+        gap: by how much gaps open whatever the direction, shape (contact,) [m].
+        x, y: displacement in the system's directions, shape (contact,) [m].
+        turn: rotation, shape (contact,) [rad].
+    """
+
+    gap: Float[Array, " contact"]
+    x: Float[Array, " contact"]
+    y: Float[Array, " contact"]
+    turn: Float[Array, " contact"]
+
+
+def _blind(view: BodyView) -> BodyView:
+    """The view that sees no displacement."""
+    nothing = jnp.zeros_like(view.influence)
+    rim = view.rim
+    if rim is not None:
+        rim = eqx.tree_at(lambda rim: (rim.outward, rim.around), rim, (nothing, nothing))
+    return eqx.tree_at(lambda view: (view.influence, view.rim), view, (nothing, rim), is_leaf=lambda x: x is None)
+
+
 class Side(eqx.Module):
     """What a system shows of one flank: contacts of ideal bodies, and the views of the bodies that carry errors."""
 
@@ -169,6 +231,12 @@ class ContactSet(eqx.Module):
     def has_back(self) -> bool:
         """Whether back flanks are modelled."""
         return self.two_sided or self.gap.shape[0] > self.pairs
+
+    def carriers(self, load: Scalar) -> Int[Array, ""]:
+        """Number of pairs that could carry a generalised force [N m]; two-sided contacts: those on its side."""
+        if not self.two_sided:
+            return jnp.asarray(self.pairs)
+        return jnp.where(load > 0, self.lever > 0, self.lever < 0).sum()
 
 
 def join(

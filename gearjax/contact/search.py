@@ -72,14 +72,14 @@ def _ratio(excess: Array, slope: Array, steepness: Array) -> Array:
     return excess / jnp.where(slope > FLATTEST * steepness, slope, jnp.finfo(slope.dtype).tiny)
 
 
-def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scalar) -> tuple[Scalar, Array, Array]:
+def search(contacts: ContactSet, load: Scalar, law: AbstractContact) -> tuple[Scalar, Array, Array]:
     """Position where the contacts carry the load, their forces, and whether it was found.
 
     Args:
-        contacts: candidate contacts, with a stiffness.
+        contacts: candidate contacts, with a stiffness; their gaps count from where the load closes the first contact,
+            and so does the position [rad].
         load: generalised force on the output [N m].
         law: contact law.
-        start: position to start from, such as the edge of the play on the side of the load [rad].
     """
 
     def sums(contacts: ContactSet, load: Scalar, position: Scalar) -> tuple[Scalar, Scalar]:
@@ -88,21 +88,19 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact, start: Scal
         pressed, stiffness = jax.jvp(force, (overlap,), (jnp.ones_like(overlap),))
         return (lever * pressed).sum() - load, (lever * lever * stiffness).sum()
 
-    frozen, weight, begin = jax.lax.stop_gradient((contacts, load, start))
+    frozen, weight = jax.lax.stop_gradient((contacts, load))
     side = jnp.where(weight > 0, frozen.lever > 0, frozen.lever < 0)
     overlap = jnp.full_like(frozen.gap, TYPICAL)
     stiffness = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
     steepness = jnp.where(side, frozen.lever * frozen.lever * stiffness, 0.0).sum()
     safe = jnp.where(steepness > 0, steepness, 1.0)
-    begin = jnp.where(steepness > 0, begin, jnp.nan)
-    position, found = newton(
-        lambda position: _ratio(*sums(frozen, weight, position), safe), begin + weight / safe, jnp.abs(weight) / safe
-    )
+    begin = jnp.where(steepness > 0, weight / safe, jnp.nan)
+    position, found = newton(lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(begin))
     position = jnp.where(found, position, 0.0)
     excess, slope = sums(contacts, load, position)
     slope = jax.lax.stop_gradient(slope)
-    # without a closed contact nothing is carried, and the start is the position
-    position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), start)
+    # without a closed contact nothing is carried, and the first contact just touches
+    position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)
     return jnp.where(found, position, jnp.nan), jnp.where(found, forces, 0.0), found
 

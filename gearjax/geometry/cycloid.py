@@ -61,8 +61,8 @@ class Touch(NamedTuple):
     """The contact of a pin, for each angle ``u``.
 
     Args:
-        lever: over the rolling radius, ``L = sin u / sqrt(S)`` (Hu et al. 2020, eq. 36); positive on the flanks that
-            carry a positive torque.
+        lever: over the rolling radius, ``L = sin u / sqrt(S)`` (Hu et al. 2020, eq. 36); negative ahead of the throw,
+            on the flanks that carry a load that resists the output.
         outward: gap per outward displacement of the pin, ``(1 - K cos u) / sqrt(S)``.
         along_throw: gap per displacement of the disc along the throw, ``(K - cos u) / sqrt(S)``; across it, L.
         root: ``sqrt(S)``.
@@ -128,16 +128,28 @@ def exact_gap(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def trochoid(disc: Cycloid, phase: Float[Array, "..."]) -> tuple[Array, Array]:
     """Centre of the pin that the throw is ``phase`` ahead of, in axes of the disc: x and y [m]."""
-    circle, ratio = disc.pin_circle + disc.shifting, disc.pins / disc.teeth
-    x = circle * jnp.cos(phase / disc.teeth) - disc.throw * jnp.cos(ratio * phase)
-    y = circle * jnp.sin(phase / disc.teeth) - disc.throw * jnp.sin(ratio * phase)
-    return x, y
+    return _trochoid(disc, phase)[0]
+
+
+def _trochoid(disc: Cycloid, phase: Array) -> tuple[tuple[Array, Array], ...]:
+    """`trochoid`, and its first and second derivative by the phase: x and y of each [m]."""
+    slow, fast = 1 / disc.teeth, disc.pins / disc.teeth
+    circle, throw = disc.pin_circle + disc.shifting, disc.throw
+    far = circle * jnp.cos(slow * phase), circle * jnp.sin(slow * phase)
+    near = throw * jnp.cos(fast * phase), throw * jnp.sin(fast * phase)
+    return (
+        (far[0] - near[0], far[1] - near[1]),
+        (fast * near[1] - slow * far[1], slow * far[0] - fast * near[0]),
+        (fast * fast * near[0] - slow * slow * far[0], fast * fast * near[1] - slow * slow * far[1]),
+    )
 
 
 def pin_distance(disc: Cycloid, pin: tuple[Array, Array], guess: Float[Array, "..."]) -> Float[Array, "..."]:
     """Distance of a pin's centre from the trochoid that the profile is generated from, positive outside [m].
 
-    Newton's method for the foot of the normal; the derivative holds the foot, where the distance is stationary.
+    Newton's method for the foot of the normal. The search takes no part in derivatives: one more step carries how the
+    foot moves along the curve, so that second derivatives are right too (the distance is stationary at the foot, its
+    first derivative needs none of it).
 
     Args:
         disc: the disc.
@@ -145,19 +157,23 @@ def pin_distance(disc: Cycloid, pin: tuple[Array, Array], guess: Float[Array, ".
         guess: phase of the trochoid near the pin [rad].
     """
 
-    def curve(phase: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        return jax.jvp(lambda p: trochoid(disc, p), (phase,), (jnp.ones_like(phase),))
+    def beyond_foot(disc: Cycloid, pin: tuple[Array, Array], phase: Array) -> tuple[Array, Array]:
+        """How far along the curve the pin lies, times the curve's speed, and the change of that by the phase."""
+        (x, y), (dx, dy), (ddx, ddy) = _trochoid(disc, phase)
+        away = pin[0] - x, pin[1] - y
+        return away[0] * dx + away[1] * dy, away[0] * ddx + away[1] * ddy - dx * dx - dy * dy
 
-    def along(phase: Array) -> Array:
-        (x, y), (dx, dy) = curve(phase)
-        return ((pin[0] - x) * dx + (pin[1] - y) * dy) / (disc.throw * disc.throw)
+    frozen, held = jax.lax.stop_gradient((disc, pin))
+    frozen = frozen._replace(pins=disc.pins)
 
     def step(phase: Array, _: None) -> tuple[Array, None]:
-        value, slope = jax.jvp(along, (phase,), (jnp.ones_like(phase),))
+        value, slope = beyond_foot(frozen, held, phase)
         return phase - jnp.clip(value / slope, -0.2, 0.2), None
 
-    foot = jax.lax.scan(step, guess, None, length=STEPS)[0]
-    (x, y), (dx, dy) = curve(jax.lax.stop_gradient(foot))
+    foot = jax.lax.scan(step, jax.lax.stop_gradient(guess), None, length=STEPS)[0]
+    value, slope = beyond_foot(disc, pin, foot)
+    foot = foot - value / jax.lax.stop_gradient(slope)
+    (x, y), (dx, dy), _ = _trochoid(disc, foot)
     return ((pin[0] - x) * dy - (pin[1] - y) * dx) / jnp.sqrt(dx * dx + dy * dy)
 
 

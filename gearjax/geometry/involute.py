@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from gearjax.typing import Scalar
 
 
-def base_radius(teeth: int, module: Scalar, pressure_angle: Scalar) -> Scalar:
+def base_radius(teeth: int | float, module: Scalar, pressure_angle: Scalar) -> Scalar:
     """Base circle radius ``r_b = z m cos(alpha) / 2`` (ISO 21771).
 
     Args:

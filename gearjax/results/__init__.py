@@ -2,6 +2,7 @@
 
 from gearjax.results.cases import (
     Case,
+    clash_of,
     growth_remark,
     highest_load_sharing,
     remarks,
@@ -17,6 +18,7 @@ from gearjax.results.tradeoff import save_tradeoff
 __all__ = [
     "Case",
     "Optimisation",
+    "clash_of",
     "growth_remark",
     "highest_load_sharing",
     "optimise",

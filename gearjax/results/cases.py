@@ -10,9 +10,20 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, backlash, simulate, transmission_error
+from gearjax.analysis import (
+    Backlash,
+    FixedStep,
+    Interference,
+    Motion,
+    TransmissionError,
+    backlash,
+    interference,
+    simulate,
+    transmission_error,
+)
 from gearjax.analysis.dynamics import growth_rate, suitable_step
 from gearjax.analysis.growth import LOST
+from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError, writing
 from gearjax.results.profile import FORMATS, save_profile
 from gearjax.scene import METRICS, Published, Run, Scene
@@ -79,14 +90,22 @@ def remarks(scene: Scene) -> list[str]:
     cycle = scene.system.cycle / speed
     if run.duration < cycle * (1 - 1e-6):
         found.append(f"metrics are of {run.duration:g} s; the errors repeat after {cycle:g} s")
-    fastest = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=0.0)
-    spacing = run.duration / (run.samples - 1)
-    per_turn = 2 * np.pi / (speed * fastest * spacing) if fastest else np.inf
-    if per_turn < 20:
-        found.append(
-            f"only {per_turn:.3g} samples per turn of the fastest error: extremes may be missed, raise run.samples"
-        )
+    words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
+    if words is not None:
+        found.append(f"{words}: raise run.samples")
     return found
+
+
+def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
+    """Interference of the rigid bodies over the record, as the cases found it, or looked for where none of them did;
+    ``None`` without back flanks."""
+    if not scene.has_back:
+        return None
+    for case in cases:
+        found = None if isinstance(case.result, Motion) else case.result.interference
+        if found is not None:
+            return found
+    return interference(scene, scene.system.input_speed * jnp.asarray(required_run(scene).times))
 
 
 def growth_remark(scene: Scene, case: Case) -> str | None:

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.metrics import extremes, top
-from gearjax.analysis.quasi_static import angles_of, play, rest
+from gearjax.analysis.quasi_static import angles_of, play
+from gearjax.analysis.resting import rest
 from gearjax.analysis.torsion import pressures
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.compliance import AbstractLineContact
@@ -238,7 +239,7 @@ class _Task(eqx.Module):
     def _under(self, values: Array, errors: Any) -> tuple[Scene, Equilibrium, Array, Array | None]:
         """The scene under one set of errors, its rests and backlash at every angle, and pressures there."""
         scene = dataclasses.replace(self.free.set(self.physics, values), errors=errors).anchored()
-        rests = jax.vmap(lambda angle: rest(scene.contacts(angle, "mean"), scene, self.torque))(self.theta)
+        rests = jax.vmap(lambda angle: rest(scene, angle, self.torque))(self.theta)
         backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
         pressure = pressures(scene, self.law, self.theta, rests.forces) if self.pressed else None
         return scene, rests, backlash, pressure

@@ -6,7 +6,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
 
-from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.contact import BodyView, ContactFrame, Flank, Moved, Movements
 from gearjax.geometry.line_contact import Radii
 from gearjax.typing import Array, Float, Scalar
 
@@ -44,6 +44,15 @@ class AbstractSystem(eqx.Module):
         """Named frequencies, in cycles per turn of the input; ``output`` and ``mesh`` are always there."""
 
     @property
+    def fastest_order(self) -> float:
+        """Turns per turn of the input of what the curves follow fastest; the mesh counts where its teeth are errors."""
+        return max((order for name, order in self.orders.items() if name != "mesh"), default=1.0)
+
+    def contact_name(self, contact: int) -> str:
+        """Name of a contact, for messages."""
+        return f"contact {contact + 1}"
+
+    @property
     @abc.abstractmethod
     def cycle(self) -> float:
         """Input angle after which the errors of the bodies repeat [rad]."""
@@ -55,6 +64,36 @@ class AbstractSystem(eqx.Module):
     @abc.abstractmethod
     def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
         """How a displacement fixed on a body is seen from the lines of action of one flank."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether gaps and levers are those of the displaced bodies (`displaced_gaps`), not to first order."""
+        return False
+
+    def movements(self, body: str, theta: Scalar) -> Movements:
+        """How errors fixed on a body displace it, each direction as a view of its own; of systems that are `exact`.
+
+        Raises:
+            NotImplementedError: the system works to first order only.
+        """
+        raise NotImplementedError(f"{self.kind} has no exact geometry")
+
+    def displaced_gaps(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
+        """Gaps at an input angle [rad] of displaced bodies, the output away from its ideal position [rad]; of systems
+        that are `exact`.
+
+        Args:
+            theta: input angle [rad].
+            moved: displacements by body, of those that carry errors.
+            position: of the output, beyond its ideal one [rad].
+
+        Returns:
+            True distances, shape (contact,) [m].
+
+        Raises:
+            NotImplementedError: the system works to first order only.
+        """
+        raise NotImplementedError(f"{self.kind} has no exact geometry")
 
     @abc.abstractmethod
     def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:

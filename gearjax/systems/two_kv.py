@@ -31,8 +31,10 @@ class TwoKV(AbstractSystem):
         cutting_pressure_angle: pressure angle of the rack [rad].
         working_pressure_angle: working pressure angle of the second stage [rad].
         input_speed: speed of the sun [rad/s].
-        te_radius: base circle that turns line-of-action lengths into output angles, ``"planet"``, ``"ring"``, or a
-            radius [m].
+        te_radius: lever of a line of action on the output, a radius [m] or by what is held still while the output
+            gives way: ``"planet"``, the base circle of the planet wheel (held crank, as most of the paper has it);
+            ``"ring"``, that of the ring (cranks that turn with the output, as its figure 13 has it); ``"held_sun"``,
+            the true lever under a held sun, ``r_b3 + (r_b3 - r_b2) z_1 / z_2`` of ring and planet wheel.
         planets: number of planet wheels.
 
     Raises:
@@ -49,7 +51,7 @@ class TwoKV(AbstractSystem):
     cutting_pressure_angle: Number = angle(above=0.0, below=math.pi / 4)
     working_pressure_angle: Number = angle(above=0.0, below=math.pi / 2)
     input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6)
-    te_radius: Named | Number = length(at_least=1e-6, at_most=100.0, names=("planet", "ring"))
+    te_radius: Named | Number = length(at_least=1e-6, at_most=100.0, names=("planet", "ring", "held_sun"))
     planets: int = count(default=2, at_most=5)
 
     def __check_init__(self):
@@ -82,7 +84,9 @@ class TwoKV(AbstractSystem):
         """Radius that turns line-of-action lengths into output angles [m]."""
         if not isinstance(self.te_radius, Named):
             return self.te_radius
-        teeth = self.planet_teeth if self.te_radius.name == "planet" else self.ring_teeth
+        teeth = float(self.planet_teeth if self.te_radius.name == "planet" else self.ring_teeth)
+        if self.te_radius.name == "held_sun":  # the crank turns with the output, by 1 + z_1 / z_2 of its turn
+            teeth += (self.ring_teeth - self.planet_teeth) * self.sun_teeth / self.first_stage_planet_teeth
         return base_radius(teeth, self.module, self.cutting_pressure_angle)
 
     @property
@@ -99,6 +103,10 @@ class TwoKV(AbstractSystem):
             "mesh": train.mesh,
         }
         return {name: float(order / train.ratio) for name, order in per_output_turn.items()}
+
+    def contact_name(self, contact: int) -> str:
+        flank = "back" if contact >= self.planets else "driving"
+        return f"the {flank} flank of planet_{contact % self.planets + 1}"
 
     @property
     def cycle(self) -> float:
