@@ -230,7 +230,7 @@ def test_the_exact_gap_is_an_option_and_close(clearance):
     theta = jnp.asarray(angles(per_turn=32))
     linear, exact = (gj.transmission_error(scene(clearance=c), theta, 784.0).te for c in ("linear", clearance))
     apart = float(jnp.abs(linear - exact).max()) / arcmin
-    assert apart == 0.0 if clearance == "linear" else 1e-4 < apart < 0.01
+    assert apart == 0.0 if clearance == "linear" else 1e-4 < apart < 0.02
 
 
 @pytest.mark.slow
@@ -286,9 +286,8 @@ def test_the_first_stage_adds_its_error_and_costs_nothing_where_it_is_absent():
     sun = with_errors(two_stages, sun=gj.Eccentricity("sun", 10 * um, 0.3))
     added = np.asarray(gj.transmission_error(sun, theta, 784.0).te - clean)
     radius = 0.5 * 60 * 1.25 * mm * np.cos(np.radians(20))
-    expected = (
-        10 * um / ((40 + 22 / 60) * radius) * np.sin((1 - 1 / float(two_stages.system.ratio)) * np.asarray(theta) + 0.3)
-    )
+    turns = 1 - 1 / float(two_stages.system.ratio)  # of the sun, seen from the output
+    expected = 10 * um / ((40 + 22 / 60) * radius) * np.sin(turns * np.asarray(theta) + 0.3)
     np.testing.assert_allclose(added, expected, atol=1e-13)
     one = jnp.asarray(0.3)
     bare, listed = (str(jax.make_jaxpr(lambda t, s=s: s.contacts(t).gap)(one)) for s in (scene(), sun))

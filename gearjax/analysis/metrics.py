@@ -298,4 +298,5 @@ def load_sharing_factor(
     carried = forces.reshape(*forces.shape[:-1], -1, pairs).sum(axis=-2)
     total = carried.sum(axis=-1)
     loaded = total > 0
-    return jnp.where(loaded, carriers * carried.max(axis=-1) / jnp.where(loaded, total, 1.0), jnp.nan)
+    able = jnp.asarray(carriers, carried.dtype)
+    return jnp.where(loaded, able * carried.max(axis=-1) / jnp.where(loaded, total, 1.0), jnp.nan)

@@ -113,22 +113,34 @@ def _scale(contacts: ContactSet) -> Scalar:
 
 def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar) -> Equilibrium:
     lever = contacts.lever
-    # apart from what uses it: a fused difference of two quotients rounds one of them, and equal ones would differ
-    touch = jax.lax.optimization_barrier(contacts.gap / lever)
     driving = lever < 0
+    first = _first_loaded(contacts.gap / lever, driving, load)
+    origin, touch = _counted_from(contacts, first)
     # reaction[j]: what all the contacts together carry where contact j begins to touch
     apart = touch[None, :] - touch[:, None]
     overlap = jnp.maximum(lever[:, None] * apart, 0.0)
     reaction = ((lever * stiffness)[:, None] * overlap).sum(axis=0)
-    active = jnp.where(driving, reaction >= load, reaction < load) | _first_loaded(touch, driving, load)
+    active = jnp.where(driving, reaction >= load, reaction < load) | first
     weight = jnp.where(active, lever * lever * stiffness, 0.0)
     found = active.any()
     total = jnp.where(found, weight.sum(), 1.0)
     travel = (load + (apart * weight[None, :]).sum(axis=1)) / total  # of each contact since it touched
     one = jnp.argmax(active)
-    position = jnp.where(found, touch[one] + travel[one], jnp.nan)
+    position = jnp.where(found, origin + touch[one] + travel[one], jnp.nan)
     forces = jnp.where(active, stiffness * lever * travel, 0.0)
     return Equilibrium(position, forces, jnp.where(found, 0, 1))
+
+
+def _counted_from(contacts: ContactSet, first: Array) -> tuple[Scalar, Array]:
+    """Position at which one contact touches, and positions of all counted from there, its own exactly zero.
+
+    Positions of their own size would round away what hardly any torque moves, and a fused difference of two of them
+    rounds one and not the other.
+    """
+    index = jnp.argmax(first)
+    origin = (contacts.gap / contacts.lever)[index]
+    apart = contacts.gap - contacts.lever * origin
+    return origin, jnp.where(jnp.arange(first.shape[0]) == index, 0.0, apart) / contacts.lever
 
 
 def _first_loaded(touch: Array, driving: Array, load: Scalar) -> Array:
