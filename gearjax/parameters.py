@@ -29,8 +29,8 @@ class Parameter:
         names: words that may stand in place of a number, or the words that a name may be.
         periodic: whether it is an angle whose full turns mean nothing.
         words: whether any word may stand in place of a number; the scene knows which ones mean something.
-        example: a sensible value as a configuration holds it, such as ``"2.5 mm"`` with its quotes; empty where any
-            value within the bounds will do.
+        example: a sensible value as a configuration holds it, such as ``"2.5 mm"`` or 12; ``None`` where that of the
+            dimension will do.
     """
 
     dimension: units.Dimension | None
@@ -42,7 +42,7 @@ class Parameter:
     names: tuple[str, ...] = ()
     words: bool = False
     periodic: bool = False
-    example: str = ""
+    example: Any = None
 
     @property
     def range(self) -> tuple[float, float]:
@@ -139,7 +139,9 @@ def series(dimension: units.Dimension, **bounds: Any) -> Any:
     return _field(Parameter(dimension, "series", **bounds), converter=as_leaf)
 
 
-def count(*, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int = 100_000, example: str = "") -> Any:
+def count(
+    *, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int = 100_000, example: int | None = None
+) -> Any:
     """A whole number such as a number of teeth: static, a change of it compiles anew."""
     parameter = Parameter(None, "count", at_least=float(at_least), at_most=float(at_most), example=example)
     keywords = {} if default is dataclasses.MISSING else {"default": default}

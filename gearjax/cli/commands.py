@@ -30,7 +30,7 @@ from gearjax.studies.tradeoff import accurate_step
 from gearjax.studies.tradeoff import tradeoff as run_tradeoff
 from gearjax.units import arcmin
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+app = typer.Typer(rich_markup_mode=None)
 _progress = Console(stderr=True)
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]

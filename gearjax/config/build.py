@@ -12,7 +12,7 @@ from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import COMPLIANCES
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
-from gearjax.config.tables import keys_of, known_keys, read_parameter, require_keys
+from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import ERRORS
@@ -25,7 +25,8 @@ from gearjax.systems import SYSTEMS
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
-_CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
+CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
+REFERENCE_KEYS = {"zero": Key('"start" or "absolute"', '"start"', required=True)}
 _SECTIONS = (
     "system",
     "errors",
@@ -141,7 +142,7 @@ def _scene(tables: dict[str, Any]) -> Scene:
             raise ParameterError(f"errors.{name}", table, f"must be a section: [errors.{name}]")
         errors[name] = _one_of(f"errors.{name}", table, ERRORS)
     parts: dict[str, Any] = {}
-    for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", _CONTACTS)):
+    for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
             parts[section] = _one_of(section, tables[section], kinds)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
@@ -191,8 +192,9 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
 
 
 def _reference(table: dict[str, Any]) -> ZeroAtStart | None:
-    known_keys("reference", table, ("zero",))
-    zero = table.get("zero", MISSING)
+    known_keys("reference", table, REFERENCE_KEYS)
+    require_keys("reference", table, REFERENCE_KEYS)
+    zero = table["zero"]
     if zero not in ("start", "absolute"):
         raise ParameterError("reference.zero", zero, 'must be "start" or "absolute"')
     return ZeroAtStart() if zero == "start" else None

@@ -23,8 +23,8 @@ OPTIMISE_KEYS = {
     "order": Key(
         'a name such as "crank", or cycles per turn of the output, for objectives that end in _order', '"output"'
     ),
-    "grid_step": Key("a step for all, or a table of steps by path; no grid without", '"10 deg"'),
-    "bounds": Key("a table of pairs, lowest and highest, by path; numbers that are not angles need them"),
+    "grid_step": Key("a step for all, or a table of steps by path", '"10 deg"'),
+    "bounds": Key("a table of pairs; numbers that are not angles need them"),
     "starts": Key(f"a whole number from 1 to {MOST_STARTS}", default="300"),
     "window": Key('a time such as "3 s"; that of [run] without', '"3 s"'),
     "seed": Key("a whole number from 0", default="0"),
@@ -38,12 +38,12 @@ class OptimiseSection:
 
     Args:
         objective: what is minimised, over its window.
-        window: length of the window [s].
+        window: length of the window of the objective [s].
         where: paths of the free numbers.
-        grid_step: spacing of the grid by path, SI; empty for no grid.
-        bounds: by path, SI.
+        grid_step: spacing of the grid by path; empty for no grid.
+        bounds: lowest and highest values by path.
         starts: number of starts of the gradient search.
-        seed: of the random starts.
+        seed: seed of the random starts.
     """
 
     objective: Objective

@@ -96,7 +96,9 @@ def written(value: Any, parameter: Parameter) -> Any:
 
 def as_toml(value: Any) -> str:
     """A value as it stands to the right of a ``=``."""
-    return " ".join(tomli_w.dumps({"x": value}).removeprefix("x = ").split())
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(as_toml, value))}]"
+    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip()
 
 
 def keys_of(part: Any) -> dict[str, Key]:
@@ -108,7 +110,7 @@ def keys_of(part: Any) -> dict[str, Key]:
             continue
         required = field.default is dataclasses.MISSING
         default = "" if required or field.default is None else as_toml(written(field.default, parameter))
-        found[field.name] = Key(in_words(parameter), parameter.example, default, required)
+        found[field.name] = Key(in_words(parameter), default=default, required=required)
     return found
 
 

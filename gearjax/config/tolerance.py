@@ -30,7 +30,7 @@ TOLERANCE_KEYS = {
     "extremes": Key(" or ".join(f'"{word}"' for word in EXTREMES), default='"between"'),
     "chunk": Key("a whole number from 1", default=str(CHUNK)),
     "precision": Key(" or ".join(f'"{word}"' for word in PRECISIONS), default=f'"{PRECISIONS[0]}"'),
-    "correlated": Key("a list of pairs of paths, each with its coefficient", default="[]"),
+    "correlated": Key("a list such as [{ between = [PATH, PATH], coefficient = 0.5 }]", default="[]"),
 }
 MEASURE_KEYS = {
     "name": Key('such as "no_load.peak_to_peak"', '"no_load.peak_to_peak"', required=True),
@@ -99,7 +99,12 @@ class ToleranceSection:
     Args:
         tolerances: the population.
         measures: what is measured.
-        samples, seed, sampler, extremes, chunk: of the Monte Carlo study.
+        samples: number of gear sets of the Monte Carlo study.
+        seed: seed of the random numbers.
+        sampler: how the numbers are drawn.
+        extremes: where the highest and lowest values are looked for: at the ``"samples"`` of the run alone, which is
+            quicker, or ``"between"`` them too.
+        chunk: number of gear sets worked on at once, and written at once.
         precision: ``"float64"`` or ``"float32"``.
         sensitivity: number of samples of the sensitivities, 0 for none.
         allocation, assembly: further studies, or ``None``.

@@ -1,0 +1,23 @@
+"""``gearjax new``: a commented configuration to begin with."""
+
+from typing import Annotated
+
+import typer
+
+from gearjax.checks import MISSING, ParameterError
+from gearjax.cli.commands import app
+from gearjax.config import template
+from gearjax.systems import SYSTEMS
+
+
+@app.command()
+def new(
+    kind: Annotated[str | None, typer.Argument(metavar="KIND", help="of gear set, such as two_kv")] = None,
+) -> None:
+    """A configuration of a kind of gear set, with every key, its unit, its bounds and what it means.
+
+    It goes to stdout: gearjax new two_kv > mine.toml
+    """
+    if kind is None:
+        raise ParameterError("new", MISSING, f"needs a kind of gear set: {', '.join(one.kind for one in SYSTEMS)}")
+    print(template(kind), end="")
