@@ -18,7 +18,10 @@ _MOST_NAMES = 240  # characters of names that an error lists
 
 
 class GearjaxError(ValueError):
-    """A mistake in what was asked for. Its message is one line."""
+    """A mistake in what was asked for. Its message is one line, without what would break a terminal."""
+
+    def __init__(self, message: str):
+        super().__init__(_clean(message))
 
 
 class ParameterError(GearjaxError):
@@ -32,7 +35,7 @@ class ParameterError(GearjaxError):
 
     def __init__(self, key: str, given: object, right: str):
         self.key, self.given, self.right = key, given, right
-        super().__init__(f"{_clean(key[:_LONGEST_KEY])} = {shown(given)}: {right}")
+        super().__init__(f"{key[:_LONGEST_KEY]} = {shown(given)}: {right}")
 
 
 class SceneError(GearjaxError):

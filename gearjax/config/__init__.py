@@ -1,8 +1,8 @@
 """Configurations: TOML files that list what a scene models and what to compute."""
 
 from gearjax.config.build import load, loads, loads_optimise, loads_tolerance, read_file, read_tables
+from gearjax.config.commented import template
 from gearjax.config.optimise import OptimiseSection
-from gearjax.config.template import template
 from gearjax.config.tolerance import ToleranceSection
 from gearjax.config.write import with_numbers
 

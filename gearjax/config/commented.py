@@ -101,7 +101,7 @@ def template(kind: str) -> str:
     text += _run(loads(text))
     for section in (_optimise, _tolerance):
         text += _if_it_loads(text, section(loads(text)))
-    return text
+    return _noted(text)
 
 
 def _prose(words: str) -> str:
@@ -164,8 +164,33 @@ def options(text: str) -> list[tuple[int, ...]]:
 
 
 def put_in(text: str, places: Iterable[int]) -> str:
-    """The template with some lines put in."""
-    return "\n".join(line[1:] if place in set(places) else line for place, line in enumerate(text.splitlines())) + "\n"
+    """The template with some lines put in, each block of ``options`` in place of what it stands in for."""
+    places = tuple(places)
+    lines = text.splitlines()
+    first = lines[places[0]][1:]
+    if first.startswith("[[") or (first not in lines and first.startswith("[")):
+        dropped = range(0)
+    elif first.startswith("["):
+        begin = lines.index(first)
+        dropped = range(begin, next(i for i in range(begin, len(lines)) if not lines[i]))
+    else:
+        begin = max(i for i in range(places[0]) if lines[i].startswith("["))
+        key = first.split(" = ")[0]
+        dropped = [i for i in range(begin, places[0]) if lines[i].split(" = ")[0] == key]
+    kept = (line[1:] if i in places else line for i, line in enumerate(lines) if i not in dropped)
+    return "\n".join(kept) + "\n"
+
+
+def _noted(text: str) -> str:
+    """The template with a word above each section that cannot be put in without another change."""
+    lines, notes = text.splitlines(), {}
+    for places in options(text):
+        if lines[places[0]].startswith("#["):
+            try:
+                loads(put_in(text, places))
+            except GearjaxError as fault:
+                notes[places[0]] = _prose(f"More must change with it: {fault}")
+    return "".join(f"{notes.get(i, '')}{line}\n" for i, line in enumerate(lines))
 
 
 def _together(text: str) -> list[str]:
