@@ -145,14 +145,12 @@ def test_other_columns_are_refused(tmp_path):
 
 def test_the_unit_of_a_column_counts_for_ratios_too(tmp_path):
     (tmp_path / "measured.csv").write_text("n, e\n1,5\n2, 7.5 \n\n", encoding="utf-8")
-    ratio = (
-        '"damping.ratio" = { kind = "empirical", file = "measured.csv", column = "e", unit = "%" }\n"backlash.initial"'
-    )
+    spread = '{ kind = "empirical", file = "measured.csv", column = "e", unit = "%" }'
 
     def drawn(text: str) -> tuple[float, ...]:
         return loads_tolerance(text, tmp_path)[2].tolerances.distributions["damping.ratio"].values
 
-    text = TOLERANCE.replace('"backlash.initial"', ratio, 1)
+    text = TOLERANCE.replace('"backlash.initial"', f'"damping.ratio" = {spread}\n"backlash.initial"', 1)
     assert drawn(text) == pytest.approx((0.05, 0.075))
     assert drawn(text.replace(', unit = "%"', "")) == pytest.approx((5.0, 7.5))
     assert drawn(text.replace('unit = "%"', 'unit = ""')) == pytest.approx((5.0, 7.5))

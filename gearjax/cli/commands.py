@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from gearjax.checks import ParameterError, nearest, writing
+from gearjax.checks import ParameterError, check_path, nearest, writing
 from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_shifts, print_tradeoff
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
 from gearjax.reproduce import PAPERS, Row
@@ -236,6 +236,7 @@ def _say(words: str) -> None:
 
 def _read_text(config: Path) -> str:
     """Text of a configuration, or of the one inside a results file."""
+    check_path("CONFIG", config)
     return stored_config(config) if config.suffix == ".nc" else read_file(config)
 
 

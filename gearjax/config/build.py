@@ -68,8 +68,8 @@ def read_file(path: str | Path) -> str:
     Raises:
         GearjaxError: the file cannot be read.
     """
-    check_path("CONFIG", path)
     path = Path(path)
+    check_path("CONFIG", path)
     try:
         if path.exists() and not path.is_file():
             raise GearjaxError(f"{path}: cannot be read (not a file)")

@@ -73,8 +73,7 @@ def in_words(parameter: Parameter) -> str:
         return "a whole number"
     if parameter.kind == "name":
         return " or ".join(quoted) or "a name in quotes"
-    if parameter.dimension is None:
-        return "a value in the unit of the number that varies"
+    assert parameter.dimension is not None
     example = f'"{parameter.dimension.example}"' if parameter.dimension.unit else parameter.dimension.example
     if parameter.kind == "series":
         return f"a list of {parameter.dimension.several} such as [{example}], [] for none"
