@@ -3,7 +3,6 @@
 import json
 import tomllib
 
-import jax
 import pytest
 import tomli_w
 
@@ -32,15 +31,6 @@ def test_a_few_of_the_attacks(tmp_path):
     for raw in attacks(40, 17):
         path.write_bytes(raw)
         outcome(path)
-
-
-@pytest.fixture
-def quickly_compiled():
-    """Most programs here run once."""
-    before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.mark.slow

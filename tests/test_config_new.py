@@ -1,5 +1,6 @@
 """``gearjax new``: a configuration with every key, which loads as it is and with each of its options put in."""
 
+import functools
 import re
 import tomllib
 
@@ -26,9 +27,12 @@ from tests.test_made_up_system import SpurPair
 KINDS = [system.kind for system in SYSTEMS]
 
 
+written = functools.cache(template)
+
+
 @pytest.fixture(scope="module", params=KINDS)
 def text(request) -> str:
-    return template(request.param)
+    return written(request.param)
 
 
 def mistake(text: str) -> str:
@@ -87,13 +91,13 @@ def test_every_declared_name_occurs(text):
 
 
 def test_what_does_not_suit_is_said():
-    assert "# No positions for a two_kv: has no rim of pins or teeth" in template("two_kv")
-    assert "[backlash] is not for a rv_cycloidal" in template("rv_cycloidal")
-    assert TOGETHER in template("rv_cycloidal")
+    assert "# No positions for a two_kv: has no rim of pins or teeth" in written("two_kv")
+    assert "[backlash] is not for a rv_cycloidal" in written("rv_cycloidal")
+    assert TOGETHER in written("rv_cycloidal")
 
 
 def test_meaning_units_bounds_and_default_stand_above_a_key():
-    text = template("two_kv")
+    text = written("two_kv")
     assert ('# module of the second stage (a length, at least 1e-06 m and at most 1 m)\nmodule = "2.5 mm"\n') in text
     assert "# number of planet wheels (a whole number, at least 1 and at most 5); without it 2\n#planets = 2\n" in text
     assert "# number of starts of the gradient search (a whole number from 1 to 1000000); without it 300\n" in text
@@ -133,7 +137,7 @@ def test_the_command(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["new", "two_kv"])
     assert not stopped.value.code
-    assert capsys.readouterr().out == template("two_kv")
+    assert capsys.readouterr().out == written("two_kv")
     for arguments, words in (
         ([], "needs a kind of gear set: two_kv, rv_cycloidal"),
         (["two_k"], 'did you mean "two_kv"?'),
@@ -147,9 +151,10 @@ def test_the_command(capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_it_writes_runs_without_a_warning(kind, tmp_path, capsys):
-    (tmp_path / "mine.toml").write_text(template(kind), encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(written(kind), encoding="utf-8")
     with pytest.raises(SystemExit) as stopped:
         main(["run", str(tmp_path / "mine.toml"), "--json"])
     assert not stopped.value.code

@@ -195,20 +195,15 @@ def _noted(text: str) -> str:
 
 def _together(text: str) -> list[str]:
     """Keys that a section takes only all at once."""
-    apart = []
-    for places in options(text):
-        try:
-            loads(put_in(text, places))
-        except GearjaxError:
-            apart.append(text.splitlines()[places[0]][1:].split(" = ")[0])
-    return apart
+    apart = [places[0] for places in options(text) if _fault(put_in(text, places))]
+    return [text.splitlines()[place][1:].split(" = ")[0] for place in apart]
 
 
 def _fault(text: str) -> str:
     """What is wrong with a configuration, empty for nothing."""
     try:
         loads(text)
-    except (ParameterError, SceneError) as fault:
+    except GearjaxError as fault:
         return fault.right if isinstance(fault, ParameterError) else str(fault)
     return ""
 
