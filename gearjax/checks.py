@@ -3,6 +3,7 @@
 import contextlib
 import difflib
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -12,10 +13,15 @@ from jax.core import Tracer
 
 _LONGEST_KEY = 100
 _SHOWN = 40  # characters of a given value that an error repeats
+_NAME = re.compile(r"[^\W\d_][\w-]*")
+_MOST_NAMES = 240  # characters of names that an error lists
 
 
 class GearjaxError(ValueError):
-    """A mistake in what was asked for. Its message is one line."""
+    """A mistake in what was asked for. Its message is one line, without what would break a terminal."""
+
+    def __init__(self, message: str):
+        super().__init__(_clean(message))
 
 
 class ParameterError(GearjaxError):
@@ -29,7 +35,7 @@ class ParameterError(GearjaxError):
 
     def __init__(self, key: str, given: object, right: str):
         self.key, self.given, self.right = key, given, right
-        super().__init__(f"{_clean(key[:_LONGEST_KEY])} = {shown(given)}: {right}")
+        super().__init__(f"{key[:_LONGEST_KEY]} = {shown(given)}: {right}")
 
 
 class SceneError(GearjaxError):
@@ -56,13 +62,38 @@ def _clean(text: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
+def check_name(key: str, name: object) -> None:
+    """Refuse a name that paths such as ``errors.NAME.amplitude`` cannot lead to.
+
+    Raises:
+        ParameterError: naming the rule.
+    """
+    if not isinstance(name, str) or len(name) > _SHOWN or not _NAME.fullmatch(name):
+        right = f"a name is of letters, digits, _ and -, begins with a letter and has at most {_SHOWN} of them"
+        raise ParameterError(key, name, right)
+
+
+def check_path(key: str, path: str | Path) -> None:
+    """Refuse a path that no file system takes.
+
+    Raises:
+        ParameterError: naming the key.
+    """
+    if "\0" in str(path):
+        raise ParameterError(key, str(path), "a file name has no character NUL")
+
+
 def nearest(name: object, names: Iterable[str]) -> str:
     """``did you mean "x"? valid: a, b`` for a name that is not among ``names``;
     the entries of a series are told together."""
     names = list(names)
     close = difflib.get_close_matches(name[:100], names, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f'did you mean "{close[0]}"? ' if close else ""
-    told = ", ".join(_told(names))
+    told, entries = "", list(_told(names))
+    for place, entry in enumerate(entries):
+        if len(told) + len(entry) > _MOST_NAMES:
+            return f"{hint}valid: {told} and {len(entries) - place} more"
+        told += f", {entry}" if told else entry
     return f"{hint}valid: {told or '(none)'}"
 
 
@@ -83,6 +114,7 @@ def writing(path: str | Path) -> Iterator[None]:
     Raises:
         GearjaxError: naming the path.
     """
+    check_path("--out", path)
     try:
         yield
     except OSError as fault:
@@ -90,10 +122,13 @@ def writing(path: str | Path) -> Iterator[None]:
 
 
 class Missing:
-    """Stands for a value that was not given."""
+    """Stands for a value that was not given, or for several."""
+
+    def __init__(self, number: int = 1):
+        self.number = number
 
     def __repr__(self) -> str:
-        return "(missing)"
+        return "(missing)" if self.number == 1 else f"({self.number} keys missing)"
 
 
 MISSING = Missing()

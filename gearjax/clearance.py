@@ -16,7 +16,7 @@ class InitialBacklash(eqx.Module):
         initial: backlash along the line of action [m].
     """
 
-    initial: Number = length(at_least=0.0, at_most=1.0)
+    initial: Number = length(at_least=0.0, at_most=1.0, example="0.15 mm")
 
     def __check_init__(self):
         check_parameters(self)

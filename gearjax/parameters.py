@@ -29,6 +29,8 @@ class Parameter:
         names: words that may stand in place of a number, or the words that a name may be.
         periodic: whether it is an angle whose full turns mean nothing.
         words: whether any word may stand in place of a number; the scene knows which ones mean something.
+        example: a sensible value as a configuration holds it, such as ``"2.5 mm"`` or 12; ``None`` where that of the
+            dimension will do.
     """
 
     dimension: units.Dimension | None
@@ -40,6 +42,7 @@ class Parameter:
     names: tuple[str, ...] = ()
     words: bool = False
     periodic: bool = False
+    example: Any = None
 
     @property
     def range(self) -> tuple[float, float]:
@@ -136,9 +139,11 @@ def series(dimension: units.Dimension, **bounds: Any) -> Any:
     return _field(Parameter(dimension, "series", **bounds), converter=as_leaf)
 
 
-def count(*, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int = 100_000) -> Any:
+def count(
+    *, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int = 100_000, example: int | None = None
+) -> Any:
     """A whole number such as a number of teeth: static, a change of it compiles anew."""
-    parameter = Parameter(None, "count", at_least=float(at_least), at_most=float(at_most))
+    parameter = Parameter(None, "count", at_least=float(at_least), at_most=float(at_most), example=example)
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(parameter, static=True, **keywords)
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.checks import ParameterError, SceneError, check_name, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractCompliance, AbstractLineContact
 from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact, LineSprings
@@ -94,8 +94,8 @@ class Scene(eqx.Module):
         run: what the configuration asked for; not part of the physics.
 
     Raises:
-        ParameterError: an error is placed on a body that the system does not have, or does not suit it, or the load
-            names a frequency that the system does not have.
+        ParameterError: an error has a name that no path leads to, is placed on a body that the system does not have,
+            or does not suit it, or the load names a frequency that the system does not have.
         SceneError: parts that do not go together.
     """
 
@@ -112,6 +112,7 @@ class Scene(eqx.Module):
 
     def __check_init__(self):
         for key, error in self.errors.items():
+            check_name("errors", key)
             if error.body not in self.system.bodies:
                 raise ParameterError(f"errors.{key}.body", error.body, nearest(error.body, self.system.bodies))
             if error.on_rim:

@@ -20,7 +20,8 @@ rpm = 2 * math.pi / 60
 class Dimension(NamedTuple):
     """A physical dimension: its name, its unit inside gearjax, and how a configuration writes it.
 
-    ``shown`` and ``per_shown`` are the unit that messages use and its size in SI.
+    ``shown`` and ``per_shown`` are the unit that messages use and its size in SI; ``forms`` are other
+    products of SI units that measure the same.
     """
 
     name: str
@@ -28,21 +29,27 @@ class Dimension(NamedTuple):
     example: str
     shown: str
     per_shown: float = 1.0
+    forms: tuple[str, ...] = ()
 
     @property
     def described(self) -> str:
         """``a length`` or ``an angle``."""
         return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
 
+    @property
+    def several(self) -> str:
+        """``lengths`` or ``frequencies``."""
+        return {"y": f"{self.name[:-1]}ies", "s": f"{self.name}es"}.get(self.name[-1], f"{self.name}s")
+
 
 LENGTH = Dimension("length", "m", "10 um", "m")
 ANGLE = Dimension("angle", "rad", "90 deg", "deg", deg)
 ANGULAR_SPEED = Dimension("angular speed", "rad/s", "300 rpm", "rpm", rpm)
-FREQUENCY = Dimension("frequency", "Hz", "1.6 Hz", "Hz")
+FREQUENCY = Dimension("frequency", "Hz", "1.6 Hz", "Hz", forms=("1/s",))
 TIME = Dimension("time", "s", "3 s", "s")
 MASS = Dimension("mass", "kg", "3 kg", "kg")
-STIFFNESS = Dimension("stiffness", "N/m", "9.2e7 N/m", "N/m")
-TORQUE = Dimension("torque", "N*m", "30 N*m", "N*m")
-PRESSURE = Dimension("pressure", "Pa", "206 GPa", "Pa")
-INERTIA = Dimension("moment of inertia", "kg*m**2", "0.02 kg*m^2", "kg*m^2")
+STIFFNESS = Dimension("stiffness", "N/m", "9.2e7 N/m", "N/m", forms=("kg/s^2",))
+TORQUE = Dimension("torque", "N*m", "30 N*m", "N*m", forms=("kg*m^2/s^2",))
+PRESSURE = Dimension("pressure", "Pa", "206 GPa", "Pa", forms=("N/m^2", "kg/m/s^2"))
+INERTIA = Dimension("moment of inertia", "kg*m**2", "0.02 kg*m^2", "kg*m^2", forms=("N*m*s^2",))
 RATIO = Dimension("ratio", "", "0.1", "")

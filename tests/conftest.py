@@ -67,6 +67,15 @@ def theta(scene) -> jax.Array:
 
 
 @pytest.fixture
+def quickly_compiled():
+    """For slow tests whose programs run once: without most optimisations."""
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture
 def rng(request) -> np.random.Generator:
     """Random numbers, different for each test and the same in each run."""
     return np.random.default_rng(sum(request.node.name.encode()))

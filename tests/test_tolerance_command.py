@@ -196,8 +196,8 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
     assert command(str(config), "--json") == 0
     capsys.readouterr()
     for old, new, words in (
-        ('column = "e"', 'column = "f"', "valid: unit, e"),
-        ('unit = "um"', 'unit = "kg"', "wrong dimension"),
+        ('column = "e"', 'column = "f"', "none of the 2 columns"),
+        ('unit = "um"', 'unit = "kg"', "is a mass; needs a length"),
         ("measured.csv", "missing.csv", "cannot be read"),
     ):
         config.write_text(text.replace(old, new))
@@ -218,7 +218,7 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
         ('"errors.planet_1.amplitude" =', '"errors.planet_7.amplitude" =', "did you mean"),
         ('"backlash.initial" = {', '"backlash.initial" = { kind = "uniform_phase" } #', "whole turn"),
         ("no_load.peak_to_peak", "no_load.peaktopeak", "did you mean"),
-        ('limit = "2 arcmin"', 'limit = "2 um"', "wrong dimension"),
+        ('limit = "2 arcmin"', 'limit = "2 um"', "is a length; needs an angle"),
         (', torque = "100 N*m"', "", "needs a torque"),
         ('sampler = "sobol"', 'sampler = "sobel"', "did you mean"),
         ("samples = 200", "samples = 0", "whole number"),

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax
 
 from gearjax.checks import GearjaxError
+from gearjax.cli import new as _new  # noqa: F401  (adds its command)
 from gearjax.cli.commands import app
 
 __all__ = ["app", "keep_programs", "main"]
@@ -54,6 +55,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         given = sys.argv[1:] if arguments is None else arguments
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
+        if not given and not code:
+            code = 2  # nothing was asked for; the help tells what could be
     except Exception as fault:
         message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
         if not isinstance(fault, GearjaxError) and message is None:

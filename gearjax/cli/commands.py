@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from gearjax.checks import ParameterError, nearest, writing
+from gearjax.checks import ParameterError, check_path, nearest, writing
 from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_shifts, print_tradeoff
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
 from gearjax.reproduce import PAPERS, Row
@@ -31,7 +31,7 @@ from gearjax.studies.tradeoff import accurate_step
 from gearjax.studies.tradeoff import tradeoff as run_tradeoff
 from gearjax.units import arcmin
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+app = typer.Typer(rich_markup_mode=None)
 _progress = Console(stderr=True)
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]
@@ -244,6 +244,7 @@ def _say(words: str) -> None:
 
 def _read_text(config: Path) -> str:
     """Text of a configuration, or of the one inside a results file."""
+    check_path("CONFIG", config)
     return stored_config(config) if config.suffix == ".nc" else read_file(config)
 
 

@@ -67,8 +67,8 @@ class HertzLineContact(AbstractLineContact):
     width: ClassVar[float] = math.sqrt(2 / math.pi)
     constant: ClassVar[float] = -1.0
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13)
-    poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.5)
-    face_width: Number = length(at_least=1e-6, at_most=10.0)
+    poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.5, example=0.3)
+    face_width: Number = length(at_least=1e-6, at_most=10.0, example="11 mm")
 
     def __check_init__(self):
         check_parameters(self)
@@ -90,8 +90,8 @@ class HuLineContact(AbstractLineContact):
     width: ClassVar[float] = 4.99e-3
     constant: ClassVar[float] = 2 / 3
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13)
-    poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.5)
-    face_width: Number = length(at_least=1e-6, at_most=10.0)
+    poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.5, example=0.3)
+    face_width: Number = length(at_least=1e-6, at_most=10.0, example="11 mm")
 
     def __check_init__(self):
         check_parameters(self)

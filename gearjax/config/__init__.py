@@ -1,6 +1,7 @@
 """Configurations: TOML files that list what a scene models and what to compute."""
 
 from gearjax.config.build import load, loads, loads_optimise, loads_tolerance, read_file, read_tables
+from gearjax.config.commented import template
 from gearjax.config.optimise import OptimiseSection
 from gearjax.config.tolerance import ToleranceSection
 from gearjax.config.write import with_numbers
@@ -14,5 +15,6 @@ __all__ = [
     "loads_tolerance",
     "read_file",
     "read_tables",
+    "template",
     "with_numbers",
 ]

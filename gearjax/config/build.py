@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gearjax.checks import MISSING, GearjaxError, ParameterError, nearest
+from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import COMPLIANCES
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
-from gearjax.config.tables import known_keys, read_parameter
+from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import ERRORS
@@ -25,7 +25,8 @@ from gearjax.systems import SYSTEMS
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
-_CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
+CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
+REFERENCE_KEYS = {"zero": Key('"start" or "absolute"', '"start"', required=True)}
 _SECTIONS = (
     "system",
     "errors",
@@ -68,6 +69,7 @@ def read_file(path: str | Path) -> str:
         GearjaxError: the file cannot be read.
     """
     path = Path(path)
+    check_path("CONFIG", path)
     try:
         if path.exists() and not path.is_file():
             raise GearjaxError(f"{path}: cannot be read (not a file)")
@@ -135,11 +137,12 @@ def _scene(tables: dict[str, Any]) -> Scene:
     system = _one_of("system", tables["system"], SYSTEMS)
     errors = {}
     for name, table in tables.get("errors", {}).items():
+        check_name("errors", name)
         if not isinstance(table, dict):
             raise ParameterError(f"errors.{name}", table, f"must be a section: [errors.{name}]")
         errors[name] = _one_of(f"errors.{name}", table, ERRORS)
     parts: dict[str, Any] = {}
-    for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", _CONTACTS)):
+    for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
             parts[section] = _one_of(section, tables[section], kinds)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
@@ -189,8 +192,9 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
 
 
 def _reference(table: dict[str, Any]) -> ZeroAtStart | None:
-    known_keys("reference", table, ("zero",))
-    zero = table.get("zero", MISSING)
+    known_keys("reference", table, REFERENCE_KEYS)
+    require_keys("reference", table, REFERENCE_KEYS)
+    zero = table["zero"]
     if zero not in ("start", "absolute"):
         raise ParameterError("reference.zero", zero, 'must be "start" or "absolute"')
     return ZeroAtStart() if zero == "start" else None
@@ -211,24 +215,13 @@ def _part(path: str, table: dict[str, Any], part: Any, kind: str = "") -> Any:
     """A part from the values of its table."""
     parameters = declared(part)
     known_keys(path, table, parameters, f' of kind "{kind}"' if kind else "")
-    optional = {field.name for field in dataclasses.fields(part) if field.default is not dataclasses.MISSING}
-    values = {}
-    for name, parameter in parameters.items():
-        if name in table:
-            values[name] = _value(f"{path}.{name}", table[name], parameter)
-        elif name not in optional:
-            raise ParameterError(f"{path}.{name}", MISSING, f"must be given{_example(parameter)}")
+    require_keys(path, table, keys_of(part))
+    values = {name: _value(f"{path}.{name}", given, parameters[name]) for name, given in table.items()}
     try:
         return part(**values)
     except ParameterError as fault:
         given = table.get(fault.key, fault.given)
         raise ParameterError(f"{path}.{fault.key}", given, fault.right) from fault
-
-
-def _example(parameter: Parameter) -> str:
-    if parameter.dimension is not None and parameter.dimension.unit:
-        return f', {parameter.dimension.described} such as "{parameter.dimension.example}"'
-    return f", one of {', '.join(parameter.names)}" if parameter.names else ""
 
 
 def _value(key: str, given: Any, parameter: Parameter) -> Any:

@@ -3,17 +3,24 @@
 import csv
 import dataclasses
 import math
+import re
 from pathlib import Path
 from typing import Any
 
-from gearjax import units
-from gearjax.checks import MISSING, GearjaxError, ParameterError, nearest
-from gearjax.config.quantities import read_quantity
-from gearjax.config.tables import known_keys, read_parameter, read_whole
+from gearjax.checks import MISSING, GearjaxError, ParameterError, check_path, nearest
+from gearjax.config.quantities import unit_size
+from gearjax.config.tables import Key, as_toml, in_words, known_keys, read_parameter, read_whole, require_keys
 from gearjax.parameters import Parameter
 from gearjax.tolerance import DISTRIBUTIONS, AbstractDistribution, Empirical
 
 _MOST_VALUES = 1_000_000
+_LARGEST_FILE = 1_000_000_000  # bytes
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+COLUMN_KEYS = {
+    "file": Key("the name of a CSV file in quotes", '"measured.csv"', required=True),
+    "column": Key("the name of a column in quotes", '"run_out"', required=True),
+    "unit": Key('a unit in quotes, such as "um"; that of SI without', '"um"'),
+}
 
 
 def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, folder: Path) -> AbstractDistribution:
@@ -40,16 +47,28 @@ def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, fol
     if kind == "uniform_phase" and not parameter.periodic:
         raise ParameterError(f"{key}.kind", kind, "is for angles of a whole turn")
     values = {}
-    for name, field in fields.items():
-        if name in table:
-            values[name] = _value(f"{key}.{name}", table[name], field.metadata["parameter"], parameter)
-        elif field.default is dataclasses.MISSING:
-            raise ParameterError(f"{key}.{name}", MISSING, "must be given")
+    require_keys(key, table, distribution_keys(kinds[kind], parameter))
+    for name in table:
+        values[name] = _value(f"{key}.{name}", table[name], fields[name].metadata["parameter"], parameter)
     try:
         return kinds[kind](**values)
     except ParameterError as fault:
         given_value = table.get(fault.key, fault.given)
         raise ParameterError(f"{key}.{fault.key}", given_value, fault.right) from fault
+
+
+def distribution_keys(kind: type[AbstractDistribution], parameter: Parameter) -> dict[str, Key]:
+    """The keys of a distribution, for a number of the given declaration."""
+    found = {}
+    for field in dataclasses.fields(kind):
+        if "parameter" in field.metadata:
+            declared = field.metadata["parameter"]
+            own = dataclasses.replace(declared, dimension=declared.dimension or parameter.dimension)
+            required = field.default is dataclasses.MISSING
+            found[field.name] = Key(
+                in_words(own), default="" if required else as_toml(field.default), required=required
+            )
+    return found
 
 
 def _value(key: str, given: Any, declared: Parameter, leaf: Parameter) -> Any:
@@ -73,35 +92,51 @@ def _value(key: str, given: Any, declared: Parameter, leaf: Parameter) -> Any:
 
 def _column(key: str, table: dict[str, Any], parameter: Parameter, folder: Path) -> tuple[float, ...]:
     """Values of a column of a CSV file, in SI."""
-    known_keys(key, table, ("file", "column", "unit"), ' of kind "empirical"')
-    for name in ("file", "column"):
-        if not isinstance(table.get(name), str):
-            raise ParameterError(f"{key}.{name}", table.get(name, MISSING), "must be a name in quotes")
-    path, column = folder / table["file"], table["column"]
+    known_keys(key, table, COLUMN_KEYS, ' of kind "empirical"')
+    require_keys(key, table, COLUMN_KEYS)
+    for name in table:
+        if not isinstance(table[name], str):
+            raise ParameterError(f"{key}.{name}", table[name], f"must be {COLUMN_KEYS[name].words}")
+    dimension = parameter.dimension
+    assert dimension is not None
+    size = 1.0
+    if "unit" in table and (table["unit"].strip() or dimension.unit):
+        size = unit_size(f"{key}.unit", table["unit"], table["unit"], dimension)
+    check_path(f"{key}.file", table["file"])
+    path = folder / table["file"]
+    return tuple(size * value for value in _numbers(f"{key}.file", path, f"{key}.column", table["column"]))
+
+
+def _numbers(key: str, path: Path, column_key: str, column: str) -> list[float]:
+    """The numbers in a column. Messages tell where a fault is, and nothing of what the file holds: it may be another
+    file than was meant."""
     try:
+        if path.exists() and not path.is_file():
+            raise GearjaxError(f"{key}: {path}: cannot be read (not a file)")
+        if path.stat().st_size > _LARGEST_FILE:
+            raise GearjaxError(f"{key}: {path}: has more than {_LARGEST_FILE} bytes")
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file)
-            header = rows.fieldnames or []
-            if column not in header:
-                raise ParameterError(f"{key}.column", column, f"no column of {path}; {nearest(column, header)}")
-            given = [row[column] for row in rows]
+            rows = csv.reader(file, strict=True)
+            header = [name.strip() for name in next(rows, [])]
+            if header.count(column) != 1:
+                found = "two columns or more" if column in header else f"none of the {len(header)} columns"
+                raise ParameterError(column_key, column, f"{found} in line 1 of {path} have this name, must be one")
+            place, values = header.index(column), []
+            for row in rows:
+                if not row:  # an empty line, such as the last
+                    continue
+                where = f"{key}: {path}: line {rows.line_num}"
+                if len(row) != len(header):
+                    raise GearjaxError(f"{where} has {len(row)} values, the first line has {len(header)}")
+                if not _NUMBER.fullmatch(row[place]) or not math.isfinite(float(row[place])):
+                    raise GearjaxError(f"{where}, column {place + 1}: is no number such as 0.5 or 5e-1")
+                values.append(float(row[place]))
+                if len(values) > _MOST_VALUES:
+                    raise GearjaxError(f"{key}: {path}: has more than {_MOST_VALUES} rows")
     except OSError as fault:
-        raise GearjaxError(f"{key}.file: {path}: cannot be read ({fault.strerror or fault})") from fault
+        raise GearjaxError(f"{key}: {path}: cannot be read ({fault.strerror or fault})") from fault
     except (UnicodeDecodeError, csv.Error) as fault:
-        raise GearjaxError(f"{key}.file: {path}: not a CSV file in UTF-8") from fault
-    if not given or len(given) > _MOST_VALUES:
-        raise GearjaxError(f"{key}.file: {path}: has {len(given)} rows, must be 1 to {_MOST_VALUES}")
-    assert parameter.dimension is not None
-    unit = table.get("unit", parameter.dimension.unit)
-    plain = parameter.dimension is units.RATIO
-    size = 1.0 if plain else read_quantity(f"{key}.unit", f"1 {unit}", parameter.dimension)
-    values = []
-    for line, text in enumerate(given, start=2):
-        try:
-            value = float(text)
-        except (TypeError, ValueError):
-            value = math.nan
-        if not math.isfinite(value):
-            raise ParameterError(f"{key}.file", text, f"line {line} of {path}: must be a number")
-        values.append(value * size)
-    return tuple(values)
+        raise GearjaxError(f"{key}: {path}: not a CSV file in UTF-8") from fault
+    if not values:
+        raise GearjaxError(f"{key}: {path}: has no rows below its first line")
+    return values

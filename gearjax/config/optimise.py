@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_plain, read_quantity
-from gearjax.config.tables import known_keys, read_parameter, read_whole
+from gearjax.config.tables import Key, known_keys, read_parameter, read_whole, require_keys
 from gearjax.parameters import Parameter
 from gearjax.scene import Scene
 from gearjax.studies import Objective, Term
@@ -16,7 +16,19 @@ from gearjax.studies.objective import NAMES
 from gearjax.studies.select import numbers, pick
 
 MOST_STARTS = 1_000_000
-_KEYS = ("objective", "torque", "order", "where", "grid_step", "bounds", "starts", "window", "seed")
+OPTIMISE_KEYS = {
+    "objective": Key('a name such as "no_load_amplitude", or a list of terms', '"no_load_amplitude"', required=True),
+    "where": Key('a list of paths such as "errors.planet_1.phase"', required=True),
+    "torque": Key('a torque such as "30 N*m", for static and dynamic objectives', '"30 N*m"'),
+    "order": Key(
+        'a name such as "crank", or cycles per turn of the output, for objectives that end in _order', '"output"'
+    ),
+    "grid_step": Key("a step for all, or a table of steps by path", '"10 deg"'),
+    "bounds": Key("a table of pairs; numbers that are not angles need them"),
+    "starts": Key(f"a whole number from 1 to {MOST_STARTS}", default="300"),
+    "window": Key('a time such as "3 s"; that of [run] without', '"3 s"'),
+    "seed": Key("a whole number from 0", default="0"),
+}
 _TERM_KEYS = ("name", "torque", "weight", "order")
 
 
@@ -26,12 +38,12 @@ class OptimiseSection:
 
     Args:
         objective: what is minimised, over its window.
-        window: length of the window [s].
+        window: length of the window of the objective [s].
         where: paths of the free numbers.
-        grid_step: spacing of the grid by path, SI; empty for no grid.
-        bounds: by path, SI.
+        grid_step: spacing of the grid by path; empty for no grid.
+        bounds: lowest and highest values by path.
         starts: number of starts of the gradient search.
-        seed: of the random starts.
+        seed: seed of the random starts.
     """
 
     objective: Objective
@@ -50,8 +62,9 @@ def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
         ParameterError: a value is wrong.
         SceneError: the scene has no run section to take the window from.
     """
-    known_keys("optimise", table, _KEYS)
-    where = _where(table.get("where", MISSING), scene)
+    known_keys("optimise", table, OPTIMISE_KEYS)
+    require_keys("optimise", table, OPTIMISE_KEYS)
+    where = _where(table["where"], scene)
     known = numbers(scene)
     bounds = {path: _bounds(path, pair, known[path]) for path, pair in _by_path(table, "bounds", where, {}).items()}
     steps = table.get("grid_step", {})
@@ -76,7 +89,7 @@ def _where(given: Any, scene: Scene) -> tuple[str, ...]:
     if not isinstance(given, list) or not given:
         raise ParameterError("optimise.where", given, 'must be a list of paths such as "errors.planet_1.phase"')
     for path in given:
-        if path not in known:
+        if not isinstance(path, str) or path not in known:
             raise ParameterError("optimise.where", path, f"no number of this scene; {nearest(path, known)}")
         if given.count(path) > 1:
             raise ParameterError("optimise.where", path, "is listed twice")
@@ -107,7 +120,7 @@ def _bounds(path: str, pair: Any, parameter: Parameter) -> tuple[float, float]:
 
 
 def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
-    given = table.get("objective", MISSING)
+    given = table["objective"]
     if isinstance(given, list):
         terms = tuple(_term(f"optimise.objective[{i}]", term) for i, term in enumerate(given))
         if not terms or "torque" in table or "order" in table:

@@ -1,36 +1,65 @@
 """Numbers with units, read from strings. Strings are data: their form is checked before pint sees the unit."""
 
 import functools
-import importlib.resources
 import math
 import re
-from typing import Any, cast
+from typing import Any
 
-import pint
-
+from gearjax import units
 from gearjax.checks import ParameterError
-from gearjax.units import ANGLE, Dimension
+from gearjax.config.spelling import (
+    Factor,
+    UnknownUnit,
+    as_written,
+    factors,
+    registry,
+    unit_of,
+    variants,
+    without_typography,
+)
+from gearjax.units import Dimension
 
 _LONGEST = 64
-_NUMBER = r"[+-]?(?:\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})(?:[eE][+-]?\d{1,3})?"
-_FACTOR = r"[A-Za-zµμΩ°%]{1,20}(?:(?:\*\*|\^)-?[1-4])?"
-_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*({_FACTOR}(?:\s*[*/·]\s*{_FACTOR}|\s+{_FACTOR}){{0,4}})?\s*", re.ASCII)
+_NUMBER = re.compile(r"([+-]?(?:\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})(?:[eE][+-]?\d{1,3})?)(.*)", re.ASCII)
+_SEPARATED = re.compile(r"[+-]?\d+(?:[,_']\d+)+(?:\.\d+)?(?:[eE][+-]?\d+)?\b", re.ASCII)
+_FORMS = {  # what a unit may measure, told when something else was asked for
+    **{f"a {name}": (unit,) for name, unit in (("volume", "m^3"), ("speed", "m/s"), ("force", "N"), ("power", "W"))},
+    "an area": ("m^2",),
+    "an acceleration": ("m/s^2",),
+    "an angular acceleration": ("rad/s^2",),
+    "an energy": ("J",),
+    "a torsional stiffness": ("N*m/rad",),
+    "a damping coefficient": ("N*s/m",),
+    "a mass times a length (kgf and lbf are forces)": ("kg*m",),
+    "a force (by its mass)": ("kg*m/s^2",),
+    **{
+        dimension.described: (dimension.unit, *dimension.forms)
+        for dimension in vars(units).values()
+        if isinstance(dimension, Dimension) and dimension.unit
+    },
+    "a ratio": ("%",),
+}
+_INSTEAD = {
+    units.ANGULAR_SPEED: ", in rpm, 1/min, deg/s or rad/s",
+    units.ANGLE: ", in deg, arcmin, arcsec, rad or turn",
+}
 
 
 @functools.cache
-def _registry() -> Any:
-    """Units in which an angle is a dimension of its own: 5 Hz is not 5 rad/s, and 0.1 is not an angle."""
-    folder = importlib.resources.files("pint")
-    definitions = (folder / "default_en.txt").read_text(encoding="utf-8")
-    constants = (folder / "constants_en.txt").read_text(encoding="utf-8")
-    definitions = definitions.replace("@import constants_en.txt", constants)
-    registry = pint.UnitRegistry(cast(Any, None), cache_folder=None)  # None: no units yet
-    registry.load_definitions(definitions.replace("radian = []", "radian = [angle]").splitlines())
-    return registry
+def _dimensionality(unit: str) -> Any:
+    return unit_of(factors(unit)).dimensionality
 
 
-def _si_unit(dimension: Dimension) -> str:
-    return dimension.unit or "dimensionless"
+def _measured(unit: Any) -> str | None:
+    """``a length``, ``an energy``: what a unit measures."""
+    found = unit.dimensionality
+    return next((words for words, forms in _FORMS.items() if found in map(_dimensionality, forms)), None)
+
+
+def _suits(unit: Any, dimension: Dimension) -> bool:
+    if not dimension.unit:
+        return unit.dimensionless
+    return any(unit.dimensionality == _dimensionality(form) for form in (dimension.unit, *dimension.forms))
 
 
 def read_quantity(key: str, given: Any, dimension: Dimension) -> float:
@@ -51,31 +80,61 @@ def read_quantity(key: str, given: Any, dimension: Dimension) -> float:
         raise ParameterError(key, given, f"has no unit: {right}")
     if len(given) > _LONGEST:
         raise ParameterError(key, given, f"is no quantity: {right}")
-    match = _QUANTITY.fullmatch(given)
+    text = without_typography(given)
+    if _SEPARATED.match(text):
+        raise ParameterError(key, given, f"has a comma or a separator in its number (1000.5 has none): {right}")
+    match = _NUMBER.fullmatch(text)
     if match is None:
         raise ParameterError(key, given, f"is no number with a unit: {right}")
-    number, unit = float(match[1]), match[2]
-    if unit is None:
+    if not match[2].strip():
         raise ParameterError(key, given, f"has no unit: {right}")
-    registry = _registry()
-    try:
-        quantity = registry.Quantity(number, registry.parse_units(unit.replace("·", "*").replace("^", "**")))
-    except Exception as fault:  # pint raises many kinds for a unit that it cannot read
-        raise ParameterError(key, given, f'unknown unit "{unit}": {right}') from fault
-    if not quantity.is_compatible_with(_si_unit(dimension)):
-        dimensions = " ".join(str(quantity.dimensionality).split()) or "none"
-        raise ParameterError(key, given, f"has the wrong dimension {dimensions}: {right}{_hint(dimension)}")
-    try:
-        value = float(quantity.to(_si_unit(dimension)).magnitude)
-    except Exception as fault:
-        raise ParameterError(key, given, f"cannot be converted: {right}") from fault
+    value = float(match[1]) * unit_size(key, given, match[2].strip(), dimension)
     if not math.isfinite(value):
         raise ParameterError(key, given, f"is not finite: {right}")
     return value
 
 
-def _hint(dimension: Dimension) -> str:
-    return " (angles are in deg or rad, angular speeds in rpm or rad/s)" if ANGLE.unit in dimension.unit else ""
+def unit_size(key: str, given: Any, unit: str, dimension: Dimension) -> float:
+    """Size of a unit in SI.
+
+    Args:
+        key: where it stands, for messages.
+        given: what the configuration holds there.
+        unit: the unit alone, such as ``"um"``.
+        dimension: the dimension that it must have.
+
+    Raises:
+        ParameterError: it is unknown, or measures something else.
+    """
+    needs = f"needs {dimension.described} such as {_quoted(dimension)}{_INSTEAD.get(dimension, '')}"
+    written: tuple[Factor, ...] = ()
+    try:
+        written = factors(unit)
+        measured = unit_of(written)
+    except UnknownUnit as fault:
+        raise ParameterError(key, given, f"{fault}{_meant(written, dimension)}; {needs}") from fault
+    if dimension == units.ANGULAR_SPEED and written == (Factor("min", -1),):
+        return units.rpm  # 1/min and min^-1 count turns on every nameplate; of 1/s nobody can tell
+    if not _suits(measured, dimension):
+        words = _measured(measured)
+        told = f"is {words}" if words else f"is not written as {dimension.described}"
+        raise ParameterError(key, given, f"{told}{_meant(written, dimension)}; {needs}")
+    return float(registry().Quantity(1.0, measured).to_base_units().magnitude)
+
+
+def _meant(written: tuple[Factor, ...], dimension: Dimension) -> str:
+    """The unit with other capitals, where that has the right dimension: ``nm`` for a torque."""
+    for other in variants(written):
+        try:
+            if _suits(unit_of(other), dimension):
+                return f', did you mean "{as_written(other)}"?'
+        except UnknownUnit:
+            continue
+    return ""
+
+
+def _quoted(dimension: Dimension) -> str:
+    return f'"{dimension.example}"' if dimension.unit else f'{dimension.example} or "10 %"'
 
 
 def read_plain(key: str, given: Any) -> float:
@@ -93,3 +152,17 @@ def read_plain(key: str, given: Any) -> float:
     if not math.isfinite(value):
         raise ParameterError(key, given, "must be a finite number")
     return value
+
+
+def read_ratio(key: str, given: Any) -> float:
+    """A ratio: a number without quotes, or percent such as ``"10 %"``.
+
+    Raises:
+        ParameterError: not a finite number.
+    """
+    match = _NUMBER.fullmatch(without_typography(given)) if isinstance(given, str) and len(given) <= _LONGEST else None
+    if match is None or match[2].strip() != "%":
+        if isinstance(given, str):
+            raise ParameterError(key, given, 'must be a number without unit, such as 0.1, or percent, such as "10 %"')
+        return read_plain(key, given)
+    return float(match[1]) * 0.01

@@ -3,14 +3,27 @@
 from typing import Any
 
 from gearjax import units
-from gearjax.checks import MISSING, ParameterError, SceneError, nearest
+from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_quantity
-from gearjax.config.tables import known_keys, read_whole
+from gearjax.config.tables import Key, known_keys, read_whole, require_keys
 from gearjax.scene import ANALYSES, METRICS, NEEDS, Published, Run, Scene, require
 
 STARTS = ("equilibrium", "zero")
 MOST_SAMPLES = 10_000_000
-_KEYS = ("duration", "samples", "start", "settle", "analyses", "torques")
+RUN_KEYS = {
+    "duration": Key('a time such as "3 s"', '"3 s"', required=True),
+    "samples": Key(f"a whole number from 2 to {MOST_SAMPLES}", "3001", required=True),
+    "analyses": Key(f"a list of: {', '.join(ANALYSES)}", '["no_load"]', required=True),
+    "torques": Key('a list of torques such as ["30 N*m"]', '["30 N*m"]', "[]"),
+    "start": Key('"equilibrium" or "zero"', '"zero"', '"equilibrium"'),
+    "settle": Key('a time from "0 s" to below duration', '"0.05 s"', '"0 s"'),
+}
+PUBLISHED_KEYS = {
+    "analysis": Key(f"one of {', '.join(ANALYSES)}", '"no_load"', required=True),
+    "torque": Key('a torque such as "30 N*m"', '"30 N*m"', '"0 N*m"'),
+    "note": Key("a text in quotes", '"where the values come from"', '""'),
+    **{name: Key('an angle such as "1.2 arcmin"', '"1.2 arcmin"') for name in METRICS},
+}
 
 
 def read_run(table: dict[str, Any], published: tuple[Published, ...], scene: Scene) -> Run:
@@ -20,10 +33,8 @@ def read_run(table: dict[str, Any], published: tuple[Published, ...], scene: Sce
         ParameterError: a value is wrong.
         SceneError: an analysis needs a section that the scene does not list.
     """
-    known_keys("run", table, _KEYS)
-    for key in ("duration", "samples", "analyses"):
-        if key not in table:
-            raise ParameterError(f"run.{key}", MISSING, "must be given")
+    known_keys("run", table, RUN_KEYS)
+    require_keys("run", table, RUN_KEYS)
     analyses = _words(table["analyses"])
     duration = read_quantity("run.duration", table["duration"], units.TIME)
     if not 1e-9 <= duration <= 1e9:
@@ -79,9 +90,10 @@ def read_published(entries: Any) -> tuple[Published, ...]:
     found = []
     for index, entry in enumerate(entries):
         path = f"published[{index}]"
-        known_keys(path, entry, ("analysis", "torque", "note", *METRICS))
-        if entry.get("analysis") not in ANALYSES:
-            raise ParameterError(f"{path}.analysis", entry.get("analysis"), f"must be one of {', '.join(ANALYSES)}")
+        known_keys(path, entry, PUBLISHED_KEYS)
+        require_keys(path, entry, PUBLISHED_KEYS)
+        if entry["analysis"] not in ANALYSES:
+            raise ParameterError(f"{path}.analysis", entry["analysis"], f"must be one of {', '.join(ANALYSES)}")
         torque = read_quantity(f"{path}.torque", entry.get("torque", "0 N*m"), units.TORQUE)
         metrics = tuple(
             (name, read_quantity(f"{path}.{name}", entry[name], units.ANGLE)) for name in METRICS if name in entry

@@ -10,7 +10,7 @@ from gearjax import units
 from gearjax.checks import MISSING, GearjaxError, ParameterError, SceneError, nearest
 from gearjax.config.distributions import read_distribution
 from gearjax.config.quantities import read_plain, read_quantity
-from gearjax.config.tables import flattened, known_keys, read_whole
+from gearjax.config.tables import Key, flattened, known_keys, read_whole, require_keys
 from gearjax.contact import HardContact
 from gearjax.scene import Scene
 from gearjax.studies.select import numbers
@@ -22,7 +22,36 @@ from gearjax.tolerance.sampling import SAMPLERS
 MOST_SAMPLES = 1_000_000_000
 PRECISIONS = ("float64", "float32")
 MOST_YIELD = 0.9995  # more would need more gear sets to prove
-_KEYS = ("samples", "seed", "sampler", "extremes", "chunk", "precision", "measures", "correlated")
+TOLERANCE_KEYS = {
+    "measures": Key("a list of measures, names or tables", required=True),
+    "samples": Key(f"a whole number from 2 to {MOST_SAMPLES}", default="10000"),
+    "seed": Key("a whole number from 0", default="0"),
+    "sampler": Key(" or ".join(f'"{word}"' for word in SAMPLERS), default='"monte_carlo"'),
+    "extremes": Key(" or ".join(f'"{word}"' for word in EXTREMES), default='"between"'),
+    "chunk": Key("a whole number from 1", default=str(CHUNK)),
+    "precision": Key(" or ".join(f'"{word}"' for word in PRECISIONS), default=f'"{PRECISIONS[0]}"'),
+    "correlated": Key("a list such as [{ between = [PATH, PATH], coefficient = 0.5 }]", default="[]"),
+}
+MEASURE_KEYS = {
+    "name": Key('such as "no_load.peak_to_peak"', '"no_load.peak_to_peak"', required=True),
+    "torque": Key('a torque such as "30 N*m", for static and dynamic measures', '"30 N*m"'),
+    "limit": Key('an angle such as "1 arcmin"', '"2 arcmin"'),
+    "at_least": Key('an angle such as "1 arcmin"', '"0 arcmin"'),
+}
+SENSITIVITY_KEYS = {"samples": Key("a whole number from 16", default="1024")}
+ALLOCATION_KEYS = {
+    "measure": Key("name of a measure with a limit", required=True),
+    "yield": Key(f"above 0 and at most {MOST_YIELD}", "0.95", required=True),
+    "cost": Key("a cost, or a list of [factor, cost], by path; 1 for each without"),
+    "tightest": Key("above 0 and below loosest", default="0.1"),
+    "loosest": Key("at most 1000", default="2.0"),
+}
+ASSEMBLY_KEYS = {
+    "measure": Key("name of a measure without motion; the first such without"),
+    "where": Key("a list of phases; all of the errors without"),
+    "units": Key("a whole number from 2", default="1000"),
+    "starts": Key("a whole number from 1 to 1000", default="8"),
+}
 _LIMITS = ("limit", "at_least")
 _STUDIES = ("sensitivity", "allocation", "assembly")
 
@@ -70,7 +99,12 @@ class ToleranceSection:
     Args:
         tolerances: the population.
         measures: what is measured.
-        samples, seed, sampler, extremes, chunk: of the Monte Carlo study.
+        samples: number of gear sets of the Monte Carlo study.
+        seed: seed of the random numbers.
+        sampler: how the numbers are drawn.
+        extremes: where the highest and lowest values are looked for: at the ``"samples"`` of the run alone, which is
+            quicker, or ``"between"`` them too.
+        chunk: number of gear sets worked on at once, and written at once.
         precision: ``"float64"`` or ``"float32"``.
         sensitivity: number of samples of the sensitivities, 0 for none.
         allocation, assembly: further studies, or ``None``.
@@ -102,6 +136,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
     """
     if scene.run is None:
         raise SceneError("tolerance: the configuration has no [run]: list duration, samples and analyses")
+    require_keys("tolerance", table, TOLERANCE_KEYS)
     leaves = _leaves(table, scene)
     known = numbers(scene)
     distributions = {path: read_distribution(f"tolerance.{path}", given, known[path], folder) for path, given in leaves}
@@ -109,7 +144,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         raise GearjaxError(
             'tolerance: names no number, such as "errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
         )
-    measures = _measures(table.get("measures", MISSING))
+    measures = _measures(table["measures"])
     try:
         tolerances = Tolerances(scene, distributions, _correlations(table.get("correlated", [])))
     except ParameterError as fault:
@@ -188,7 +223,7 @@ def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, An
                 visit(f"{path}.{key}", value)
             return
         if path not in known:
-            words = (*known, *_KEYS, *_STUDIES)
+            words = (*known, *TOLERANCE_KEYS, *_STUDIES)
             raise ParameterError(f"tolerance.{path}", given, f"unknown key; {nearest(path, words)}")
         if not isinstance(given, dict):
             raise ParameterError(f"tolerance.{path}", given, 'must be a table such as {kind = "normal", ...}')
@@ -197,7 +232,7 @@ def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, An
         found.append((path, given))
 
     for key, given in table.items():
-        if key not in _KEYS and key not in _STUDIES:
+        if key not in TOLERANCE_KEYS and key not in _STUDIES:
             visit(key, given)
     return found
 
@@ -212,7 +247,7 @@ def _measures(given: Any) -> tuple[Measure, ...]:
         table = {"name": entry} if isinstance(entry, str) else entry
         if not isinstance(table, dict):
             raise ParameterError(key, entry, "must be a name or a table with a name")
-        known_keys(key, table, ("name", "torque", "limit", "at_least"))
+        known_keys(key, table, MEASURE_KEYS)
         if not isinstance(table.get("name"), str):
             raise ParameterError(f"{key}.name", table.get("name", MISSING), 'give one such as "no_load.peak_to_peak"')
         rest = {name: read_quantity(f"{key}.{name}", table[name], units.ANGLE) for name in table if name in _LIMITS}
@@ -252,17 +287,18 @@ def _word(table: dict[str, Any], key: str, default: str, words: tuple[str, ...])
     return given
 
 
-def _section(key: str, given: Any, keys: tuple[str, ...]) -> dict[str, Any]:
+def _section(key: str, given: Any, keys: dict[str, Key]) -> dict[str, Any]:
     if not isinstance(given, dict):
         raise ParameterError(f"tolerance.{key}", given, f"must be a section: [tolerance.{key}]")
     known_keys(f"tolerance.{key}", given, keys)
+    require_keys(f"tolerance.{key}", given, keys)
     return given
 
 
 def _sensitivity(given: Any) -> int:
     if given is None:
         return 0
-    table = _section("sensitivity", given, ("samples",))
+    table = _section("sensitivity", given, SENSITIVITY_KEYS)
     return read_whole("tolerance.sensitivity.samples", table.get("samples", 1024), 16, 2**24)
 
 
@@ -277,7 +313,7 @@ def _allocation(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...
     if given is None:
         return None
     key = "tolerance.allocation"
-    table = _section("allocation", given, ("measure", "yield", "cost", "tightest", "loosest"))
+    table = _section("allocation", given, ALLOCATION_KEYS)
     measure = _limited(f"{key}.measure", table.get("measure", MISSING), measures)
     required = read_plain(f"{key}.yield", table.get("yield", MISSING))
     if not 0 < required <= MOST_YIELD:
@@ -320,7 +356,7 @@ def _assembly(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...])
     if given is None:
         return None
     key = "tolerance.assembly"
-    table = _section("assembly", given, ("measure", "where", "units", "starts"))
+    table = _section("assembly", given, ASSEMBLY_KEYS)
     names = [measure.name for measure in measures if measure.analysis != "dynamic"]
     measure = table.get("measure", names[0] if names else MISSING)
     if measure not in names:

@@ -8,6 +8,7 @@ from typing import Any
 import tomli_w
 
 from gearjax.config.build import read_tables
+from gearjax.config.tables import written
 from gearjax.parameters import Parameter
 
 STUDIES = ("optimise", "tolerance", "published")  # sections that do not hold for the changed scene
@@ -32,17 +33,10 @@ def with_numbers(text: str, values: Mapping[str, float], parameters: Mapping[str
         table = tables
         for parent in parents:
             table = table.setdefault(parent, {})
-        written = _written(value, parameters[path])
+        number = written(value, parameters[path])
         series = re.fullmatch(r"(.*)\[(\d+)\]", last)
         if series:
-            table[series[1]][int(series[2])] = written
+            table[series[1]][int(series[2])] = number
         else:
-            table[last] = written
+            table[last] = number
     return tomli_w.dumps(tables)
-
-
-def _written(value: float, parameter: Parameter) -> str | float:
-    dimension = parameter.dimension
-    if dimension is None or not dimension.unit:
-        return value
-    return f"{value / dimension.per_shown:.15g} {dimension.shown}"

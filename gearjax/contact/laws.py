@@ -70,7 +70,7 @@ class SoftplusContact(AbstractContact):
     """
 
     kind: ClassVar[str] = "softplus"
-    width: Number = length(at_least=1e-15, at_most=1.0)
+    width: Number = length(at_least=1e-15, at_most=1.0, example="0.5 um")
 
     def __check_init__(self):
         check_parameters(self)
@@ -102,7 +102,7 @@ class QuadraticContact(AbstractContact):
     """
 
     kind: ClassVar[str] = "quadratic"
-    width: Number = length(at_least=1e-15, at_most=1.0)
+    width: Number = length(at_least=1e-15, at_most=1.0, example="0.5 um")
 
     def __check_init__(self):
         check_parameters(self)

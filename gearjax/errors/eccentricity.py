@@ -23,7 +23,7 @@ class Eccentricity(AbstractError):
 
     kind: ClassVar[str] = "eccentricity"
     body: str = name()
-    amplitude: Number = length(at_least=0.0, at_most=1.0)
+    amplitude: Number = length(at_least=0.0, at_most=1.0, example="2 um")
     phase: Number = angle(at_least=-1e6, at_most=1e6, periodic=True)
 
     def __check_init__(self):

@@ -27,8 +27,8 @@ class Positions(AbstractError):
     kind: ClassVar[str] = "positions"
     on_rim: ClassVar[bool] = True
     body: str = name()
-    outward: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0)
-    around: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0)
+    outward: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um"])
+    around: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um"])
 
     def __check_init__(self):
         check_parameters(self)
@@ -54,7 +54,7 @@ class Sizes(AbstractError):
     kind: ClassVar[str] = "sizes"
     on_rim: ClassVar[bool] = True
     body: str = name()
-    larger: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0)
+    larger: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um"])
 
     def __check_init__(self):
         check_parameters(self)
@@ -77,7 +77,7 @@ class CumulativePitch(AbstractError):
     kind: ClassVar[str] = "cumulative_pitch"
     on_rim: ClassVar[bool] = True
     body: str = name()
-    amplitude: Number = length(at_least=0.0, at_most=1.0)
+    amplitude: Number = length(at_least=0.0, at_most=1.0, example="2 um")
     phase: Number = angle(at_least=-1e6, at_most=1e6, periodic=True)
     waves: int = count(default=1, at_most=100)
 

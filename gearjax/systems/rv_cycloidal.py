@@ -61,19 +61,19 @@ class RVCycloidal(AbstractSystem):
     kind: ClassVar[str] = "rv_cycloidal"
     two_sided: ClassVar[bool] = True
 
-    pins: int = count(at_least=3, at_most=1000)
-    pin_circle: Number = length(at_least=1e-6, at_most=100.0)
-    pin_radius: Number = length(at_least=1e-9, at_most=100.0)
-    eccentricity: Number = length(at_least=1e-9, at_most=100.0)
-    isometric_modification: Number = length(at_least=-1e-2, at_most=1e-2)
-    shifting_modification: Number = length(at_least=-1e-2, at_most=1e-2)
-    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6)
+    pins: int = count(at_least=3, at_most=1000, example=40)
+    pin_circle: Number = length(at_least=1e-6, at_most=100.0, example="76 mm")
+    pin_radius: Number = length(at_least=1e-9, at_most=100.0, example="3 mm")
+    eccentricity: Number = length(at_least=1e-9, at_most=100.0, example="1.5 mm")
+    isometric_modification: Number = length(at_least=-1e-2, at_most=1e-2, example="-22 um")
+    shifting_modification: Number = length(at_least=-1e-2, at_most=1e-2, example="-43.7 um")
+    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6, example="1170 rpm")
     discs: int = count(default=2, at_most=4)
     thickness_modification: Number | None = length(at_least=-1e-2, at_most=1e-2, default=None)
     clearance: str = name(default="linear", names=("linear", "exact"))
-    sun_teeth: int | None = count(default=None)
-    planet_teeth: int | None = count(default=None)
-    first_stage_module: Number | None = length(at_least=1e-6, at_most=1.0, default=None)
+    sun_teeth: int | None = count(default=None, example=22)
+    planet_teeth: int | None = count(default=None, example=60)
+    first_stage_module: Number | None = length(at_least=1e-6, at_most=1.0, default=None, example="1.25 mm")
     first_stage_pressure_angle: Number = angle(above=0.0, below=math.pi / 4, default=20 * units.deg)
 
     def __check_init__(self):

@@ -43,13 +43,13 @@ class TwoKV(AbstractSystem):
 
     kind: ClassVar[str] = "two_kv"
 
-    sun_teeth: int = count()
-    first_stage_planet_teeth: int = count()
-    planet_teeth: int = count(at_least=2)
-    ring_teeth: int = count(at_least=3)
-    module: Number = length(at_least=1e-6, at_most=1.0)
-    cutting_pressure_angle: Number = angle(above=0.0, below=math.pi / 4)
-    working_pressure_angle: Number = angle(above=0.0, below=math.pi / 2)
+    sun_teeth: int = count(example=12)
+    first_stage_planet_teeth: int = count(example=36)
+    planet_teeth: int = count(at_least=2, example=50)
+    ring_teeth: int = count(at_least=3, example=52)
+    module: Number = length(at_least=1e-6, at_most=1.0, example="2.5 mm")
+    cutting_pressure_angle: Number = angle(above=0.0, below=math.pi / 4, example="20 deg")
+    working_pressure_angle: Number = angle(above=0.0, below=math.pi / 2, example="35.266 deg")
     input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6)
     te_radius: Named | Number = length(at_least=1e-6, at_most=100.0, names=("planet", "ring", "held_sun"))
     planets: int = count(default=2, at_most=5)

@@ -1,0 +1,373 @@
+"""A commented configuration with every key, for ``gearjax new``: written from what the parts declare."""
+
+import dataclasses
+import math
+import textwrap
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
+from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.compliance import COMPLIANCES
+from gearjax.config.build import CONTACTS, REFERENCE_KEYS, loads
+from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
+from gearjax.config.meaning import both, example, limits, meanings, summary, told
+from gearjax.config.optimise import OPTIMISE_KEYS, OptimiseSection
+from gearjax.config.run import PUBLISHED_KEYS, RUN_KEYS
+from gearjax.config.tables import Key, as_toml, keys_of
+from gearjax.config.tolerance import (
+    ALLOCATION_KEYS,
+    ASSEMBLY_KEYS,
+    MEASURE_KEYS,
+    SENSITIVITY_KEYS,
+    TOLERANCE_KEYS,
+    Allocation,
+    Assembly,
+    ToleranceSection,
+)
+from gearjax.errors import ERRORS
+from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.load import LOADS
+from gearjax.parameters import Parameter, declared
+from gearjax.scene import NEEDS, Published, Run, Scene, require
+from gearjax.studies.select import numbers
+from gearjax.systems import SYSTEMS
+from gearjax.tolerance import DISTRIBUTIONS, Empirical
+from gearjax.units import LENGTH
+
+TOGETHER = "# The next ones go together, all or none:"
+INSTEAD = "# Instead of the one above:"
+_WIDTH = 118
+_TURNS = 40  # of the fastest order that a run shows
+_PER_TURN = 20  # samples of one
+_SLOTS = (
+    ("backlash", (InitialBacklash,)),
+    ("compliance", COMPLIANCES),
+    ("inertia", (EquivalentMass, MomentOfInertia)),
+    ("damping", (DampingRatio,)),
+    ("load", LOADS),
+    ("contact", CONTACTS),
+)
+_EXAMPLES = {  # of distributions, where those of the number that varies do not do
+    "low": "5 um",
+    "high": "15 um",
+    "sigma": 0.3,
+    "std": "1 um",
+    "scale": "1 um",
+    "probabilities": [1.0],
+    "grade": 6,
+    "module": "2.5 mm",
+    "diameter": "125 mm",
+    "size": "50 mm",
+}
+
+
+def template(kind: str) -> str:
+    """A configuration of a gear set, with every key of every section that suits it.
+
+    What must be given has a value that runs; what may be left out is commented out with its default, or with an
+    example where there is none. ``# `` begins an explanation, ``#`` alone what may be put in.
+
+    Args:
+        kind: of the gear set, such as ``"two_kv"``.
+
+    Raises:
+        GearjaxError: there is no such kind, or its declared fields give no gear set that loads.
+
+    Example:
+        >>> from gearjax.config import loads, template
+        >>> loads(template("two_kv")).system.planets
+        2
+    """
+    systems = {system.kind: system for system in SYSTEMS}
+    if kind not in systems:
+        raise ParameterError("new", kind, f"unknown kind of gear set; {nearest(kind, systems)}")
+    head = _prose(
+        f'A {kind} reducer: gearjax run FILE. Physical values are strings with their unit, such as "30 N*m". Lines '
+        "that begin with # and a space explain; without the space they may be put in."
+    )
+    try:
+        text = head + _part("system", systems[kind], kind)
+        text = head + _part("system", systems[kind], kind, _together(text))
+        scene = loads(text)
+    except ParameterError as fault:
+        raise GearjaxError(
+            f"new {kind}: its fields give no example that loads, declare some with example=...: {fault}"
+        ) from fault
+    text += _errors(text, scene)
+    text += _reference(text)
+    for slot, parts in _SLOTS:
+        text += _slot(text, slot, parts)
+    text += _run(loads(text))
+    for section in (_optimise, _tolerance):
+        text += _if_it_loads(text, section(loads(text)))
+    return _noted(text)
+
+
+def _prose(words: str) -> str:
+    """A comment."""
+    return "".join(f"# {line}\n" for line in textwrap.wrap(words, _WIDTH, break_long_words=False))
+
+
+def _line(name: str, key: Key, meaning: str, value: str = "", *, active: bool | None = None) -> str:
+    """A key with what it means; commented out where it may be left out."""
+    value = value or (key.example if key.required else key.default or key.example)
+    mark = "" if (key.required if active is None else active) else "#"
+    default = f"; without it {key.default}" if key.default else "" if key.required else "; may be left out"
+    says = both(meaning, key.words)
+    return f"{_prose(says + default)}{mark}{name} = {value}\n" if value else _prose(f"{name}: {says}{default}")
+
+
+def _keys(part: Any, given: Mapping[str, str] | None = None, last: Iterable[str] = ()) -> str:
+    """The keys of a part, from its fields; the ``last`` ones together at the end."""
+    says, parameters = meanings(part), declared(part)
+    lines = {}
+    for name, key in keys_of(part).items():
+        own = dataclasses.replace(key, words=limits(parameters[name]))
+        value = (given or {}).get(name) or (key.default or example(parameters[name]))
+        lines[name] = _line(name, own, says.get(name, ""), value)
+    alone = "".join(line for name, line in lines.items() if name not in last)
+    return alone + (f"{TOGETHER}\n{''.join(lines[name] for name in last)}" if last else "")
+
+
+def _part(path: str, part: Any, kind: str = "", last: Iterable[str] = (), **given: str) -> str:
+    """A section for a part."""
+    named = f'kind = "{kind}"\n' if kind else ""
+    prose = "".join(map(_prose, summary(part)))
+    return f"\n{prose}[{path}]\n{named}{_keys(part, given, tuple(last))}"
+
+
+def _commented(section: str) -> str:
+    """A section that may be put in as a whole: without its own comments, which the active one has."""
+    lines = [line for line in section.strip().splitlines() if not line.startswith("#")]
+    return "".join(f"#{line}\n" for line in lines)
+
+
+def options(text: str) -> list[tuple[int, ...]]:
+    """Which lines of a template may be put in, each by itself or a block of them together."""
+    lines = text.splitlines()
+    found: list[tuple[int, ...]] = []
+    block: list[int] = []
+    together = section = False
+    for place, line in enumerate([*lines, ""]):
+        together = together or line == TOGETHER
+        section = section or line.startswith("#[")
+        if together or section:
+            if line.startswith("#") and not line.startswith("# "):
+                block.append(place)
+            elif not line or (section and not line.startswith("#")):
+                found.append(tuple(block))
+                block, together, section = [], False, False
+        elif line.startswith("#") and not line.startswith("# "):
+            found.append((place,))
+    return found
+
+
+def put_in(text: str, places: Iterable[int]) -> str:
+    """The template with some lines put in, each block of ``options`` in place of what it stands in for."""
+    places = tuple(places)
+    lines = text.splitlines()
+    first = lines[places[0]][1:]
+    if first.startswith("[[") or (first not in lines and first.startswith("[")):
+        dropped = range(0)
+    elif first.startswith("["):
+        begin = lines.index(first)
+        dropped = range(begin, next(i for i in range(begin, len(lines)) if not lines[i]))
+    else:
+        begin = max(i for i in range(places[0]) if lines[i].startswith("["))
+        key = first.split(" = ")[0]
+        dropped = [i for i in range(begin, places[0]) if lines[i].split(" = ")[0] == key]
+    kept = (line[1:] if i in places else line for i, line in enumerate(lines) if i not in dropped)
+    return "\n".join(kept) + "\n"
+
+
+def _noted(text: str) -> str:
+    """The template with a word above each section that cannot be put in without another change."""
+    lines, notes = text.splitlines(), {}
+    for places in options(text):
+        if lines[places[0]].startswith("#["):
+            try:
+                loads(put_in(text, places))
+            except GearjaxError as fault:
+                notes[places[0]] = _prose(f"More must change with it: {fault}")
+    return "".join(f"{notes.get(i, '')}{line}\n" for i, line in enumerate(lines))
+
+
+def _together(text: str) -> list[str]:
+    """Keys that a section takes only all at once."""
+    apart = [places[0] for places in options(text) if _fault(put_in(text, places))]
+    return [text.splitlines()[place][1:].split(" = ")[0] for place in apart]
+
+
+def _fault(text: str) -> str:
+    """What is wrong with a configuration, empty for nothing."""
+    try:
+        loads(text)
+    except GearjaxError as fault:
+        return fault.right if isinstance(fault, ParameterError) else str(fault)
+    return ""
+
+
+def _if_it_loads(text: str, section: str) -> str:
+    fault = _fault(text + section)
+    return f"\n{_prose(f'Left out: {fault}')}" if fault else section
+
+
+def _errors(text: str, scene: Scene) -> str:
+    """A section for each kind of error, on the first body that can have it."""
+    found = "\n" + _prose(
+        "Errors, as many as there are, [errors.NAME] each. The name is free: paths such as errors.NAME.amplitude lead "
+        f"to its numbers. Bodies: {', '.join(scene.system.bodies)}."
+    )
+    for part in ERRORS:
+        fault = "it has no bodies"
+        for body in scene.system.bodies:
+            section = _part(f"errors.{part.kind}", part, part.kind, body=as_toml(body))
+            fault = _fault(text + section)
+            if not fault:
+                found += section
+                break
+        if fault:
+            found += f"\n{_prose(f'No {part.kind} for a {scene.system.kind}: {fault}')}"
+    return found
+
+
+def _reference(text: str) -> str:
+    key = REFERENCE_KEYS["zero"]
+    section = f"\n{''.join(map(_prose, summary(ZeroAtStart)))}[reference]\n{_line('zero', key, '')}"
+    return _if_it_loads(text, section)
+
+
+def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
+    """The section of an optional part: the first kind that suits the gear set, others to put in instead."""
+    found = ""
+    for part in parts:
+        kind = getattr(part, "kind", "")
+        section = _part(slot, part, kind)
+        fault = _fault(text + section)
+        if fault:
+            found += f"\n{_prose(f'No [{slot}] {kind}: {fault}')}"
+        elif f"[{slot}]" not in found.splitlines():
+            found += section
+        else:
+            words = {name: limits(parameter) for name, parameter in declared(part).items()}
+            prose = "".join(map(_prose, summary(part) + told(part, words, words)))
+            found += f"\n{prose}{INSTEAD}\n{_commented(section)}"
+    return found
+
+
+def _run(scene: Scene) -> str:
+    """What to compute: all that the scene allows, over some turns of what turns fastest."""
+    orders = {name: order for name, order in scene.system.orders.items() if name != "mesh"}
+    turns = min(_TURNS, max(orders.values()) * scene.system.cycle / (2 * math.pi))
+    duration = turns * 2 * math.pi / (max(orders.values()) * float(scene.system.input_speed))
+    given = {
+        "duration": f'"{duration:.4g} s"',
+        "samples": str(math.ceil(turns * _PER_TURN) + 1),
+        "analyses": as_toml([analysis for analysis in NEEDS if _can(scene, analysis)]),
+        "torques": RUN_KEYS["torques"].example,
+    }
+    lines = "".join(
+        _line(name, key, meanings(Run)[name], given.get(name, ""), active=name in given)
+        for name, key in RUN_KEYS.items()
+    )
+    published = "".join(f"#{name} = {key.example}\n" for name, key in PUBLISHED_KEYS.items())
+    words = {name: key.words for name, key in PUBLISHED_KEYS.items()}
+    says = "".join(map(_prose, summary(Published) + told(Published, words, words)))
+    return f"\n{_prose('What gearjax run computes.')}[run]\n{lines}\n{says}#[[published]]\n{published}"
+
+
+def _can(scene: Scene, analysis: str) -> bool:
+    try:
+        require(scene, analysis, *NEEDS[analysis])
+    except SceneError:
+        return False
+    return True
+
+
+def _phases(scene: Scene) -> list[str]:
+    return [path for path, parameter in numbers(scene).items() if parameter.periodic and path.startswith("errors.")]
+
+
+def _optimise(scene: Scene) -> str:
+    """``gearjax optimise``: the phases of the errors."""
+    phases, says = _phases(scene), meanings(OptimiseSection)
+    assert scene.run is not None
+    bounds = "{ " + ", ".join(f'"{path}" = ["-90 deg", "90 deg"]' for path in phases) + " }"
+    given = {"where": as_toml(phases), "bounds": bounds, "window": f'"{scene.run.duration:.4g} s"'}
+    terms = '[{ name = "static_order", torque = "30 N*m", order = "output", weight = 1.0 }]'
+    found = f"\n{_prose('What gearjax optimise searches for: assembly phases, or any other numbers.')}[optimise]\n"
+    for name, key in OPTIMISE_KEYS.items():
+        if name in ("torque", "order"):  # of the objective
+            found += _prose(f"{name}: {key.words}")
+            continue
+        value = given.get(name) or key.example or key.default
+        found += _line(name, key, says.get(name, ""), value)
+        if name == "objective":
+            found += f"{INSTEAD}\n#objective = {terms}\n"
+    return found
+
+
+def _tolerance(scene: Scene) -> str:
+    """``gearjax tolerance``: the errors vary."""
+    known, says = numbers(scene), meanings(ToleranceSection)
+    sizes = [path for path in known if path.startswith("errors.") and path.endswith("amplitude")]
+    measures = '[{ name = "no_load.peak_to_peak", limit = "2 arcmin" }]'
+    found = f"\n{_prose('What gearjax tolerance draws, measures and judges.')}[tolerance]\n"
+    for name, key in TOLERANCE_KEYS.items():
+        value = {"measures": measures}.get(name, key.default)
+        found += _line(name, key, says.get(name, ""), value)
+        if name == "measures":
+            found += "".join(_prose(f"{each}: {one.words}") for each, one in MEASURE_KEYS.items())
+    found += _prose("Numbers that vary, by path; [*] stands for every number of a list.")
+    found += "".join(f'"{path}" = {{ kind = "uniform_phase" }}\n' for path in _phases(scene))
+    for path in sizes:
+        found += f'"{path}" = {{ kind = "rayleigh", scale = "1 um" }}\n'
+    if sizes:
+        found += _prose("Instead of the last one:") + _distributions(sizes[-1], known[sizes[-1]])
+    return found + _studies(sizes, _phases(scene))
+
+
+def _distributions(path: str, parameter: Parameter) -> str:
+    """Every distribution that a number may have, commented out."""
+    found = ""
+    for part in DISTRIBUTIONS:
+        keys = distribution_keys(part, parameter)
+        found += "".join(map(_prose, [f"{part.kind}: {' '.join(summary(part))}", *told(part, keys, {})]))
+        if part is Empirical:
+            says = "; ".join(f"{name}: {key.words}" for name, key in COLUMN_KEYS.items())
+            found += _prose(f"or, in place of values, from a CSV file: {says}")
+        if part.kind == "uniform_phase":
+            continue
+        declared_of = {field.name: field.metadata["parameter"] for field in dataclasses.fields(part) if field.metadata}
+        entries = {"kind": part.kind} | {name: _drawn(name, declared_of[name]) for name in keys}
+        found += f'#"{path}" = {{ {", ".join(f"{name} = {as_toml(value)}" for name, value in entries.items())} }}\n'
+    return found
+
+
+def _drawn(name: str, parameter: Parameter) -> Any:
+    """An example of a number of a distribution of lengths."""
+    if name in _EXAMPLES:
+        return _EXAMPLES[name]
+    if parameter.names:
+        return parameter.names[0]
+    return [LENGTH.example] if parameter.kind == "series" else LENGTH.example
+
+
+def _studies(sizes: list[str], phases: list[str]) -> str:
+    """The further studies, each commented out as a whole."""
+    costs = "{ " + ", ".join(f'"{path}" = 1.0' for path in sizes) + " }"
+    measure = '"no_load.peak_to_peak"'
+    sections: dict[str, tuple[Any, dict[str, Key], dict[str, str]]] = {
+        "sensitivity": (object, SENSITIVITY_KEYS, {}),
+        "allocation": (Allocation, ALLOCATION_KEYS, {"measure": measure, "cost": costs}),
+        "assembly": (Assembly, ASSEMBLY_KEYS, {"measure": measure, "where": as_toml(phases)}),
+    }
+    found = ""
+    for name, (part, keys, given) in sections.items():
+        words = {each: key.words + (f"; without it {key.default}" if key.default else "") for each, key in keys.items()}
+        about = summary(part) if part is not object else ["Which tolerances matter, and what halving each would buy"]
+        says = "".join(map(_prose, about + told(part, keys, words)))
+        lines = "".join(f"#{each} = {given.get(each) or key.default or key.example}\n" for each, key in keys.items())
+        found += f"\n{says}#[tolerance.{name}]\n{lines}"
+    return found

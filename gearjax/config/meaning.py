@@ -1,0 +1,94 @@
+"""What the keys of a configuration mean, as the docstrings of the classes behind them say it."""
+
+import functools
+import inspect
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from gearjax.config.tables import as_toml
+from gearjax.parameters import Parameter
+
+_ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
+
+
+@functools.cache
+def meanings(part: Any) -> dict[str, str]:
+    """The ``Args`` of a class's docstring by name, without the units, which a configuration writes itself."""
+    _, _, listed = inspect.cleandoc(part.__doc__ or "").partition("Args:\n")
+    found: dict[str, str] = {}
+    names: list[str] = []
+    for line in listed.splitlines():
+        if line and not line.startswith("    "):
+            break
+        entry = _ENTRY.fullmatch(line)
+        if entry:
+            names = entry[1].split(", ")
+        for name in names:
+            found[name] = f"{found.get(name, '')} {entry[2] if entry else line.strip()}".strip()
+    return {name: _plain(text) for name, text in found.items()}
+
+
+def told(part: Any, names: Iterable[str], words: Mapping[str, str]) -> list[str]:
+    """One line for each key, or for several that the docstring explains together: ``low, high: limits (a length)``.
+
+    Args:
+        part: the class.
+        names: of the keys.
+        words: what may stand there, by name; none where it goes without saying.
+    """
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in names:
+        groups.setdefault((meanings(part).get(name, ""), words.get(name, "")), []).append(name)
+    return [f"{', '.join(same)}: {both(*pair)}" for pair, same in groups.items()]
+
+
+def both(meaning: str, words: str) -> str:
+    """A meaning, and what may stand there unless the meaning names it already."""
+    names = re.findall(r'"\w+"', words)
+    if meaning and names and all(name in meaning for name in names) and not re.sub(r'"\w+"| or |, ', "", words):
+        return meaning
+    return f"{meaning} ({words})" if meaning and words else meaning or words
+
+
+def summary(part: Any) -> list[str]:
+    """The paragraphs of a class's docstring above its ``Args``."""
+    text = re.split(r"\n(?:Args|Raises|Example)\b.*:\n", inspect.cleandoc(part.__doc__ or ""))[0]
+    return [f"{_plain(' '.join(paragraph.split()))}." for paragraph in text.split("\n\n")]
+
+
+def _plain(text: str) -> str:
+    """Without the marks of a docstring, and without ``[m]``."""
+    text = re.sub(r"`+([^`]*)`+", r"\1", text)
+    text = re.sub(r",? ?(?:shape \(\w+,\)|\[[^\]\"]{1,9}\])", "", text)
+    return re.sub(r"\s+([.,:;])(?!\.)", r"\1", text).strip(" ,").removesuffix(".")
+
+
+def limits(parameter: Parameter) -> str:
+    """What a parameter may be: ``a length, at least 1e-06 m and at most 1 m``."""
+    words = [f'"{name}"' for name in parameter.names]
+    if parameter.kind == "count":
+        words.append("a whole number")
+    elif parameter.kind == "series" and parameter.dimension is not None:
+        words.append(f"a list of {parameter.dimension.several}, [] for none")
+    elif parameter.dimension is not None:
+        words.append(parameter.dimension.described)
+    elif not words:
+        words.append("a name")
+    if parameter.words:
+        words.append('a name such as "crank"')
+    bounds = parameter.allowed()
+    return " or ".join(words) + (f", {bounds}" if bounds else "")
+
+
+def example(parameter: Parameter) -> str:
+    """A value that the declaration allows, as TOML."""
+    if parameter.example is not None:
+        return as_toml(parameter.example)
+    if parameter.names:
+        return as_toml(parameter.names[0])
+    if parameter.kind == "count":
+        return str(int(max(parameter.range[0], 1)))
+    assert parameter.dimension is not None
+    value = float(parameter.dimension.example) if not parameter.dimension.unit else parameter.dimension.example
+    return as_toml([value] if parameter.kind == "series" else value)
