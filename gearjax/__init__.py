@@ -32,6 +32,7 @@ from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import CumulativePitch, Eccentricity, Positions, Sizes
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import ConstantLoad, SinusoidalLoad
+from gearjax.results.profile import export_profile
 from gearjax.scene import Run, Scene
 from gearjax.studies import (
     Compensation,
@@ -135,6 +136,7 @@ __all__ = [
     "backlash",
     "compensate",
     "contact_pressure",
+    "export_profile",
     "grid_search",
     "growth_rate",
     "harmonic_balance",

@@ -14,9 +14,9 @@ from gearjax.analysis import Backlash, FixedStep, Motion, TransmissionError, bac
 from gearjax.analysis.dynamics import growth_rate, suitable_step
 from gearjax.analysis.growth import LOST
 from gearjax.checks import GearjaxError, SceneError, writing
-from gearjax.results.profile import FORMATS, save_profile
+from gearjax.results.profile import FORMATS, export_profile
 from gearjax.scene import METRICS, Published, Run, Scene
-from gearjax.systems import RVCycloidal
+from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin
 
@@ -222,8 +222,8 @@ def save(scene: Scene, cases: list[Case], config: str, folder: Path) -> list[Pat
         dataset(scene, cases, config).to_netcdf(paths[0], engine="scipy")
         paths[1].write_text(_curves(scene, cases), encoding="utf-8")
         paths[2].write_text(_metrics(cases), encoding="utf-8")
-    if isinstance(scene.system, RVCycloidal):
-        paths += [save_profile(scene.system, folder / f"disc{ending}") for ending in FORMATS]
+    if isinstance(scene.system, DiscProfile):
+        paths += [export_profile(scene.system, folder / f"disc{ending}") for ending in FORMATS]
     return paths
 
 
