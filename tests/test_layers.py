@@ -24,6 +24,7 @@ LAYERS = {
     "inertia": 1,
     "clearance": 1,
     "scene": 2,
+    "arguments": 2,
     "analysis": 3,
     "studies": 4,
     "tolerance": 4,

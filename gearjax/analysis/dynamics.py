@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis import march, tables
 from gearjax.analysis.equation import Equation, fastest_order, fastest_rate, slowest_decay, turning_rate
 from gearjax.analysis.fitted import ExponentialFit
@@ -69,6 +70,9 @@ class Fitted(NamedTuple):
 Method = Even | Fitted | AdaptiveStep | QuasiStatic
 
 
+@arguments.checked(
+    stepper=arguments.an((FixedStep, AdaptiveStep, QuasiStatic), "must be FixedStep(), AdaptiveStep() or QuasiStatic()")
+)
 def simulate(
     scene: Scene,
     ts: ArrayLike,
@@ -142,6 +146,7 @@ def _checked(scene: Scene, ts: ArrayLike, start: str) -> Array | np.ndarray:
     return times
 
 
+@arguments.checked(stepper=arguments.an(FixedStep, "must be FixedStep(...)"))
 def growth_rate(
     scene: Scene, ts: ArrayLike, torque: ArrayLike, *, start: str = "equilibrium", stepper: FixedStep | None = None
 ) -> Scalar:

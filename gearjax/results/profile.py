@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gearjax.arguments import one_number
 from gearjax.checks import ParameterError, SceneError, writing
 from gearjax.geometry.cycloid import Cycloid, profile
 from gearjax.results.dxf import DIGITS, drawing
@@ -47,14 +48,19 @@ def export_profile(of: AbstractSystem | Scene, path: str | Path, *, tolerance: f
         >>> path.read_text().splitlines()[:2]
         ['x [mm],y [mm]', '71.4783000000,0.0000000000']
     """
+    if isinstance(of, str | Path):
+        raise ParameterError("of", str(of), "is a path: give gj.load(path)")
     system = of.system if isinstance(of, Scene) else of
     if not isinstance(system, DiscProfile):
         kind = getattr(system, "kind", type(system).__name__)
         raise SceneError(f"export_profile: {kind} has no disc with a profile; an rv_cycloidal has one")
+    if not isinstance(path, str | Path):
+        raise ParameterError("path", path, "must be a path")
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise ParameterError("path", str(path), f"must end in {' or '.join(FORMATS)}")
-    if isinstance(tolerance, str | bool) or not FINEST <= float(tolerance) <= COARSEST:
+    one_number("tolerance", tolerance)
+    if not FINEST <= float(tolerance) <= COARSEST:
         raise ParameterError("tolerance", tolerance, f"must be at least {FINEST:g} m and at most {COARSEST:g} m")
     arcs = path.suffix.lower() == ".dxf"
     points, bulges = _pieces(system.profile, float(tolerance), arcs)

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.checks import ParameterError
 from gearjax.contact import HardContact
 from gearjax.progress import Progress, silent
@@ -58,6 +59,7 @@ class GridSearch(eqx.Module):
         return float(self.objectives[0])
 
 
+@arguments.checked(step=arguments.spacing, keep=arguments.whole(1))
 def grid_search(
     loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
     scene: Scene,

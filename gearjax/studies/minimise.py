@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.checks import GearjaxError, ParameterError
 from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
@@ -80,6 +81,7 @@ class Minimisation(eqx.Module):
         return int((self.objectives <= self.objective + share * abs(self.objective)).sum())
 
 
+@arguments.checked(starts=arguments.starts, polish_steps=arguments.whole(0), temperatures=arguments.numbers)
 def minimise(
     loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
     scene: Scene,
