@@ -194,7 +194,7 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
         raise ParameterError(key, value, "must be a number, in SI")
     if parameter.kind == "count" and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
         raise ParameterError(key, value, "must be a whole number")
-    if parameter.kind == "count" and abs(value) > 2**62:
+    if parameter.kind == "count" and abs(int(value)) > 2**62:
         raise ParameterError(key, value, f"must be {parameter.allowed()}")
     if not parameter.holds(value):
         raise ParameterError(key, value, f"must be {parameter.allowed() or 'finite'}")

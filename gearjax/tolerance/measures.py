@@ -311,8 +311,8 @@ def _told(
     for measure in measures:
         key = measure.analysis, measure.torque
         if key not in records:
-            dynamic = motion is not None and measure.analysis == "dynamic"
-            records[key] = motion.record(scene, measure.torque) if dynamic else record(*key)
+            moving = motion if measure.analysis == "dynamic" else None
+            records[key] = record(*key) if moving is None else moving.record(scene, measure.torque)
     own = [records[measure.analysis, measure.torque] for measure in measures]
     found = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, measures, strict=True)])
     codes = jnp.stack([record.code for record in own])

@@ -194,13 +194,14 @@ class Work:
             )
         key = jax.random.key(seed) if isinstance(seed, int) else seed
         if isinstance(measure, Measure) or not callable(measure):
-            given, example = listed(measure), sample(jax.random.fold_in(key, 0))
+            given, draw = listed(measure), cast(Callable[[Array], Any], sample)
+            example = draw(jax.random.fold_in(key, 0))
             if not isinstance(example, Scene):
                 words = f"is of a scene, and sample returns a {type(example).__name__}: give a function of that"
                 raise ParameterError("measure", given[0].name, words)
             found = SceneMeasures(given, example, theta, extremes)
             self.measures, self.names = found.measures, found.names
-            return lambda index: found(sample(jax.random.fold_in(key, index[0])))
+            return lambda index: found(draw(jax.random.fold_in(key, index[0])))
         self.names = _names(lambda key: measure(sample(key)), key, named=measure)
 
         def one(index: Array) -> tuple[Array, Array]:
