@@ -165,8 +165,10 @@ def whole(least: int) -> Checker:
     """A whole number, not less than a given one."""
 
     def check(name: str, value: Any) -> None:
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise ParameterError(name, value, f"must be a whole number, at least {least}")
+        if value < least:
+            raise ParameterError(name, value, f"must be at least {least}")
 
     return check
 

@@ -17,6 +17,9 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import GearjaxError, ParameterError, is_concrete, nearest, shown
 
+TIGHT = 100.0  # between bounds of a number that is tightly bounded, highest over lowest
+TIGHT_SPAN = 2.0  # between them, of ratios and of angles [rad]
+
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
@@ -47,6 +50,13 @@ class Parameter:
         low = [bound for bound in (self.above, self.at_least) if bound is not None]
         high = [bound for bound in (self.below, self.at_most) if bound is not None]
         return max(low, default=-math.inf), min(high, default=math.inf)
+
+    @property
+    def is_tight(self) -> bool:
+        """Whether its bounds are near enough to search between: some pressure angle, but no length up to a metre."""
+        low, high = self.range
+        plain = self.dimension in (units.RATIO, units.ANGLE)
+        return (low > 0 and high <= TIGHT * low) or (plain and high - low <= TIGHT_SPAN)
 
     def allowed(self) -> str:
         """The bounds in words."""

@@ -23,6 +23,7 @@ LAYERS = {
     "load": 1,
     "inertia": 1,
     "clearance": 1,
+    "registry": 2,
     "scene": 2,
     "arguments": 2,
     "analysis": 3,

@@ -10,6 +10,7 @@ from rich.table import Table
 from gearjax.reproduce import Row
 from gearjax.results import Case, Optimisation, highest_load_sharing
 from gearjax.scene import METRICS
+from gearjax.studies.minimise import UNIMPROVED
 from gearjax.studies.select import pick
 from gearjax.studies.tradeoff import Tradeoff
 from gearjax.tolerance.precision import PrecisionShift
@@ -59,6 +60,8 @@ def print_optimisation(found: Optimisation) -> None:
         f"{int(search.valley.max()) + 1} valleys; {search.failed} dropped because they were not finite",
         soft_wrap=True,
     )
+    if not search.improved:
+        console.print(f"gradients: {UNIMPROVED}", soft_wrap=True)
     around = found.sensitivity
     for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
         if flat:
