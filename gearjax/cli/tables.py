@@ -82,7 +82,7 @@ def _print_stages(console: Console, found: Optimisation) -> None:
         table.add_column(escape(column), justify="left" if column in ("case", "stage") else "right")
     for row, case in enumerate(found.cases["before"]):
         for stage, cases in found.cases.items():
-            title = (case.title, f"{case.window:g}") if stage == "before" else ("", "")
+            title = (case.title, case.span) if stage == "before" else ("", "")
             table.add_row(*title, stage, *(f"{cases[row].metrics[name] / arcmin:.4f}" for name in METRICS))
     console.print(table)
 
@@ -96,7 +96,7 @@ def print_cases(cases: list[Case]) -> None:
         known = dict(case.published.metrics) if case.published else {}
         values = [_cell(case.metrics[name], known.get(name)) for name in METRICS]
         sharing = highest_load_sharing(case)
-        table.add_row(case.title, f"{case.window:g}", *values, "" if sharing is None else f"{sharing:.3f}")
+        table.add_row(case.title, case.span, *values, "" if sharing is None else f"{sharing:.3f}")
     console = output()
     console.print(table)
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
