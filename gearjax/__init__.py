@@ -3,16 +3,21 @@
 from gearjax import units
 from gearjax.analysis import (
     AdaptiveStep,
+    Backlash,
     ExponentialFit,
     ExponentialFitMany,
     FewAngles,
     FixedStep,
     Interference,
+    LostMotion,
     Motion,
     Periodic,
     QuasiStatic,
     RungeKutta4,
+    Spectrum,
     Sweep,
+    Torsion,
+    TransmissionError,
     Windows,
     backlash,
     contact_pressure,
@@ -27,15 +32,33 @@ from gearjax.analysis import (
     torsion,
     transmission_error,
 )
+from gearjax.analysis.metrics import Extremes
 from gearjax.checks import GearjaxError, ParameterError, SceneError
 from gearjax.clearance import InitialBacklash, ZeroAtStart
-from gearjax.compliance import HarmonicStiffness, HertzLineContact, HuLineContact
+from gearjax.compliance import (
+    AbstractCompliance,
+    AbstractLineContact,
+    HarmonicStiffness,
+    HertzLineContact,
+    HuLineContact,
+)
 from gearjax.config import load, loads
-from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
-from gearjax.errors import CumulativePitch, Eccentricity, Positions, Sizes
+from gearjax.contact import (
+    AbstractContact,
+    BodyView,
+    ContactFrame,
+    Flank,
+    HardContact,
+    QuadraticContact,
+    Rim,
+    SoftplusContact,
+)
+from gearjax.errors import AbstractError, CumulativePitch, Eccentricity, Positions, Sizes
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
-from gearjax.load import ConstantLoad, SinusoidalLoad
-from gearjax.scene import Run, Scene
+from gearjax.load import AbstractLoad, ConstantLoad, SinusoidalLoad
+from gearjax.registry import register
+from gearjax.results.profile import export_profile
+from gearjax.scene import Published, Run, Scene
 from gearjax.studies import (
     Compensation,
     GridSearch,
@@ -48,8 +71,10 @@ from gearjax.studies import (
     local_sensitivity,
     minimise,
 )
-from gearjax.systems import RVCycloidal, TwoKV
+from gearjax.studies.compensate import Judged
+from gearjax.systems import AbstractSystem, DiscProfile, LineContacts, RVCycloidal, TwoKV
 from gearjax.tolerance import (
+    AbstractDistribution,
     Correlation,
     Discrete,
     Empirical,
@@ -72,26 +97,41 @@ from gearjax.tolerance import (
 )
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
+from gearjax.tolerance.statistics import Estimate
 from gearjax.tolerance.variance import Sensitivities, sensitivities
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "AbstractCompliance",
+    "AbstractContact",
+    "AbstractDistribution",
+    "AbstractError",
+    "AbstractLineContact",
+    "AbstractLoad",
+    "AbstractSystem",
     "AdaptiveStep",
     "AllocatedTolerances",
+    "Backlash",
+    "BodyView",
     "Compensation",
     "ConstantLoad",
+    "ContactFrame",
     "Correlation",
     "CumulativePitch",
     "DampingRatio",
+    "DiscProfile",
     "Discrete",
     "Eccentricity",
     "Empirical",
     "EquivalentMass",
+    "Estimate",
     "ExponentialFit",
     "ExponentialFitMany",
+    "Extremes",
     "FewAngles",
     "FixedStep",
+    "Flank",
     "GearjaxError",
     "GridSearch",
     "HardContact",
@@ -102,8 +142,11 @@ __all__ = [
     "Interference",
     "Iso286",
     "Iso1328RunOut",
+    "Judged",
+    "LineContacts",
     "LocalSensitivity",
     "Lognormal",
+    "LostMotion",
     "MatchedAssembly",
     "Measure",
     "Minimisation",
@@ -114,10 +157,12 @@ __all__ = [
     "ParameterError",
     "Periodic",
     "Positions",
+    "Published",
     "QuadraticContact",
     "QuasiStatic",
     "RVCycloidal",
     "Rayleigh",
+    "Rim",
     "Run",
     "RungeKutta4",
     "Scene",
@@ -126,10 +171,13 @@ __all__ = [
     "SinusoidalLoad",
     "Sizes",
     "SoftplusContact",
+    "Spectrum",
     "Study",
     "Sweep",
     "Term",
     "Tolerances",
+    "Torsion",
+    "TransmissionError",
     "TruncatedNormal",
     "TwoKV",
     "Uniform",
@@ -140,6 +188,7 @@ __all__ = [
     "backlash",
     "compensate",
     "contact_pressure",
+    "export_profile",
     "grid_search",
     "growth_rate",
     "harmonic_balance",
@@ -153,6 +202,7 @@ __all__ = [
     "minimise",
     "monte_carlo",
     "order_spectrum",
+    "register",
     "run_out_tolerance",
     "sensitivities",
     "shooting",

@@ -15,7 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import units
-from gearjax.checks import ParameterError, is_concrete, nearest
+from gearjax.checks import GearjaxError, ParameterError, is_concrete, nearest, shown
+
+TIGHT = 100.0  # between bounds of a number that is tightly bounded, highest over lowest
+TIGHT_SPAN = 2.0  # between them, of ratios and of angles [rad]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +53,13 @@ class Parameter:
         low = [bound for bound in (self.above, self.at_least) if bound is not None]
         high = [bound for bound in (self.below, self.at_most) if bound is not None]
         return max(low, default=-math.inf), min(high, default=math.inf)
+
+    @property
+    def is_tight(self) -> bool:
+        """Whether its bounds are near enough to search between: some pressure angle, but no length up to a metre."""
+        low, high = self.range
+        plain = self.dimension in (units.RATIO, units.ANGLE)
+        return (low > 0 and high <= TIGHT * low) or (plain and high - low <= TIGHT_SPAN)
 
     def allowed(self) -> str:
         """The bounds in words."""
@@ -91,9 +101,18 @@ def as_leaf(value: Any) -> Any:
     """A number as a floating-point array; arrays that are floating-point already keep their precision."""
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
         return value
-    if isinstance(value, (str, bool)) or value is None:
-        raise TypeError(f"expected a number, got {value!r}")
+    if is_concrete(value) and not is_numeric(value):
+        raise GearjaxError(f"expected a number in SI, got {shown(value)}")
     return jnp.asarray(value, dtype=float)
+
+
+def is_numeric(value: Any) -> bool:
+    """Whether a value that is known is a real number, or an array of them."""
+    try:
+        found = np.asarray(value)
+    except (ValueError, TypeError):  # rows of different lengths
+        return False
+    return found.dtype.kind in "iuf" or jnp.issubdtype(found.dtype, jnp.floating)
 
 
 def strong(value: Any) -> Any:
@@ -180,15 +199,17 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
     """
     if isinstance(value, Named):
         value = value.name
-    if isinstance(value, str):
+    if isinstance(value, str) and (parameter.names or parameter.words or parameter.kind == "name"):
         if parameter.names and value not in parameter.names:
             raise ParameterError(key, value, nearest(value, parameter.names))
         return
     if not is_concrete(value):
         return
+    if parameter.kind != "count" and not is_numeric(value):
+        raise ParameterError(key, value, "must be a number, in SI")
     if parameter.kind == "count" and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
         raise ParameterError(key, value, "must be a whole number")
-    if parameter.kind == "count" and abs(value) > 2**62:
+    if parameter.kind == "count" and abs(int(value)) > 2**62:
         raise ParameterError(key, value, f"must be {parameter.allowed()}")
     if not parameter.holds(value):
         raise ParameterError(key, value, f"must be {parameter.allowed() or 'finite'}")

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Literal
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from gearjax.contact.frame import Pose, Side, join
 from gearjax.errors import AbstractError
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
-from gearjax.parameters import Named, strong
+from gearjax.parameters import Named, is_numeric, strong
 from gearjax.systems import AbstractSystem, LineContacts
 from gearjax.typing import Array, Float, Scalar
 
@@ -63,6 +64,9 @@ class Run:
         start: of the dynamic TE, ``"equilibrium"`` or ``"zero"``.
         settle: time that the metrics of the dynamic TE leave out [s].
         published: values to show next to the computed ones.
+
+    Raises:
+        ParameterError: a value that cannot be.
     """
 
     duration: float
@@ -72,6 +76,20 @@ class Run:
     start: str = "equilibrium"
     settle: float = 0.0
     published: tuple[Published, ...] = ()
+
+    def __post_init__(self):
+        for key, given, least in (("duration", self.duration, 1e-9), ("settle", self.settle, 0.0)):
+            if not is_numeric(given) or not least <= float(given) < np.inf:
+                raise ParameterError(f"run.{key}", given, f"must be finite and at least {least:g} s")
+        if self.settle >= self.duration:
+            raise ParameterError("run.settle", self.settle, "must be below run.duration")
+        if isinstance(self.samples, bool) or not isinstance(self.samples, int | np.integer) or self.samples < 2:
+            raise ParameterError("run.samples", self.samples, "must be a whole number, at least 2")
+        for analysis in self.analyses:
+            if analysis not in ANALYSES:
+                raise ParameterError("run.analyses", analysis, nearest(analysis, ANALYSES))
+        if not is_numeric(self.torques) or not np.isfinite(self.torques).all():
+            raise ParameterError("run.torques", self.torques, "must be finite numbers [N m]")
 
     @property
     def times(self) -> np.ndarray:
@@ -111,6 +129,10 @@ class Scene(eqx.Module):
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
+        if not isinstance(self.system, AbstractSystem):
+            is_path = isinstance(self.system, str | Path)
+            words = "is a path: give gj.load(path)" if is_path else "must be a gear set, such as gj.TwoKV(...)"
+            raise ParameterError("system", str(self.system) if is_path else self.system, words)
         for key, error in self.errors.items():
             check_name("errors", key)
             if error.body not in self.system.bodies:

@@ -18,7 +18,6 @@ from gearjax.geometry.cycloid_errors import (
     sensitivity_indices,
 )
 from gearjax.plot.cycloid import placed_outline
-from gearjax.results.profile import save_profile
 from gearjax.units import arcmin, mm, um
 from tests.rv import system
 
@@ -164,21 +163,3 @@ def test_the_drawn_disc_touches_all_pins_of_a_conjugate_stage(crank):
     pins = 76 * mm * np.stack([np.cos(places), np.sin(places)], axis=1)
     apart = np.sqrt(((outline[:, None] - pins[None]) ** 2).sum(axis=2)).min(axis=0)
     np.testing.assert_allclose(apart, 3 * mm, atol=20 * um)  # the outline is a polygon
-
-
-def test_profiles_are_written_as_points(tmp_path):
-    own = system()
-    table = save_profile(own, tmp_path / "disc.csv", 1000).read_text().splitlines()
-    assert table[0] == "x [mm],y [mm]"
-    points = np.array([[float(v) for v in row.split(",")] for row in table[1:]])
-    assert points.shape == (1000, 2)
-    radius = np.hypot(*points.T)
-    assert radius.max() == pytest.approx(76 + 1.5 - 3 - 0.0437 + 0.022, abs=1e-2)
-    drawing = save_profile(own, tmp_path / "disc.dxf", 1000).read_text().split("\n")
-    pairs = dict(enumerate(zip(drawing[::2], drawing[1::2], strict=False)))
-    drawn = [(float(pairs[i + 2][1]), float(pairs[i + 3][1])) for i, pair in pairs.items() if pair == ("0", "VERTEX")]
-    np.testing.assert_allclose(drawn, points, atol=1e-9)
-    with pytest.raises(gj.ParameterError, match=r"must end in \.csv or \.dxf"):
-        save_profile(own, tmp_path / "disc.step")
-    with pytest.raises(gj.ParameterError, match="at least 312"):
-        save_profile(own, tmp_path / "disc.csv", 100)

@@ -132,7 +132,10 @@ def test_paths(scene):
             "does not depend on it",
         ),
         ({"where": "compliance.mean", "step": 1e6, "bounds": {"compliance.mean": (8e7, 9e7)}}, "does not depend on it"),
-        ({"where": "compliance.mean", "step": 1e-3}, "levels, more than 1e+08"),
+        (
+            {"where": "compliance.mean", "step": 1e-3, "bounds": {"compliance.mean": (1e7, 1e8)}},
+            "levels, more than 1e+08",
+        ),
         ({"step": 0.1 * deg}, "combinations, more than 1e+08"),
         ({"where": "errors.planet_1.amplitude", "bounds": {"errors.planet_1.amplitude": (1.0, 0.0)}}, "lowest first"),
         ({"loss": "no_load_amplitud"}, 'did you mean "no_load_amplitude"?'),

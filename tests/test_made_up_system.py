@@ -13,7 +13,6 @@ import pytest
 
 import gearjax as gj
 from gearjax import plot, results, units
-from gearjax.config import build
 from gearjax.contact import BodyView, ContactFrame, Flank
 from gearjax.parameters import check_parameters, count, length, number
 from gearjax.systems import AbstractSystem
@@ -98,9 +97,9 @@ torques = ["20 N*m"]
 
 
 @pytest.fixture
-def spur(monkeypatch) -> gj.Scene:
-    """The pair, read from a configuration once it is listed among the systems."""
-    monkeypatch.setattr(build, "SYSTEMS", (*build.SYSTEMS, SpurPair))
+def spur() -> gj.Scene:
+    """The pair, read from a configuration once it is registered."""
+    gj.register(SpurPair)
     return gj.loads(CONFIG)
 
 

@@ -126,8 +126,31 @@ def test_one_start_and_no_polish(scene):
     result = gj.minimise(bowl, scene, where=PHASES[0], starts=1, polish_steps=0)
     assert result.ends.shape == (1, 1)
     assert 2.0 <= result.objective < 2.01
-    still = gj.minimise(bowl, scene, where=PHASES[0], starts=1, steps=1, polish_steps=0, optimiser=optax.sgd(-1.0))
+    assert result.improved
+    with pytest.warns(UserWarning, match="minimise bowl: no start was improved upon"):
+        still = gj.minimise(bowl, scene, where=PHASES[0], starts=1, steps=1, polish_steps=0, optimiser=optax.sgd(-1.0))
     assert still.objective == pytest.approx(float(bowl(scene)), rel=1e-12)
+    assert (still.result.tolist(), still.failed, still.improved) == ([3], 0, False)
+
+
+@pytest.mark.parametrize("path", [AMPLITUDE, "backlash.initial", "compliance.mean", "damping.ratio", "inertia.mass"])
+def test_numbers_that_are_not_angles_need_bounds(scene, path):
+    """Declared are 0 to 1 m of an eccentricity: starts drawn from that mean nothing."""
+    asked = {"where": [path], "theta": jnp.linspace(0.0, 1.0, 17), "torque": 100.0}
+    for function in (
+        gj.minimise,
+        gj.local_sensitivity,
+        lambda *args, **given: gj.grid_search(*args, step=0.1, **given),
+    ):
+        with pytest.raises(gj.ParameterError, match=rf"bounds of {path} = \(missing\): must be given"):
+            function("static_std", scene, **asked)
+
+
+def test_bounds_that_are_declared_near_each_other_are_enough(scene):
+    free = pick(scene, ["system.cutting_pressure_angle", *PHASES[:1]])
+    free.require_bounds()
+    assert free.box[0][0] == 0.0
+    assert free.box[1][0] == pytest.approx(45 * deg)
 
 
 def test_bounded_numbers_reach_their_bounds(scene):

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis import march, tables
 from gearjax.analysis.equation import Equation, fastest_rate, slowest_decay, turning_rate
 from gearjax.analysis.fitted import ExponentialFit
@@ -70,6 +71,9 @@ class Fitted(NamedTuple):
 Method = Even | Fitted | AdaptiveStep | QuasiStatic
 
 
+@arguments.checked(
+    stepper=arguments.an((FixedStep, AdaptiveStep, QuasiStatic), "must be FixedStep(), AdaptiveStep() or QuasiStatic()")
+)
 def simulate(
     scene: Scene,
     ts: ArrayLike,
@@ -143,6 +147,7 @@ def _checked(scene: Scene, ts: ArrayLike, start: str) -> Array | np.ndarray:
     return times
 
 
+@arguments.checked(stepper=arguments.an(FixedStep, "must be FixedStep(...)"))
 def growth_rate(
     scene: Scene, ts: ArrayLike, torque: ArrayLike, *, start: str = "equilibrium", stepper: FixedStep | None = None
 ) -> Scalar:

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
+from gearjax import arguments
 from gearjax.analysis import march
 from gearjax.analysis.dynamics import MODELLED
 from gearjax.analysis.equation import Equation
 from gearjax.analysis.oscillator import Oscillator
 from gearjax.analysis.tables import MOST_NODES
-from gearjax.checks import SceneError
+from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
@@ -59,6 +60,7 @@ class Periodic(eqx.Module):
         return jnp.sqrt((alternating * alternating).mean())
 
 
+@arguments.checked(steps=arguments.whole(8))
 def shooting(
     scene: Scene,
     torque: ArrayLike,
@@ -83,6 +85,8 @@ def shooting(
     """
     if steps < 8 or steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
+    if guess is not None and jnp.shape(guess) != (2,):
+        raise ParameterError("guess", jnp.shape(guess), "is a shape: give a transmission error and its rate")
     return _shooting(_problem(scene, torque, period), steps, guess, max_steps)
 
 
@@ -153,6 +157,7 @@ def _eigenvalues(matrix: Float[Array, "2 2"]) -> Array:
     return jax.lax.complex(jnp.stack([half + real, half - real]), jnp.stack([imaginary, -imaginary]))
 
 
+@arguments.checked(harmonics=arguments.whole(1), samples=arguments.whole(3))
 def harmonic_balance(
     scene: Scene,
     torque: ArrayLike,
@@ -243,6 +248,7 @@ class Sweep(eqx.Module):
     ends: Float[Array, "n 2"]
 
 
+@arguments.checked(periods=arguments.whole(1), steps=arguments.whole(8))
 def speed_sweep(
     scene: Scene, torque: ArrayLike, speeds: ArrayLike, *, periods: int = 100, steps: int = 128, order: str = "mesh"
 ) -> Sweep:
@@ -258,10 +264,17 @@ def speed_sweep(
         order: name of the order whose period counts.
 
     Raises:
-        SceneError: the scene lacks a part.
+        SceneError: the scene lacks a part, or steps is no multiple of 8.
+        ParameterError: no such order, or speeds that are not positive.
     """
     require(scene, "dynamic", "compliance", "load", "inertia")
     speeds = jnp.asarray(speeds, scene.dtype)
+    if speeds.ndim != 1 or speeds.shape[0] == 0:
+        raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")
+    if steps % 8:
+        raise SceneError(f"steps = {steps}: must be a multiple of 8")
+    if order not in scene.system.orders:
+        raise ParameterError("order", order, nearest(order, scene.system.orders))
     turns = scene.system.orders[order]
     return _speed_sweep(scene.physics(*MODELLED), jnp.asarray(torque, scene.dtype), speeds, periods, steps, turns)
 

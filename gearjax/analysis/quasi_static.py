@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor, warn_of_few_angles
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import SceneError, is_concrete
@@ -134,6 +135,7 @@ class Backlash(eqx.Module):
         return deviation(self.backlash)
 
 
+@arguments.checked(torque=arguments.torques)
 def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None) -> TransmissionError:
     """Transmission error without load, or under a static torque.
 
@@ -173,6 +175,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
     return _transmission_error(scene.physics("backlash", "compliance"), theta, torque)
 
 
+@arguments.checked()
 def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
     """Time-varying backlash, from the first driving flank to the first back flank (Wang et al. 2020, eqs. 7 and 9).
 

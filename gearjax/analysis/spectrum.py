@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis.metrics import root
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array, ArrayLike, Float, Scalar
@@ -23,6 +24,7 @@ class Spectrum(eqx.Module):
     amplitude: Float[Array, " m"]
 
 
+@arguments.checked(values=arguments.numbers, theta=arguments.numbers, turn=arguments.turn)
 def order_spectrum(
     values: ArrayLike, theta: ArrayLike, *, turn: ArrayLike = 2 * math.pi, window: str = "hann"
 ) -> Spectrum:

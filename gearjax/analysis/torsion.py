@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gearjax import arguments
 from gearjax.analysis.quasi_static import TransmissionError, angles_of, backlash
 from gearjax.analysis.resting import rest
 from gearjax.checks import ParameterError, SceneError, is_concrete
@@ -53,6 +54,7 @@ class LostMotion(eqx.Module):
         return self.lost_motion - self.backlash
 
 
+@arguments.checked()
 def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
     """Torsion curve: position of the output under torques in either direction, the input held.
 
@@ -82,6 +84,7 @@ def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
     return Torsion(theta, torques, _positions(scene.physics("backlash", "compliance"), theta, torques))
 
 
+@arguments.checked()
 def lost_motion(scene: Scene, theta: ArrayLike, rated_torque: ArrayLike) -> LostMotion:
     """Lost motion as catalogues give it: backlash and wind-up at 3 % of the rated torque in either direction.
 
@@ -109,6 +112,10 @@ def lost_motion(scene: Scene, theta: ArrayLike, rated_torque: ArrayLike) -> Lost
     return LostMotion(theta, back - drive, backlash(scene, theta).backlash)
 
 
+@arguments.checked(
+    te=arguments.an(TransmissionError, "must be a result of transmission_error(scene, theta, torque=...)"),
+    law=arguments.an(AbstractLineContact, "must be a line contact, such as HertzLineContact(206e9, 0.3, 11e-3)"),
+)
 def contact_pressure(
     scene: Scene, te: TransmissionError, law: AbstractLineContact | None = None
 ) -> Float[Array, "n contact"]:

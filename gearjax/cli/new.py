@@ -7,11 +7,11 @@ import typer
 from gearjax.checks import MISSING, ParameterError
 from gearjax.cli.commands import app
 from gearjax.config import template
-from gearjax.systems import SYSTEMS
+from gearjax.registry import kinds
 
 
 def _kinds() -> list[str]:
-    return [system.kind for system in SYSTEMS]
+    return [system.kind for system in kinds("gearjax.systems")]
 
 
 @app.command()

@@ -10,6 +10,7 @@ from rich.table import Table
 from gearjax.reproduce import Row
 from gearjax.results import Case, Optimisation, highest_load_sharing
 from gearjax.scene import METRICS
+from gearjax.studies.minimise import UNIMPROVED
 from gearjax.studies.select import pick
 from gearjax.studies.tradeoff import Tradeoff
 from gearjax.tolerance.precision import PrecisionShift
@@ -59,6 +60,8 @@ def print_optimisation(found: Optimisation) -> None:
         f"{int(search.valley.max()) + 1} valleys; {search.failed} dropped because they were not finite",
         soft_wrap=True,
     )
+    if not search.improved:
+        console.print(f"gradients: {UNIMPROVED}", soft_wrap=True)
     around = found.sensitivity
     for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
         if flat:
@@ -79,7 +82,7 @@ def _print_stages(console: Console, found: Optimisation) -> None:
         table.add_column(escape(column), justify="left" if column in ("case", "stage") else "right")
     for row, case in enumerate(found.cases["before"]):
         for stage, cases in found.cases.items():
-            title = (case.title, f"{case.window:g}") if stage == "before" else ("", "")
+            title = (case.title, case.span) if stage == "before" else ("", "")
             table.add_row(*title, stage, *(f"{cases[row].metrics[name] / arcmin:.4f}" for name in METRICS))
     console.print(table)
 
@@ -93,7 +96,7 @@ def print_cases(cases: list[Case]) -> None:
         known = dict(case.published.metrics) if case.published else {}
         values = [_cell(case.metrics[name], known.get(name)) for name in METRICS]
         sharing = highest_load_sharing(case)
-        table.add_row(case.title, f"{case.window:g}", *values, "" if sharing is None else f"{sharing:.3f}")
+        table.add_row(case.title, case.span, *values, "" if sharing is None else f"{sharing:.3f}")
     console = output()
     console.print(table)
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):

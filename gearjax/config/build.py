@@ -9,18 +9,16 @@ from typing import Any
 
 from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
-from gearjax.compliance import COMPLIANCES
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
 from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
-from gearjax.errors import ERRORS
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
+from gearjax.registry import kinds
 from gearjax.scene import Scene
-from gearjax.systems import SYSTEMS
 
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
@@ -134,17 +132,17 @@ def _scene(tables: dict[str, Any]) -> Scene:
             raise ParameterError(key, tables[key], f"must be a section: [{key}]")
     if "system" not in tables:
         raise GearjaxError('no [system]: a configuration needs one, such as kind = "two_kv"')
-    system = _one_of("system", tables["system"], SYSTEMS)
+    system = _one_of("system", tables["system"], kinds("gearjax.systems"))
     errors = {}
     for name, table in tables.get("errors", {}).items():
         check_name("errors", name)
         if not isinstance(table, dict):
             raise ParameterError(f"errors.{name}", table, f"must be a section: [errors.{name}]")
-        errors[name] = _one_of(f"errors.{name}", table, ERRORS)
+        errors[name] = _one_of(f"errors.{name}", table, kinds("gearjax.errors"))
     parts: dict[str, Any] = {}
-    for section, kinds in (("compliance", COMPLIANCES), ("load", LOADS), ("contact", CONTACTS)):
+    for section, known in (("compliance", kinds("gearjax.compliances")), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
-            parts[section] = _one_of(section, tables[section], kinds)
+            parts[section] = _one_of(section, tables[section], known)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):
         if section in tables:

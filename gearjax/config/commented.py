@@ -8,7 +8,6 @@ from typing import Any
 
 from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
-from gearjax.compliance import COMPLIANCES
 from gearjax.config.build import CONTACTS, REFERENCE_KEYS, loads
 from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
 from gearjax.config.meaning import both, example, limits, meanings, summary, told
@@ -25,13 +24,12 @@ from gearjax.config.tolerance import (
     Assembly,
     ToleranceSection,
 )
-from gearjax.errors import ERRORS
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
+from gearjax.registry import kinds
 from gearjax.scene import NEEDS, Published, Run, Scene, require
 from gearjax.studies.select import numbers
-from gearjax.systems import SYSTEMS
 from gearjax.tolerance import DISTRIBUTIONS, Empirical
 from gearjax.units import LENGTH
 
@@ -40,14 +38,20 @@ INSTEAD = "# Instead of the one above:"
 _WIDTH = 118
 _TURNS = 40  # of the fastest order that a run shows
 _PER_TURN = 20  # samples of one
-_SLOTS = (
-    ("backlash", (InitialBacklash,)),
-    ("compliance", COMPLIANCES),
-    ("inertia", (EquivalentMass, MomentOfInertia)),
-    ("damping", (DampingRatio,)),
-    ("load", LOADS),
-    ("contact", CONTACTS),
-)
+
+
+def _slots() -> tuple[tuple[str, tuple[Any, ...]], ...]:
+    """Sections of parts, and the kinds that each may name."""
+    return (
+        ("backlash", (InitialBacklash,)),
+        ("compliance", tuple(kinds("gearjax.compliances"))),
+        ("inertia", (EquivalentMass, MomentOfInertia)),
+        ("damping", (DampingRatio,)),
+        ("load", LOADS),
+        ("contact", CONTACTS),
+    )
+
+
 _EXAMPLES = {  # of distributions, where those of the number that varies do not do
     "low": "5 um",
     "high": "15 um",
@@ -79,7 +83,7 @@ def template(kind: str) -> str:
         >>> loads(template("two_kv")).system.planets
         2
     """
-    systems = {system.kind: system for system in SYSTEMS}
+    systems = {system.kind: system for system in kinds("gearjax.systems")}
     if kind not in systems:
         raise ParameterError("new", kind, f"unknown kind of gear set; {nearest(kind, systems)}")
     head = _prose(
@@ -96,7 +100,7 @@ def template(kind: str) -> str:
         ) from fault
     text += _errors(text, scene)
     text += _reference(text)
-    for slot, parts in _SLOTS:
+    for slot, parts in _slots():
         text += _slot(text, slot, parts)
     text += _run(loads(text))
     for section in (_optimise, _tolerance):
@@ -219,7 +223,7 @@ def _errors(text: str, scene: Scene) -> str:
         "Errors, as many as there are, [errors.NAME] each. The name is free: paths such as errors.NAME.amplitude lead "
         f"to its numbers. Bodies: {', '.join(scene.system.bodies)}."
     )
-    for part in ERRORS:
+    for part in kinds("gearjax.errors"):
         fault = "it has no bodies"
         for body in scene.system.bodies:
             section = _part(f"errors.{part.kind}", part, part.kind, body=as_toml(body))

@@ -12,6 +12,7 @@ from gearjax.config.quantities import unit_size
 from gearjax.config.tables import Key, as_toml, in_words, known_keys, read_parameter, read_whole, require_keys
 from gearjax.parameters import Parameter
 from gearjax.tolerance import DISTRIBUTIONS, AbstractDistribution, Empirical
+from gearjax.tolerance.distributions import renamed
 
 _MOST_VALUES = 1_000_000
 _LARGEST_FILE = 1_000_000_000  # bytes
@@ -42,6 +43,7 @@ def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, fol
     table = {name: value for name, value in given.items() if name != "kind"}
     if kind == Empirical.kind and "file" in table:
         table = {"values": _column(key, table, parameter, folder)}
+    table = renamed(kinds[kind], table)
     fields = {field.name: field for field in dataclasses.fields(kinds[kind]) if "parameter" in field.metadata}
     known_keys(key, table, fields, f' of kind "{kind}"')
     if kind == "uniform_phase" and not parameter.periodic:

@@ -81,22 +81,24 @@ def touch(short_width: Scalar, u: Float[Array, "..."]) -> Touch:
     return Touch(sine / root, (1 - short_width * cosine) / root, (short_width - cosine) / root, root)
 
 
-def profile(disc: Cycloid, phase: Float[Array, " n"]) -> Float[Array, "n 2"]:
+def profile(disc: Cycloid, phase: Float[Array | np.ndarray, " n"]) -> Float[Array | np.ndarray, "n 2"]:
     """Modified profile of a disc (Hu et al. 2020, eqs. 1-2, signs restored), shape (n, 2) [m].
 
     Args:
         disc: the disc.
-        phase: meshing phase, ``2 pi`` per tooth, shape (n,) [rad]; ``2 pi teeth`` once around.
+        phase: meshing phase, ``2 pi`` per tooth, shape (n,) [rad]; ``2 pi teeth`` once around. Of numpy, with a disc
+            of plain numbers, it is worked out by numpy.
     """
+    xp = phase.__array_namespace__()
     ratio = disc.pins / disc.teeth
     circle, offset = disc.pin_circle + disc.shifting, disc.pin_radius + disc.isometric
-    short = disc.modified_short_width
-    share = offset / jnp.sqrt(1 + short * short - 2 * short * jnp.cos(phase))
+    short = disc.throw * disc.pins / circle
+    share = offset / xp.sqrt(1 + short * short - 2 * short * xp.cos(phase))
     far = circle - share
     near = disc.throw / circle * (circle - disc.pins * share)
-    x = far * jnp.cos((1 - ratio) * phase) - near * jnp.cos(ratio * phase)
-    y = far * jnp.sin((1 - ratio) * phase) + near * jnp.sin(ratio * phase)
-    return jnp.stack([x, y], axis=-1)
+    x = far * xp.cos((1 - ratio) * phase) - near * xp.cos(ratio * phase)
+    y = far * xp.sin((1 - ratio) * phase) + near * xp.sin(ratio * phase)
+    return xp.stack([x, y], axis=-1)
 
 
 def clearance(disc: Cycloid, u: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gearjax.analysis import Motion, TransmissionError, order_spectrum
+from gearjax.analysis import Motion, TransmissionError
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import stage_figure
-from gearjax.results import Case, required_run
+from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
 from gearjax.systems import RVCycloidal
 from gearjax.units import arcmin
@@ -80,7 +80,8 @@ def _waterfall(ax: Axes, time: np.ndarray, forces: np.ndarray, title: str) -> No
 def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     """Order spectra per turn of the output: errors of the bodies, and up to the mesh where the motion was computed.
 
-    The crank order (the mesh order where a system has no crank) and its multiples are marked.
+    Of whole cycles where there are such (`order_lines`), so that what lies between the lines is no leakage. The crank
+    order (the mesh order where a system has no crank) and its multiples are marked.
     """
     groups = [
         (title, [case for case in cases if case.analysis in kinds])
@@ -97,22 +98,21 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)
     for ax, (title, members) in zip(axes, groups, strict=True):
         dynamic = title == "dynamic"
-        start = int(np.searchsorted(theta, theta[0] + run.settle * float(scene.system.input_speed))) if dynamic else 0
-        if len(theta) - start < 8:
+        spectra = [(case, found) for case in members if (found := order_lines(scene, case)) is not None]
+        if not spectra:
             continue
-        for case in members:
-            spectrum = order_spectrum(case.record[start:], theta[start:], turn=turn, window="hann")
-            ax.semilogy(spectrum.order, np.asarray(spectrum.amplitude) / arcmin, label=case.title, linewidth=1.0)
+        for case, found in spectra:
+            ax.semilogy(found.order, found.amplitude / arcmin, label=case.title, linewidth=1.0)
         limit = 2.2 * orders["mesh"] if dynamic else 8 * orders[name]
         ax.set_xlim(0, min(limit / orders["output"], highest))
         top = ax.get_ylim()[1]
         ax.set_ylim(1e-5 * top, 2 * top)
         mark = orders["mesh"] if dynamic else orders[name]
         mark_multiples(ax, mark / orders["output"], "mesh" if dynamic else name)
-        width = 2 * np.pi / (theta[-1] - theta[start]) / orders["output"]
+        window = "whole cycles" if all(found.whole for _, found in spectra) else "Hann window"
         finish(
             ax,
-            f"Order spectrum, {title} (Hann window, lines {width:.2g} orders apart)",
+            f"Order spectrum, {title} ({window}, lines {spectra[0][1].order[1]:.2g} orders apart)",
             x="order [cycles per turn of the output]",
             y="amplitude [arcmin]",
         )

@@ -12,16 +12,19 @@ from gearjax.results.cases import (
     stored_config,
 )
 from gearjax.results.optimisation import Optimisation, optimise, save_optimisation
+from gearjax.results.spectra import OrderLines, order_lines
 from gearjax.results.tradeoff import as_json as tradeoff_as_json
 from gearjax.results.tradeoff import save_tradeoff
 
 __all__ = [
     "Case",
     "Optimisation",
+    "OrderLines",
     "clash_of",
     "growth_remark",
     "highest_load_sharing",
     "optimise",
+    "order_lines",
     "remarks",
     "required_run",
     "run_cases",

@@ -25,9 +25,9 @@ from gearjax.analysis.dynamics import growth_rate, suitable_step
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError, writing
-from gearjax.results.profile import FORMATS, save_profile
+from gearjax.results.profile import FORMATS, export_profile
 from gearjax.scene import METRICS, Published, Run, Scene
-from gearjax.systems import RVCycloidal
+from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin
 
@@ -43,6 +43,7 @@ class Case:
         analysis: ``no_load``, ``backlash``, ``static`` or ``dynamic``.
         torque: size of the load torque [N m], 0 without.
         window: length of the record that the metrics count [s].
+        cycle: time after which the errors repeat, of which a shorter window is a part [s].
         result: the analysis' own result.
         metrics: by name [rad].
         published: values to compare with, or ``None``.
@@ -51,6 +52,7 @@ class Case:
     analysis: str
     torque: float
     window: float
+    cycle: float
     result: TransmissionError | Backlash | Motion
     metrics: dict[str, float]
     published: Published | None
@@ -62,6 +64,11 @@ class Case:
         return words if self.analysis in ("no_load", "backlash") else f"{words}, {self.torque:g} N m"
 
     @property
+    def span(self) -> str:
+        """The window in seconds, and of how many it is a part."""
+        return f"{self.window:g}" + (f" of {self.cycle:g}" if self.window < self.cycle * (1 - 1e-6) else "")
+
+    @property
     def record(self) -> np.ndarray:
         """The curve of the case, shape (n,) [rad]."""
         return np.asarray(self.result.backlash if isinstance(self.result, Backlash) else self.result.te)
@@ -69,7 +76,8 @@ class Case:
     def as_json(self) -> dict:
         """The case as ``gearjax run --json`` prints it."""
         metrics = {f"{name}_arcmin": value / arcmin for name, value in self.metrics.items()}
-        return {"analysis": self.analysis, "torque_Nm": self.torque, "window_s": self.window, "metrics": metrics}
+        window = {"window_s": self.window, "cycle_s": self.cycle}
+        return {"analysis": self.analysis, "torque_Nm": self.torque, **window, "metrics": metrics}
 
 
 def required_run(scene: Scene) -> Run:
@@ -87,9 +95,6 @@ def remarks(scene: Scene) -> list[str]:
     """What a reader of the metrics should know about the record that the run section asks for."""
     run, speed = required_run(scene), float(scene.system.input_speed)
     found = []
-    cycle = scene.system.cycle / speed
-    if run.duration < cycle * (1 - 1e-6):
-        found.append(f"metrics are of {run.duration:g} s; the errors repeat after {cycle:g} s")
     words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
     if words is not None:
         found.append(f"{words}: raise run.samples")
@@ -155,16 +160,16 @@ def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 
 def _computed(scene: Scene, run: Run, analysis: str, torque: float, ts: Array, stepper: FixedStep | None) -> Case:
     theta = scene.system.input_speed * ts
     if analysis == "no_load":
-        return _case(run, analysis, torque, transmission_error(scene, theta))
+        return _case(scene, run, analysis, torque, transmission_error(scene, theta))
     if analysis == "backlash":
-        return _case(run, analysis, torque, backlash(scene, theta))
+        return _case(scene, run, analysis, torque, backlash(scene, theta))
     if analysis == "static":
         result = transmission_error(scene, theta, torque_history(scene, ts, torque))
         if bool((result.result != 0).any()):
             raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
-        return _case(run, analysis, torque, result)
+        return _case(scene, run, analysis, torque, result)
     motion = simulate(scene, ts, torque, start=run.start, settle=run.settle, stepper=stepper)
-    return _case(run, analysis, torque, motion)
+    return _case(scene, run, analysis, torque, motion)
 
 
 def torque_history(scene: Scene, ts: Array, torque: float) -> Array | float:
@@ -181,7 +186,7 @@ def _metrics_of(result: TransmissionError | Backlash | Motion) -> dict[str, Scal
     return {name: getattr(result, name) for name in METRICS}
 
 
-def _case(run: Run, analysis: str, torque: float, result: TransmissionError | Backlash | Motion) -> Case:
+def _case(scene: Scene, run: Run, analysis: str, torque: float, result: TransmissionError | Backlash | Motion) -> Case:
     metrics = {name: float(value) for name, value in _metrics_of(result).items()}
     if not np.isfinite(list(metrics.values())).all():
         raise SceneError(f"{analysis} at {torque:g} N*m: the result is not finite, a value of the scene is too extreme")
@@ -191,7 +196,8 @@ def _case(run: Run, analysis: str, torque: float, result: TransmissionError | Ba
         for entry in run.published
         if entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
     ]
-    return Case(analysis, torque, window, result, metrics, published[0] if published else None)
+    cycle = scene.system.cycle / float(scene.system.input_speed)
+    return Case(analysis, torque, window, cycle, result, metrics, published[0] if published else None)
 
 
 def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
@@ -241,8 +247,8 @@ def save(scene: Scene, cases: list[Case], config: str, folder: Path) -> list[Pat
         dataset(scene, cases, config).to_netcdf(paths[0], engine="scipy")
         paths[1].write_text(_curves(scene, cases), encoding="utf-8")
         paths[2].write_text(_metrics(cases), encoding="utf-8")
-    if isinstance(scene.system, RVCycloidal):
-        paths += [save_profile(scene.system, folder / f"disc{ending}") for ending in FORMATS]
+    if isinstance(scene.system, DiscProfile):
+        paths += [export_profile(scene.system, folder / f"disc{ending}") for ending in FORMATS]
     return paths
 
 

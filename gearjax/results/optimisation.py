@@ -68,6 +68,7 @@ class Optimisation:
                 "evaluations": gradient.evaluations,
                 "within_1_percent": gradient.within(0.01),
                 "failed": gradient.failed,
+                "improved": gradient.improved,
                 "valleys": int(gradient.valley.max()) + 1,
                 "seconds": gradient.seconds,
                 "compile_seconds": gradient.compile_seconds,

@@ -1,38 +1,70 @@
-"""Profiles of cycloidal discs as points for CAD and measuring machines."""
+"""Profiles of cycloidal discs for CAD and measuring machines: arcs in DXF, points in CSV, as fine as is asked for."""
 
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, writing
-from gearjax.geometry.cycloid import profile
-from gearjax.systems import RVCycloidal
-from gearjax.units import mm
+from gearjax.arguments import one_number
+from gearjax.checks import ParameterError, SceneError, writing
+from gearjax.geometry.cycloid import Cycloid, profile
+from gearjax.results.dxf import DIGITS, drawing
+from gearjax.scene import Scene
+from gearjax.systems import AbstractSystem, DiscProfile
+from gearjax.units import mm, um
 
 FORMATS = (".csv", ".dxf")
+TOLERANCE = 0.1 * um
+FINEST, COARSEST = 1e-10, 1e-4  # tolerances [m]
+FIRST = 4  # pieces of half a tooth, before any of them is halved
+PROBES = np.arange(1, 32) / 32  # where on a piece its distance from the profile is measured
+SAFETY = 0.9  # of the tolerance that a piece may use up: between the probes it may be a little further away
+MOST_POINTS = 5_000_000
 
 
-def save_profile(system: RVCycloidal, path: Path, points: int = 4000) -> Path:
-    """Write the modified profile of a disc, once around, in mm: CSV, or a closed polyline in DXF (R12).
+def export_profile(of: AbstractSystem | Scene, path: str | Path, *, tolerance: float = TOLERANCE) -> Path:
+    """Write the modified profile of a cycloidal disc, once around counter-clockwise and closed, in mm.
+
+    DXF (AutoCAD 2000, units of the drawing millimetres) has one polyline of arcs; CSV has points for straight lines,
+    the last of them the first again. Pieces are halved until each is within the tolerance of the profile, so that they
+    are short where it is curved.
 
     Args:
-        system: the reducer.
-        path: ends in ``.csv`` or ``.dxf``.
-        points: number of points, evenly spaced in the meshing phase.
+        of: the gear set, or a scene of it.
+        path: ends in ``.csv`` or ``.dxf``; folders that are missing are made.
+        tolerance: largest distance between what is written and the profile [m].
+
+    Returns:
+        The path.
 
     Raises:
-        ParameterError: another ending, or too few points.
+        SceneError: the gear set has no disc with a profile.
+        ParameterError: another ending, or a tolerance that is not a length that can be kept.
         GearjaxError: the file cannot be written.
+
+    Example:
+        >>> import gearjax as gj, tempfile, pathlib
+        >>> scene = gj.load("configs/rv_cycloidal/hu_2020.toml")
+        >>> path = gj.export_profile(scene, pathlib.Path(tempfile.mkdtemp()) / "disc.csv")
+        >>> path.read_text().splitlines()[:2]
+        ['x [mm],y [mm]', '71.4783000000,0.0000000000']
     """
+    if isinstance(of, str | Path):
+        raise ParameterError("of", str(of), "is a path: give gj.load(path)")
+    system = of.system if isinstance(of, Scene) else of
+    if not isinstance(system, DiscProfile):
+        kind = getattr(system, "kind", type(system).__name__)
+        raise SceneError(f"export_profile: {kind} has no disc with a profile; an rv_cycloidal has one")
+    if not isinstance(path, str | Path):
+        raise ParameterError("path", path, "must be a path")
+    path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise ParameterError("path", str(path), f"must end in {' or '.join(FORMATS)}")
-    least = 8 * (system.pins - 1)
-    if points < least:
-        raise ParameterError("points", points, f"must be at least {least}, eight per tooth")
-    phase = np.linspace(0.0, 2 * np.pi * (system.pins - 1), points, endpoint=False)
-    drawn = np.asarray(profile(system.profile, jnp.asarray(phase))) / mm
-    text = _csv(drawn) if path.suffix.lower() == ".csv" else _dxf(drawn)
+    one_number("tolerance", tolerance)
+    if not FINEST <= float(tolerance) <= COARSEST:
+        raise ParameterError("tolerance", tolerance, f"must be at least {FINEST:g} m and at most {COARSEST:g} m")
+    arcs = path.suffix.lower() == ".dxf"
+    points, bulges = _pieces(system.profile, float(tolerance), arcs)
+    text = drawing(points / mm, bulges, "profile") if arcs else _csv(points / mm)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="ascii")
@@ -40,12 +72,60 @@ def save_profile(system: RVCycloidal, path: Path, points: int = 4000) -> Path:
 
 
 def _csv(points: np.ndarray) -> str:
-    return "\n".join(["x [mm],y [mm]", *(f"{x:.9f},{y:.9f}" for x, y in points)]) + "\n"
+    """A header, the points, and the first of them again."""
+    rows = [f"{x:.{DIGITS}f},{y:.{DIGITS}f}" for x, y in points.tolist()]
+    return "\n".join(["x [mm],y [mm]", *rows, rows[0]]) + "\n"
 
 
-def _dxf(points: np.ndarray) -> str:
-    """A closed polyline: pairs of lines, a group code and its value."""
-    lines = ["0", "SECTION", "2", "ENTITIES", "0", "POLYLINE", "8", "profile", "66", "1", "70", "1"]
-    for x, y in points:
-        lines += ["0", "VERTEX", "8", "profile", "10", f"{x:.9f}", "20", f"{y:.9f}"]
-    return "\n".join([*lines, "0", "SEQEND", "0", "ENDSEC", "0", "EOF"]) + "\n"
+def _pieces(disc: Cycloid, tolerance: float, arcs: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Where pieces within the tolerance begin, shape (n, 2) [m], and their bulges, shape (n,), 0 for straight ones.
+
+    By numpy, which keeps float64 whatever JAX was told: float32 ends at some nanometres.
+    """
+    exact = disc._replace(**{name: float(part) for name, part in disc._asdict().items() if name != "pins"})
+    phases = np.linspace(0.0, np.pi, FIRST + 1)
+    while True:
+        bulges, apart = _measured(exact, phases, arcs)
+        long = apart > SAFETY * tolerance
+        if not long.any():
+            break
+        if 2 * disc.teeth * (len(bulges) + long.sum()) > MOST_POINTS:
+            words = f"needs more than {MOST_POINTS} points: give a longer one, or .dxf, whose arcs are fewer"
+            raise ParameterError("tolerance", f"{tolerance:g} m", words)
+        middles = 0.5 * (phases[:-1] + phases[1:])[long]
+        phases = np.sort(np.concatenate([phases, middles]))
+    # the other half of a tooth is its mirror image, and all teeth are alike
+    tooth = np.concatenate([phases, 2 * np.pi - phases[-2:0:-1]])
+    turns = 2 * np.pi * np.arange(disc.teeth)
+    around = (turns[:, None] + tooth[None, :]).ravel()
+    return _curve(exact, around), np.tile(np.concatenate([bulges, bulges[::-1]]), disc.teeth)
+
+
+def _curve(disc: Cycloid, phases: np.ndarray) -> np.ndarray:
+    """The profile, counter-clockwise, shape (n, 2) [m]: with rising phase it runs clockwise."""
+    return np.asarray(profile(disc, -phases))
+
+
+def _measured(disc: Cycloid, phases: np.ndarray, arcs: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Bulge of each piece between neighbouring phases, and how far the profile is from it [m]; shape (n - 1,) each.
+
+    In axes along and across its chord an arc through both ends, half a chord c from the middle, and with its top at
+    height s is ``s (x^2 + y^2 - c^2) = (s^2 - c^2) y``, which holds for straight pieces too.
+    """
+    begin, spans = phases[:-1, None], np.diff(phases)[:, None]
+    inner = _curve(disc, (begin + spans * PROBES).ravel()).reshape(len(spans), len(PROBES), 2)
+    ends = _curve(disc, phases)
+    half = 0.5 * np.diff(ends, axis=0)
+    c = np.hypot(*half.T)
+    along = half / c[:, None]
+    offset = inner - (ends[:-1] + half)[:, None]
+    x = np.einsum("npi,ni->np", offset, along)
+    y = along[:, :1] * offset[..., 1] - along[:, 1:] * offset[..., 0]
+    s = np.zeros_like(c)
+    if arcs:  # through the middle probe
+        bend = y[:, len(PROBES) // 2] / (x[:, len(PROBES) // 2] ** 2 + y[:, len(PROBES) // 2] ** 2 - c**2)
+        s = -2 * bend * c**2 / (1 + np.sqrt(1 + 4 * (bend * c) ** 2))
+    s, chord = s[:, None], c[:, None]
+    missed = s * (x**2 + y**2 - chord**2) - (s**2 - chord**2) * y
+    slope = np.hypot(2 * s * x, 2 * s * y - (s**2 - chord**2))
+    return -s[:, 0] / c, (np.abs(missed) / slope).max(axis=1)

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis.metrics import extremes, top
 from gearjax.analysis.quasi_static import angles_of, play
 from gearjax.analysis.resting import rest
@@ -90,6 +91,13 @@ class Compensation:
         return 1 - float(self.after.mean_lag.mean() / self.before.mean_lag.mean())
 
 
+@arguments.checked(
+    starts=arguments.whole(1),
+    minimum_backlash=arguments.one_number,
+    maximum_backlash=arguments.one_number,
+    maximum_pressure=arguments.one_positive,
+    law=arguments.an(AbstractLineContact, "must be a line contact, such as HertzLineContact(206e9, 0.3, 11e-3)"),
+)
 def compensate(
     scene: Scene,
     theta: ArrayLike,

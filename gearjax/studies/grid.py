@@ -8,7 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError
+from gearjax import arguments
+from gearjax.checks import MISSING, ParameterError
 from gearjax.contact import HardContact
 from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
@@ -58,6 +59,7 @@ class GridSearch(eqx.Module):
         return float(self.objectives[0])
 
 
+@arguments.checked(step=arguments.spacing, keep=arguments.whole(1))
 def grid_search(
     loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
     scene: Scene,
@@ -141,6 +143,8 @@ def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]
             raise ParameterError(f"step of {path}", spacing, f"must divide the period {period:.6g}")
         return -period / 2 + spacing * np.arange(number)
     low, high = free.bounds[index]
+    if not free.searchable[index]:
+        raise ParameterError(f"bounds of {path}", MISSING, "must be given: lowest and highest value")
     if not (math.isfinite(low) and math.isfinite(high) and high >= low):
         raise ParameterError(f"bounds of {path}", (low, high), "must be finite, lowest first")
     number = math.floor((high - low) / spacing + 1e-9) + 1

@@ -1,5 +1,6 @@
 """Multi-start minimisation: smoothed descent, polish to the kinked optimum, hard judgement."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -8,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.checks import GearjaxError, ParameterError
 from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
@@ -21,7 +23,13 @@ from gearjax.studies.values import require_influence, values
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-CODES = {0: "converged", 1: "its steps ran out while it still fell", 2: "not finite: dropped"}
+CODES = {
+    0: "converged",
+    1: "its steps ran out while it still fell",
+    2: "not finite: dropped",
+    3: "nothing better than its start was found",
+}
+UNIMPROVED = "no start was improved upon: narrow the bounds, or give more starts or steps"
 SETTLED = 1e-3  # share of the objective that one more step must not promise
 DESCENT_SAMPLES, POLISH_SAMPLES = 10, 16  # per turn of the fastest error
 MOST_NUMBERS = 2**22  # samples times starts that are worked on at once
@@ -41,7 +49,8 @@ class Minimisation(eqx.Module):
         objectives: objectives of the end points, inf where a start was dropped, shape (starts,); of all angles for
             the ten best, of 16 samples per turn with the extremes between them for the others.
         valley: number of the valley that an end point lies in, 0 for the best one's, -1 if dropped, shape (starts,).
-        result: 0 converged, 1 still falling, 2 dropped because it was not finite (`CODES`), shape (starts,).
+        result: 0 converged, 1 still falling, 2 dropped because it was not finite, 3 no better than its start, which is
+            then its end (`CODES`), shape (starts,).
         history: the objective at the start, then after each evaluation: smoothed in the descent, hard in the polish,
             shape (starts, 1 + steps).
         evaluations: of the objective with its gradient, all starts together.
@@ -75,11 +84,17 @@ class Minimisation(eqx.Module):
         """Number of starts that were dropped."""
         return int((self.result == 2).sum())
 
+    @property
+    def improved(self) -> bool:
+        """Whether any start was improved upon."""
+        return bool((self.result < 2).any())
+
     def within(self, share: float = 0.01) -> int:
         """Number of starts that ended within a share of the best objective."""
         return int((self.objectives <= self.objective + share * abs(self.objective)).sum())
 
 
+@arguments.checked(starts=arguments.starts, polish_steps=arguments.whole(0), temperatures=arguments.numbers)
 def minimise(
     loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
     scene: Scene,
@@ -112,7 +127,8 @@ def minimise(
         starts: how many starts, random but for the first; or the starting points themselves, shape (starts, free), SI.
         theta: input angles [rad]; without, those of the scene's run section, or one cycle.
         torque: load torque of a static or dynamic loss given by name [N m].
-        bounds: lowest and highest value by path, SI; needed for numbers that are not angles.
+        bounds: lowest and highest value by path, SI; needed for numbers that are not angles, unless they are declared
+            near each other (a hundredfold, or 2 of a ratio or radian).
         optimiser: of the descent, from optax (``optax.adam(0.1)``) or optimistix (``optimistix.BFGS(1e-4, 1e-6)``).
         steps: of the descent.
         polish_steps: of the polish, 0 for none.
@@ -121,7 +137,8 @@ def minimise(
         progress: called with a line of text now and then.
 
     Returns:
-        All end points. Starts that are not finite are dropped and counted, not raised.
+        All end points. Starts that are not finite are dropped and counted, not raised; it warns where no start was
+        improved upon.
 
     Raises:
         ParameterError: a path or a bound is wrong, or the objective does not depend on a number.
@@ -161,6 +178,9 @@ def minimise(
         objectives = np.where(result == 2, np.inf, found.value if polish_steps else sampled(ends))
         back = (begun < objectives) & (result != 2)  # a start that lost is its own end
         ends[back], objectives[back] = points[back], begun[back]
+        result = np.where(back, 3, result)
+        if not (result < 2).any():
+            warnings.warn(f"minimise {objective.name}: {UNIMPROVED}", stacklevel=3)
         first = np.argsort(objectives, kind="stable")[:JUDGED]
         first = first[result[first] != 2]
         objectives[first] = values(objective, scene, free)(ends[first])

@@ -20,6 +20,7 @@ from gearjax.analysis.dynamics import suitable_step
 from gearjax.analysis.metrics import highest_intervals, slope_and_value, tangent_bounds, turning_points
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, no_load, play, static
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
+from gearjax.arguments import numbers, one_positive, torque
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import QuadraticContact
 from gearjax.contact.frame import Pose
@@ -74,6 +75,11 @@ class Term(eqx.Module):
             raise ParameterError("weight", float(self.weight), "must be above 0")
         if self.metric == "order" and self.order is None:
             raise ParameterError("objective", self.name, 'needs an order, such as order = "crank"')
+        for name, check in (("torque", torque), ("weight", numbers)):
+            if getattr(self, name) is not None:
+                check(name, getattr(self, name))
+        if self.order is not None and not isinstance(self.order, str):
+            one_positive("order", self.order)
 
     @property
     def analysis(self) -> str:
@@ -92,6 +98,21 @@ class Term(eqx.Module):
             raise ParameterError("order", self.order, nearest(self.order, orders))
         assert self.order is not None
         return orders[self.order] if isinstance(self.order, str) else self.order * orders["output"]
+
+    def require_resolved(self, scene: Scene, theta: ArrayLike) -> None:
+        """Refuse an order that the input angles cannot tell from others: fewer than two of them in one of its cycles.
+
+        Raises:
+            ParameterError: naming the highest order.
+        """
+        order = self.per_turn(scene)
+        if not is_concrete(theta):
+            return
+        widest = float(np.diff(np.asarray(theta, dtype=float)).max(initial=0.0))
+        if order * widest > np.pi:
+            highest = np.pi / widest / scene.system.orders["output"]
+            words = f"the input angles are too few for it: at most {highest:.6g} cycles per turn of the output"
+            raise ParameterError("order", self.order, words)
 
     def curve(self, scene: Scene) -> tuple[Callable[[Any, Any], Scalar], Any]:
         """Its curve over the input angle or the pose, and what the curve depends on; not for the dynamic TE."""
@@ -173,7 +194,7 @@ class Objective(eqx.Module):
         for term in terms:
             require(scene, term.name, *NEEDS[term.analysis])
             if term.metric == "order":
-                term.per_turn(scene)
+                term.require_resolved(scene, angles)
         found = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms)
         if found.is_dynamic:
             ts = np.asarray(angles) / float(scene.system.input_speed)

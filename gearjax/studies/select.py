@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, nearest
+from gearjax.checks import MISSING, ParameterError, nearest
 from gearjax.parameters import Parameter, declared
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float
@@ -28,11 +28,13 @@ class Free(eqx.Module):
         paths: dotted paths such as ``errors.planet_1.phase``, or ``compliance.phases[0]`` in a series.
         periods: period of each, ``2 pi`` for angles, else ``None``.
         bounds: lowest and highest value of each in SI; infinite where the declaration sets none.
+        searchable: which may be searched between their bounds: those that were given, or declared near each other.
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
     periods: tuple[float | None, ...] = eqx.field(static=True)
     bounds: tuple[tuple[float, float], ...] = eqx.field(static=True)
+    searchable: tuple[bool, ...] = eqx.field(static=True)
 
     def get(self, scene: Scene) -> Float[Array, " free"]:
         """Values in a scene, shape (free,), SI."""
@@ -102,7 +104,11 @@ class Free(eqx.Module):
         Raises:
             ParameterError: naming the number.
         """
-        for path, period, (low, high) in zip(self.paths, self.periods, self.bounds, strict=True):
+        for path, period, (low, high), known in zip(
+            self.paths, self.periods, self.bounds, self.searchable, strict=True
+        ):
+            if period is None and not known:
+                raise ParameterError(f"bounds of {path}", MISSING, "must be given: lowest and highest value")
             if period is None and not (math.isfinite(low) and math.isfinite(high) and high > low):
                 raise ParameterError(f"bounds of {path}", (low, high), "must be finite, lowest first")
 
@@ -123,7 +129,7 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
     for path in bounds or {}:
         if path not in paths:
             raise ParameterError(f"bounds of {path}", (bounds or {})[path], f"is not free; {nearest(path, paths)}")
-    periods, limits = [], []
+    periods, limits, searchable = [], [], []
     for path in paths:
         if path not in known:
             raise ParameterError("where", path, f"no number of this scene; {nearest(path, known)}")
@@ -132,9 +138,10 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
         parameter = known[path]
         periods.append(2 * math.pi if parameter.periodic else None)
         limits.append((bounds or {}).get(path, parameter.range))
+        searchable.append(path in (bounds or {}) or parameter.is_tight)
     if not paths:
         raise ParameterError("where", (), f"names no number; valid: {', '.join(known)}")
-    return Free(paths, tuple(periods), tuple(limits))
+    return Free(paths, tuple(periods), tuple(limits), tuple(searchable))
 
 
 def _paths(scene: Scene, where: Where, known: Mapping[str, Parameter]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.checks import ParameterError
 from gearjax.scene import Scene
 from gearjax.studies.minimax import least_slope
@@ -63,6 +64,7 @@ class LocalSensitivity(eqx.Module):
         return self.rises < FLAT
 
 
+@arguments.checked()
 def local_sensitivity(
     loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
     scene: Scene,

@@ -7,6 +7,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 import equinox as eqx
 
 from gearjax.contact import BodyView, ContactFrame, Flank, Moved, Movements
+from gearjax.geometry.cycloid import Cycloid
 from gearjax.geometry.line_contact import Radii
 from gearjax.typing import Array, Float, Scalar
 
@@ -17,6 +18,16 @@ class LineContacts(Protocol):
 
     def radii(self, theta: Scalar) -> Radii:
         """Radii where the contacts are at an input angle [rad]."""
+        ...
+
+
+@runtime_checkable
+class DiscProfile(Protocol):
+    """What a gear set offers besides where its discs have a cycloidal profile that can be drawn."""
+
+    @property
+    def profile(self) -> Cycloid:
+        """Profile of the discs, and the pins."""
         ...
 
 

@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
 from gearjax.progress import Progress, silent
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measures import Measure
 from gearjax.tolerance.monte_carlo import Work, over_rows
-from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, Scalar
@@ -55,6 +56,15 @@ class AllocatedTolerances:
     met: bool
 
 
+@arguments.checked(
+    tolerances=a_population,
+    measure=arguments.an(Measure, 'must be a Measure with a limit: Measure("no_load", "peak_to_peak", limit=...)'),
+    required=arguments.one_number,
+    tightest=arguments.one_positive,
+    loosest=arguments.one_positive,
+    n=arguments.whole(1),
+    judged=arguments.whole(1),
+)
 def allocate(
     tolerances: Tolerances,
     measure: Measure,

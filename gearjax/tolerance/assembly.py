@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis.metrics import deviation
 from gearjax.checks import SceneError
 from gearjax.progress import Progress, silent
@@ -16,7 +17,7 @@ from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measures import Measure, Measures
 from gearjax.tolerance.monte_carlo import Work, over_rows
-from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, Scalar
@@ -69,6 +70,7 @@ class MatchedAssembly:
         return random, matched
 
 
+@arguments.checked(tolerances=a_population, units=arguments.whole(1), starts=arguments.whole(1))
 def matched_assembly(
     tolerances: Tolerances,
     measure: str | Measure,

@@ -8,7 +8,8 @@ import abc
 import dataclasses
 import functools
 import math
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from scipy import special
@@ -16,6 +17,8 @@ from scipy import special
 from gearjax.checks import ParameterError
 from gearjax.parameters import Parameter, check_value
 from gearjax.units import RATIO
+
+T = TypeVar("T")
 
 
 def declared_number(
@@ -37,11 +40,43 @@ def check_declared(part: Any) -> None:
             check_value(field.name, field.metadata["parameter"], getattr(part, field.name))
 
 
+def formerly(**names: str) -> Callable[[type[T]], type[T]]:
+    """A decorator that lets fields of a distribution be given by the names that they had before: new by old name."""
+
+    def decorate(part: type[T]) -> type[T]:
+        begin = part.__init__
+
+        @functools.wraps(begin)
+        def __init__(self: Any, *args: Any, **given: Any) -> None:  # noqa: N807
+            begin(self, *args, **renamed(part, given))
+
+        part.__init__ = __init__
+        part.former_names = names  # pyright: ignore[reportAttributeAccessIssue]
+        return part
+
+    return decorate
+
+
+def renamed(part: type, given: dict[str, Any]) -> dict[str, Any]:
+    """Values of a distribution's fields by the names of today.
+
+    Raises:
+        ParameterError: one is given by both of its names.
+    """
+    former = getattr(part, "former_names", {})
+    for old, new in former.items():
+        if old in given and new in given:
+            raise ParameterError(old, given[old], f"is the former name of {new}, which is given too")
+    return {former.get(name, name): value for name, value in given.items()}
+
+
 @dataclasses.dataclass(frozen=True)
 class AbstractDistribution(abc.ABC):
     """What every distribution offers."""
 
     kind: ClassVar[str]
+    former_names: ClassVar[Mapping[str, str]] = {}
+    """Names that fields had before, with those of today."""
 
     @abc.abstractmethod
     def quantile(self, share: np.ndarray) -> np.ndarray:
@@ -91,18 +126,19 @@ class Normal(AbstractDistribution):
         return self.mean
 
 
+@formerly(scale="std")
 @dataclasses.dataclass(frozen=True)
 class TruncatedNormal(AbstractDistribution):
     """Normal distribution of which only what lies between two limits is delivered.
 
     Args:
-        mean, scale: mean and standard deviation before sorting.
+        mean, std: mean and standard deviation before sorting.
         low, high: limits.
     """
 
     kind: ClassVar[str] = "truncated_normal"
     mean: float = declared_number()
-    scale: float = declared_number(above=0.0)
+    std: float = declared_number(above=0.0)
     low: float = declared_number()
     high: float = declared_number()
 
@@ -112,11 +148,11 @@ class TruncatedNormal(AbstractDistribution):
             raise ParameterError("high", self.high, f"must be above low ({self.low:g})")
         lower, upper = self._ends
         if max(lower, -upper) > 8:  # a part so far out in the tail is a mistake, and its quantiles are lost in rounding
-            raise ParameterError("mean", self.mean, "must lie within 8 scale of the limits")
+            raise ParameterError("mean", self.mean, "must lie within 8 std of the limits")
 
     @property
     def _ends(self) -> tuple[float, float]:
-        return (self.low - self.mean) / self.scale, (self.high - self.mean) / self.scale
+        return (self.low - self.mean) / self.std, (self.high - self.mean) / self.std
 
     @property
     def _mirrored(self) -> float:
@@ -129,14 +165,14 @@ class TruncatedNormal(AbstractDistribution):
         lower, upper = sorted(sign * np.array(ends))
         low, high = special.ndtr(lower), special.ndtr(upper)
         along = share if sign > 0 else 1 - share
-        found = self.mean + self.scale * sign * special.ndtri(low + along * (high - low))
+        found = self.mean + self.std * sign * special.ndtri(low + along * (high - low))
         return np.clip(found, self.low, self.high)
 
     @property
     def _moments(self) -> tuple[float, float]:
         from scipy import stats  # takes a third of a second to import
 
-        mean, variance = stats.truncnorm.stats(*self._ends, loc=self.mean, scale=self.scale)
+        mean, variance = stats.truncnorm.stats(*self._ends, loc=self.mean, scale=self.std)
         return float(mean), float(variance)
 
     @property

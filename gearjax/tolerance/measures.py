@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ import numpy as np
 from gearjax.analysis import Backlash, FixedStep, backlash, simulate, transmission_error
 from gearjax.analysis.dynamics import FAULTS, suitable_step
 from gearjax.analysis.metrics import deviation, top
+from gearjax.arguments import one_number, torque
 from gearjax.checks import ParameterError, nearest
 from gearjax.compliance import AbstractCompliance
 from gearjax.contact import HardContact
@@ -65,8 +65,11 @@ class Measure:
         if self.metric not in MEASURED:
             raise ParameterError("metric", self.metric, nearest(self.metric, MEASURED))
         loaded = self.analysis in ("static", "dynamic")
-        if loaded and (self.torque is None or not math.isfinite(self.torque)):
+        if loaded and self.torque is None:
             raise ParameterError("torque", self.torque, f"{self.analysis} needs a torque")
+        for name, check in (("torque", torque), ("limit", one_number), ("at_least", one_number)):
+            if getattr(self, name) is not None:
+                check(name, getattr(self, name))
         if not loaded and self.torque is not None:
             raise ParameterError("torque", self.torque, f"{self.analysis} takes no torque")
         if self.limit is not None and self.at_least is not None and self.limit <= self.at_least:
@@ -153,16 +156,10 @@ class Measures:
     ):
         scene = tolerances.scene
         self.measures, self.extremes = tuple(measures), extremes
-        for index, measure in enumerate(self.measures):
-            require(scene, measure.name, *NEEDS[measure.analysis])
-            if measure.name in [other.name for other in self.measures[:index]]:
-                raise ParameterError("measures", measure.name, "is listed twice")
-        if extremes not in EXTREMES:
-            raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
+        _check(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
-        slots = {slot for measure in self.measures for slot in SLOTS[measure.analysis]}
         self.free = tolerances.free
-        self.physics = scene.physics(*slots, *(path.split(".")[0] for path in self.free.paths))
+        self.physics = scene.physics(*_slots(self.measures), *(path.split(".")[0] for path in self.free.paths))
         analyses = {measure.analysis for measure in self.measures}
         self.curves: Curves | Balances | None = None
         if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
@@ -170,8 +167,7 @@ class Measures:
             population = jax.vmap(lambda row: self.free.set(self.physics, row))(examples)
             quick = self._balances if scene.system.two_sided else self._touches
             self.curves = quick(population, analyses)
-        if "dynamic" in analyses:
-            self.motion = _Motion.of(scene, self.theta)
+        self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 
     def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
         """Curves of contacts that touch on one side."""
@@ -220,7 +216,7 @@ class Measures:
                 return _analysed(scene, self.theta, self.extremes, analysis, torque)
             return _quick(touches, analysis, torque)
 
-        return self._told(scene, record)
+        return _told(self.measures, self.motion, scene, record)
 
     def curve(self, values: Float[Array, " free"], measure: Measure) -> Float[Array, " n"]:
         """The quasi-static curve that a measure is of, at the samples [rad], of a gear set with the given numbers."""
@@ -238,23 +234,90 @@ class Measures:
 
         def one(scene: Scene, curves: list[Array]) -> tuple[Array, Array]:
             known = dict(zip(keys, curves, strict=True))
-            return self._told(scene, lambda *key: _sampled(known[key]))
+            return _told(self.measures, self.motion, scene, lambda *key: _sampled(known[key]))
 
         return jax.vmap(one, in_axes=(0, -1))(scenes, curves)
 
-    def _told(self, scene: Scene, record: Callable[..., Record]) -> tuple[Array, Array]:
-        """Measures and code from the records of quasi-static analyses, and of the dynamic one."""
-        records: dict[tuple, Record] = {}
-        for measure in self.measures:
-            key = measure.analysis, measure.torque
-            if key not in records:
-                dynamic = measure.analysis == "dynamic"
-                records[key] = self.motion.record(scene, measure.torque) if dynamic else record(*key)
-        own = [records[measure.analysis, measure.torque] for measure in self.measures]
-        found = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, self.measures, strict=True)])
-        codes = jnp.stack([record.code for record in own])
-        codes = jnp.where((codes == 0) & ~jnp.isfinite(found), 2, codes)
-        return jnp.where(codes == 0, found, jnp.nan), codes.max()
+
+class SceneMeasures:
+    """Several measures of scenes that are drawn as a whole, over the same input angles: by the analyses themselves.
+
+    Args:
+        measures: what is measured.
+        example: one of the scenes.
+        theta, extremes: as for `Measures`.
+
+    Raises:
+        ParameterError: two measures are the same.
+        SceneError: the example lacks what a measure needs.
+    """
+
+    def __init__(self, measures: Sequence[Measure], example: Scene, theta: ArrayLike | None, extremes: str):
+        self.measures, self.extremes = tuple(measures), extremes
+        _check(self.measures, example, extremes)
+        self.theta = angles(example, theta)
+        dynamic = any(measure.analysis == "dynamic" for measure in self.measures)
+        self.motion = _Motion.of(example, self.theta) if dynamic else None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the measures."""
+        return tuple(measure.name for measure in self.measures)
+
+    def __call__(self, scene: Scene) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
+        """Measures of a scene, nan where it failed, and its result code."""
+        physics = scene.physics(*_slots(self.measures))
+
+        def record(analysis: str, torque: float | None) -> Record:
+            return _analysed(physics, self.theta, self.extremes, analysis, torque)
+
+        return _told(self.measures, self.motion, physics, record)
+
+
+def listed(measure: str | Measure | Sequence[str | Measure]) -> list[Measure]:
+    """Measures from their names, or as they are.
+
+    Raises:
+        ParameterError: there is none, or one is something else.
+    """
+    given = [measure] if isinstance(measure, str | Measure) else measure
+    if not isinstance(given, Sequence) or not given:
+        raise ParameterError("measure", measure, 'needs at least one, such as "no_load.peak_to_peak"')
+    for one in given:
+        if not isinstance(one, str | Measure):
+            raise ParameterError("measure", one, 'must be a name such as "no_load.peak_to_peak", or a Measure')
+    return [one if isinstance(one, Measure) else Measure.named(one) for one in given]
+
+
+def _check(measures: Sequence[Measure], scene: Scene, extremes: str) -> None:
+    for index, measure in enumerate(measures):
+        require(scene, measure.name, *NEEDS[measure.analysis])
+        if measure.name in [other.name for other in measures[:index]]:
+            raise ParameterError("measures", measure.name, "is listed twice")
+    if extremes not in EXTREMES:
+        raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
+
+
+def _slots(measures: Sequence[Measure]) -> set[str]:
+    """Parts of a scene that measures depend on."""
+    return {slot for measure in measures for slot in SLOTS[measure.analysis]}
+
+
+def _told(
+    measures: Sequence[Measure], motion: "_Motion | None", scene: Scene, record: Callable[..., Record]
+) -> tuple[Array, Array]:
+    """Measures and code from the records of quasi-static analyses, and of the dynamic one."""
+    records: dict[tuple, Record] = {}
+    for measure in measures:
+        key = measure.analysis, measure.torque
+        if key not in records:
+            moving = motion if measure.analysis == "dynamic" else None
+            records[key] = record(*key) if moving is None else moving.record(scene, measure.torque)
+    own = [records[measure.analysis, measure.torque] for measure in measures]
+    found = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, measures, strict=True)])
+    codes = jnp.stack([record.code for record in own])
+    codes = jnp.where((codes == 0) & ~jnp.isfinite(found), 2, codes)
+    return jnp.where(codes == 0, found, jnp.nan), codes.max()
 
 
 def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:

@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax import arguments
+from gearjax.checks import ParameterError, nearest
+from gearjax.scene import Scene
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
-from gearjax.tolerance.measures import CODES, Measure, Measures
+from gearjax.tolerance.measures import CODES, Measure, Measures, SceneMeasures, listed
 from gearjax.tolerance.population import Tolerances
 from gearjax.tolerance.sampling import SAMPLERS, points, replicate_sizes
 from gearjax.tolerance.statistics import Estimate
@@ -159,7 +161,7 @@ class Work:
             one, together = self._of_tolerances(sample, measure, theta, extremes)
             self.sizes = replicate_sizes(sampler, self.number)
         else:
-            one = self._of_functions(sample, measure, seed)
+            one = self._of_functions(sample, measure, seed, theta, extremes)
             self.sizes = np.array([self.number])
         self.devices = tuple(jax.local_devices() if devices is None else devices)
         if self.devices[0].platform != "cpu":
@@ -179,22 +181,27 @@ class Work:
                 return _coded(measure(free.set(scene, values)))
 
             return one, 16
-        listed = [measure] if isinstance(measure, str | Measure) else list(measure)
-        given = [m if isinstance(m, Measure) else Measure.named(m) for m in listed]
-        if not given:
-            raise ParameterError("measure", [], 'needs at least one, such as "no_load.peak_to_peak"')
-        found = Measures(given, tolerances, theta, extremes)
+        found = Measures(listed(measure), tolerances, theta, extremes)
         self.measures, self.names = found.measures, found.names
         return found, found.together
 
-    def _of_functions(self, sample: Any, measure: Any, seed: Any):
+    def _of_functions(self, sample: Any, measure: Any, seed: Any, theta: ArrayLike | None, extremes: str):
         if self.sampler != "monte_carlo":
             raise ParameterError("sampler", self.sampler, "needs Tolerances: a function of a key draws by itself")
-        if not callable(sample) or not callable(measure):
-            raise GearjaxError(
-                "monte_carlo: give Tolerances and measures, or functions sample(key) and measure(what sample returns)"
+        if not callable(sample):
+            raise ParameterError(
+                "sample", sample, "must be Tolerances(gj.load(path), {...}), or a function of a random key"
             )
         key = jax.random.key(seed) if isinstance(seed, int) else seed
+        if isinstance(measure, Measure) or not callable(measure):
+            given, draw = listed(measure), cast(Callable[[Array], Any], sample)
+            example = draw(jax.random.fold_in(key, 0))
+            if not isinstance(example, Scene):
+                words = f"is of a scene, and sample returns a {type(example).__name__}: give a function of that"
+                raise ParameterError("measure", given[0].name, words)
+            found = SceneMeasures(given, example, theta, extremes)
+            self.measures, self.names = found.measures, found.names
+            return lambda index: found(draw(jax.random.fold_in(key, index[0])))
         self.names = _names(lambda key: measure(sample(key)), key, named=measure)
 
         def one(index: Array) -> tuple[Array, Array]:
@@ -248,6 +255,7 @@ class Work:
         return Study(self.names, values, result, self.sizes, self.measures, *seconds)
 
 
+@arguments.checked(n=arguments.whole(1), chunk=arguments.whole(1))
 def monte_carlo(
     sample: Any,
     measure: Any,
@@ -268,7 +276,8 @@ def monte_carlo(
     Args:
         sample: `Tolerances`, or a function from a random key to a scene or anything else.
         measure: a name such as ``"no_load.peak_to_peak"``, a `Measure`, or several; or a function of the sample that
-            returns a number or a dict of numbers.
+            returns a number or a dict of numbers. Named measures of a function's samples need scenes, which are
+            analysed one by one, without what makes a population of `Tolerances` quick.
         n: number of samples.
         key: seed, or random key.
         sampler: ``"monte_carlo"``, ``"latin_hypercube"`` or ``"sobol"``; the last two with `Tolerances`.

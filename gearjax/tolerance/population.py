@@ -2,11 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene
 from gearjax.studies.select import Free, numbers, pick
@@ -32,6 +34,26 @@ class Correlation:
     coefficient: float
 
 
+def _check_distributions(given: Any) -> None:
+    """Refuse what is no distribution of gearjax."""
+    if not isinstance(given, Mapping):
+        raise ParameterError("distributions", given, 'must be by path: {"errors.planet_1.amplitude": Rayleigh(6e-6)}')
+    for path, spread in given.items():
+        if isinstance(spread, AbstractDistribution):
+            continue
+        if type(spread).__module__.startswith("scipy"):
+            words = "is of scipy: give a distribution of gearjax, or gj.Empirical(values) of numbers drawn from it"
+            raise ParameterError(str(path), type(spread).__name__, words)
+        words = "must be a distribution such as gj.Normal(mean, std); numbers that do not vary stand in the scene"
+        raise ParameterError(str(path), spread, words)
+
+
+def a_population(name: str, value: Any) -> None:
+    """Refuse what is no population, as an argument of a public function."""
+    if not isinstance(value, Tolerances):
+        raise ParameterError(name, value, "must be Tolerances(scene, {path: distribution})")
+
+
 class Tolerances:
     """How the numbers of a scene vary from one gear set to the next.
 
@@ -52,12 +74,14 @@ class Tolerances:
         [[7.064e-06]]
     """
 
+    @arguments.checked()
     def __init__(
         self,
         scene: Scene,
         distributions: Mapping[str, AbstractDistribution],
         correlations: Sequence[Correlation] = (),
     ):
+        _check_distributions(distributions)
         self.scene, self.distributions = scene, dict(distributions)
         self.correlations = tuple(correlations)
         self.free: Free = pick(scene, list(distributions))

@@ -13,9 +13,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from gearjax import arguments
 from gearjax.checks import GearjaxError
 from gearjax.tolerance.monte_carlo import Work, over_rows
-from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.statistics import Estimate, share
 from gearjax.typing import Array, Float
 
@@ -70,6 +71,7 @@ class Sensitivities:
         return ""
 
 
+@arguments.checked(tolerances=a_population, n=arguments.whole(1))
 def sensitivities(
     tolerances: Tolerances, measure: Any, *, n: int = 1024, key: int = 0, **options: Any
 ) -> list[Sensitivities]:

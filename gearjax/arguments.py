@@ -1,0 +1,252 @@
+"""What the arguments of public functions may be: what is not is refused in one line, before anything is computed.
+
+`checked` looks at the arguments of a function by their names, so that ``scene``, ``theta`` and ``torque`` mean the same
+everywhere. Values that are being traced pass, for they cannot be read.
+"""
+
+import functools
+import inspect
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import ParameterError, SceneError, is_concrete
+from gearjax.scene import Scene
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Checker = Callable[[str, Any], None]
+
+LARGEST_TORQUE = 1e12  # N m, as in a configuration
+LARGEST_ANGLE = 1e12  # rad: beyond, float64 does not tell the parts of a tooth apart
+DEGREES = 4 * math.pi  # span of angles [rad] beyond which whole steps are taken for degrees
+
+
+def checked(**special: Checker) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A decorator that checks the arguments of a function by their names.
+
+    An argument that is left at its default is not looked at.
+
+    Args:
+        special: checkers by name, where an argument is not what its name means elsewhere (`KNOWN`).
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        parameters = inspect.signature(function).parameters
+        checkers = {name: check for name, check in (KNOWN | special).items() if name in parameters}
+
+        @functools.wraps(function)
+        def checking(*args: P.args, **kwargs: P.kwargs) -> R:
+            given = dict(zip(parameters, args, strict=False)) | kwargs
+            for name, check in checkers.items():
+                if name in given and given[name] is not parameters[name].default:
+                    check(name, given[name])
+            return function(*args, **kwargs)
+
+        return checking
+
+    return decorate
+
+
+def a_scene(name: str, value: Any) -> None:
+    """A scene."""
+    if not isinstance(value, Scene):
+        is_path = isinstance(value, str | Path)
+        words = "is a path: give gj.load(path)" if is_path else "must be a Scene, such as gj.load(path)"
+        raise ParameterError(name, str(value) if is_path else value, words)
+
+
+def real(name: str, value: Any, words: str = "must be a real number, or an array of them") -> np.ndarray | None:
+    """The real numbers of a value; ``None`` while they are traced.
+
+    Raises:
+        ParameterError: it is something else.
+    """
+    if not is_concrete(value):
+        if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(value)):
+            raise ParameterError(name, "complex numbers", words)
+        return None
+    try:
+        found = np.asarray(value)
+    except (ValueError, TypeError) as fault:  # rows of different lengths
+        raise ParameterError(name, value, words) from fault
+    if found.dtype.kind not in "iuf" and not jnp.issubdtype(found.dtype, jnp.floating):
+        raise ParameterError(name, value, words)
+    return found
+
+
+def finite(name: str, value: Any) -> np.ndarray | None:
+    """Real numbers that are finite, any shape."""
+    found = real(name, value)
+    if found is not None and not np.isfinite(found).all():
+        place = np.argwhere(~np.isfinite(found))[0]
+        where = name + "".join(f"[{index}]" for index in place)
+        raise ParameterError(where, found[tuple(place)], "must be finite")
+    return found
+
+
+def numbers(name: str, value: Any) -> None:
+    """Finite numbers of any shape."""
+    finite(name, value)
+
+
+def one_number(name: str, value: Any) -> None:
+    """One finite number."""
+    found = finite(name, value)
+    if found is not None and found.ndim:
+        raise ParameterError(name, found.shape, "is a shape: must be one number")
+
+
+def positive(name: str, value: Any) -> None:
+    """Finite numbers above zero."""
+    found = finite(name, value)
+    if found is not None and not (found > 0).all():
+        raise ParameterError(name, found.min() if found.size else value, "must be above 0")
+
+
+def one_positive(name: str, value: Any) -> None:
+    """One finite number above zero."""
+    one_number(name, value)
+    positive(name, value)
+
+
+def torques(name: str, value: Any) -> None:
+    """Torques [N m], any shape."""
+    found = finite(name, value)
+    if found is not None and found.size and np.abs(found).max() > LARGEST_TORQUE:
+        raise ParameterError(name, np.abs(found).max(), f"must be at most {LARGEST_TORQUE:g} N*m")
+
+
+def torque(name: str, value: Any) -> None:
+    """One torque [N m]."""
+    one_number(name, value)
+    torques(name, value)
+
+
+def angles(name: str, value: Any) -> None:
+    """Increasing angles, shape (n,) [rad]; a warning where they look like degrees."""
+    _increasing(name, value, 1, "give input angles of shape (n,)")
+    if not is_concrete(value):
+        return
+    found = np.asarray(value, dtype=float)
+    if np.abs(found).max() > LARGEST_ANGLE:
+        raise ParameterError(name, np.abs(found).max(), f"must be at most {LARGEST_ANGLE:g} rad")
+    steps = np.diff(found)
+    whole = steps.size and np.allclose(steps, np.round(steps), rtol=0, atol=1e-6) and steps.min() > 0.5
+    if whole and found[-1] - found[0] > DEGREES:
+        warnings.warn(
+            f"{name} runs from {found[0]:g} to {found[-1]:g} in whole steps: it is in radians; degrees are given as "
+            f"{name} * gj.units.deg",
+            stacklevel=3,
+        )
+
+
+def times(name: str, value: Any) -> None:
+    """Increasing times, at least two, shape (n,) [s]."""
+    _increasing(name, value, 2, "give at least two sample times")
+
+
+def _increasing(name: str, value: Any, least: int, words: str) -> None:
+    found = finite(name, value)
+    shape = np.shape(value) if found is None else found.shape
+    if len(shape) != 1 or shape[0] < least:
+        raise SceneError(f"{name} has shape {shape}: {words}")
+    if found is not None and not (np.diff(found.astype(float)) > 0).all():
+        raise SceneError(f"{name} must increase")
+
+
+def whole(least: int) -> Checker:
+    """A whole number, not less than a given one."""
+
+    def check(name: str, value: Any) -> None:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            raise ParameterError(name, value, f"must be a whole number, at least {least}")
+        if value < least:
+            raise ParameterError(name, value, f"must be at least {least}")
+
+    return check
+
+
+def turn(name: str, value: Any) -> None:
+    """The angle of a turn [rad]."""
+    one_positive(name, value)
+    found = real(name, value)
+    if found is not None and not 1e-9 <= float(found) <= 1e9:
+        raise ParameterError(name, value, "must be at least 1e-9 rad and at most 1e9 rad")
+
+
+def starts(name: str, value: Any) -> None:
+    """A number of starts, or the starting points: those that are not finite are dropped and counted."""
+    if np.ndim(value) == 0:
+        whole(1)(name, value)
+    else:
+        real(name, value)
+
+
+def paths(name: str, value: Any) -> None:
+    """Paths of numbers of a scene, or a function that picks them."""
+    several = isinstance(value, Sequence) and all(isinstance(path, str) for path in value)
+    if not (callable(value) or several):
+        raise ParameterError(name, value, 'must be paths such as ["errors.planet_1.phase"], or a function of the scene')
+
+
+def pairs(name: str, value: Any) -> None:
+    """Bounds by path: lowest and highest value."""
+    if not isinstance(value, Mapping):
+        raise ParameterError(name, value, 'must be pairs by path: {"errors.planet_1.amplitude": (0.0, 20e-6)}')
+    for path, pair in value.items():
+        found = real(f"{name} of {path}", pair, "must be a pair of numbers, lowest first")
+        if found is not None and (found.shape != (2,) or not found[0] <= found[1]):
+            raise ParameterError(f"{name} of {path}", pair, "must be a pair of numbers, lowest first")
+
+
+def spacing(name: str, value: Any) -> None:
+    """One spacing for all numbers, or one by path."""
+    for path, step in value.items() if isinstance(value, Mapping) else [("", value)]:
+        one_number(f"{name} of {path}" if path else name, step)
+
+
+def a_loss(name: str, value: Any) -> None:
+    """The name of an objective, terms, or a function of the scene."""
+    terms = value if isinstance(value, Sequence) else [value]  # terms and objectives are of a layer above this one
+    known = all(hasattr(term, "analysis") or hasattr(term, "pieces") for term in terms)
+    if not (isinstance(value, str) or callable(value) or known):
+        raise ParameterError(name, value, 'must be a name ("no_load_amplitude"), terms, or a function of the scene')
+
+
+def an(kind: type | tuple[type, ...], words: str) -> Checker:
+    """An instance of a type."""
+
+    def check(name: str, value: Any) -> None:
+        if not isinstance(value, kind):
+            raise ParameterError(name, value, words)
+
+    return check
+
+
+KNOWN: dict[str, Checker] = {
+    "scene": a_scene,
+    "theta": angles,
+    "ts": times,
+    "torque": torque,
+    "torques": torques,
+    "rated_torque": torque,
+    "settle": one_number,
+    "period": one_positive,
+    "speeds": positive,
+    "guess": numbers,
+    "steps": whole(0),
+    "max_steps": whole(1),
+    "where": paths,
+    "bounds": pairs,
+    "loss": a_loss,
+    "at": numbers,
+    "deviations": numbers,
+}
+"""What arguments of these names are, wherever they stand."""

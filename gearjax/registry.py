@@ -1,0 +1,105 @@
+"""Kinds of parts that a configuration may name: those of gearjax, those registered by a program, those of plug-ins."""
+
+import functools
+import inspect
+from importlib import metadata
+from typing import Any, TypeVar
+
+from gearjax.checks import GearjaxError, ParameterError
+from gearjax.compliance import COMPLIANCES, AbstractCompliance, AbstractLineContact
+from gearjax.errors import ERRORS, AbstractError
+from gearjax.systems import SYSTEMS, AbstractSystem
+
+T = TypeVar("T")
+
+GROUPS: dict[str, tuple[type, ...]] = {
+    "gearjax.systems": (AbstractSystem,),
+    "gearjax.errors": (AbstractError,),
+    "gearjax.compliances": (AbstractCompliance, AbstractLineContact),
+}
+"""Groups of entry points that plug-ins are read from, and what they hold."""
+
+_kinds: dict[str, dict[str, Any]] = {
+    "gearjax.systems": {part.kind: part for part in SYSTEMS},
+    "gearjax.errors": {part.kind: part for part in ERRORS},
+    "gearjax.compliances": {part.kind: part for part in COMPLIANCES},
+}
+
+
+def register(part: T) -> T:
+    """Make a gear set, an error or a compliance of one's own known to configurations, by its ``kind``.
+
+    It may stand above the class as a decorator. What is registered is known to this process; for the command
+    ``gearjax`` a package lists its classes as entry points of the groups ``gearjax.systems``, ``gearjax.errors`` or
+    ``gearjax.compliances``.
+
+    Args:
+        part: a final subclass of `AbstractSystem`, `AbstractError`, `AbstractCompliance` or `AbstractLineContact`.
+
+    Returns:
+        The same class.
+
+    Raises:
+        ParameterError: it is something else, is abstract, or its kind is no name or that of another class.
+
+    Example:
+        >>> import gearjax as gj
+        >>> gj.register(gj.TwoKV) is gj.TwoKV
+        True
+    """
+    _add(part, _group_of(part))
+    return part
+
+
+def kinds(group: str) -> list[Any]:
+    """Classes of a group, plug-ins included.
+
+    Raises:
+        GearjaxError: a plug-in is broken, or two parts have the same kind; the package is named.
+    """
+    _read_plugins()
+    return list(_kinds[group].values())
+
+
+def _group_of(part: Any) -> str:
+    for group, bases in GROUPS.items():
+        if isinstance(part, type) and issubclass(part, bases):
+            return group
+    names = ", ".join(base.__name__ for bases in GROUPS.values() for base in bases)
+    raise ParameterError("register", part, f"must be a class that is a subclass of one of {names}")
+
+
+def _add(part: Any, group: str) -> None:
+    """Add a class to a group."""
+    kind, name = getattr(part, "kind", None), f"{part.__module__}.{part.__qualname__}"
+    if inspect.isabstract(part):
+        missing = ", ".join(sorted(part.__abstractmethods__))
+        raise ParameterError("register", name, f"is abstract: it lacks {missing}")
+    if not isinstance(kind, str) or not kind.isidentifier():
+        raise ParameterError(f"{name}.kind", kind, 'must be a name of letters, digits and _, such as "spur_pair"')
+    other = _kinds[group].get(kind, part)
+    taken = f"{other.__module__}.{other.__qualname__}"
+    if taken != name:  # the same name is the same class, defined again in a notebook
+        raise ParameterError(f"{name}.kind", kind, f"is the kind of {taken} already: choose another")
+    _kinds[group][kind] = part
+
+
+@functools.cache
+def _read_plugins() -> None:
+    """Add what installed packages list, once for a process."""
+    for group in GROUPS:
+        for entry in metadata.entry_points(group=group):
+            package = entry.dist.name if entry.dist is not None else entry.module
+            where = f'plug-in "{entry.name}" of package {package}'
+            try:
+                part = entry.load()
+            except Exception as fault:  # whatever a package raises when it is imported
+                words = " ".join(f"{type(fault).__name__}: {fault}".split())
+                raise GearjaxError(f"{where}: {entry.value} cannot be loaded ({words})") from fault
+            try:
+                found = _group_of(part)
+                if found != group:
+                    raise GearjaxError(f"{entry.value} belongs into the group {found}, not {group}")
+                _add(part, group)
+            except GearjaxError as fault:
+                raise GearjaxError(f"{where}: {fault}") from fault

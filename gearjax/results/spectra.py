@@ -1,0 +1,97 @@
+"""Spectra of the cases of a run, over whole cycles of the gear set: a line for each order, and nothing between them."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis import order_spectrum, simulate
+from gearjax.analysis.quasi_static import no_load, static
+from gearjax.parameters import Named
+from gearjax.results.cases import Case, required_run, torque_history
+from gearjax.scene import Scene
+from gearjax.typing import Array, Float
+
+MOST_SAMPLES = 100_000  # of a cycle that is computed for its spectrum alone
+FEWEST_SAMPLES = 8
+WHOLE = 1e-6  # by which a number of turns may miss a whole one
+
+
+class OrderLines(NamedTuple):
+    """Order spectrum of a case.
+
+    Args:
+        order: cycles per turn of the output, shape (m,) [-].
+        amplitude: of the sine at each order, shape (m,) [rad].
+        whole: whether it is of whole cycles; else of the record as it is, under a Hann window.
+    """
+
+    order: np.ndarray
+    amplitude: np.ndarray
+    whole: bool
+
+
+def order_lines(scene: Scene, case: Case) -> OrderLines | None:
+    """The spectrum of a case, ``None`` where its record is too short for one.
+
+    Of the whole cycles at the end of the record; where it holds none, of one cycle that is computed for this, as finely
+    as the record. Under a Hann window, and of the record as it is, where a load does not repeat with the gear set, or
+    its cycle would take more than `MOST_SAMPLES`.
+    """
+    turn = 2 * math.pi / scene.system.orders["output"]
+    record = _whole_cycles(scene, case)
+    whole = record is not None
+    if record is None:
+        run, speed = required_run(scene), float(scene.system.input_speed)
+        counted = run.times >= (run.settle if case.analysis == "dynamic" else 0.0)
+        record = case.record[counted], run.times[counted] * speed
+        if len(record[0]) < FEWEST_SAMPLES:
+            return None
+    found = order_spectrum(*record, turn=turn, window="none" if whole else "hann")
+    return OrderLines(np.asarray(found.order), np.asarray(found.amplitude), whole)
+
+
+def _whole_cycles(scene: Scene, case: Case) -> tuple[np.ndarray, np.ndarray] | None:
+    """Values and input angles of whole cycles, evenly spaced, the end left out; ``None`` where there are none."""
+    run, speed = required_run(scene), float(scene.system.input_speed)
+    spacing, cycle = run.duration / (run.samples - 1), scene.system.cycle / speed
+    number, settled = round(cycle / spacing), run.settle if case.analysis == "dynamic" else 0.0
+    if number < FEWEST_SAMPLES or not _repeats(scene):
+        return None
+    cycles = math.floor((run.duration - settled) / cycle + WHOLE)
+    if cycles and abs(cycle / spacing - number) < WHOLE * number:
+        return case.record[-cycles * number :], run.times[-cycles * number :] * speed
+    if number > MOST_SAMPLES:
+        return None
+    first = math.ceil(settled / cycle * number)
+    ts = np.arange(first + number) * (cycle / number)
+    if case.analysis == "dynamic":
+        values = simulate(scene, ts, case.torque, start=run.start).te
+    else:
+        torque = torque_history(scene, jnp.asarray(ts), case.torque) if case.analysis == "static" else None
+        values = _curve(scene.physics("backlash", "compliance"), jnp.asarray(ts * speed, scene.dtype), torque)
+    return np.asarray(values)[first:], ts[first:] * speed
+
+
+def _repeats(scene: Scene) -> bool:
+    """Whether the load repeats with the errors of the bodies."""
+    if scene.load is None or not scene.load.alternates:
+        return True
+    frequency = getattr(scene.load, "frequency", None)
+    if not isinstance(frequency, Named):
+        return False
+    turns = scene.system.orders[frequency.name] * scene.system.cycle / (2 * math.pi)
+    return abs(turns - round(turns)) < WHOLE * turns
+
+
+@eqx.filter_jit
+def _curve(scene: Scene, theta: Float[Array, " n"], torque: Array | float | None) -> Float[Array, " n"]:
+    """Quasi-static TE at input angles, without what else an analysis works out."""
+    scene = scene.anchored()
+    if torque is None:
+        return jax.vmap(no_load, in_axes=(None, 0))(scene, theta)
+    torques = jnp.broadcast_to(jnp.asarray(torque, theta.dtype), theta.shape)
+    return jax.vmap(lambda angle, size: static((scene, size), angle))(theta, torques)

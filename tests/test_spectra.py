@@ -1,0 +1,112 @@
+"""Spectra of a run are of whole cycles, so that lines are lines; shipped configurations run without a warning."""
+
+import dataclasses
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax import results
+from gearjax.units import arcmin
+from tests.conftest import ROOT
+
+
+def case_of(scene, analysis: str, torque: float = 0.0) -> results.Case:
+    """One case of a short run, 0.2 s at 2 ms where the errors repeat after 15.8 s."""
+    run = gj.Run(0.2, 101, (analysis,), (torque,) if torque else (), settle=0.0)
+    return next(results.run_cases(dataclasses.replace(scene, run=run)))
+
+
+def lines_of(scene, case, **changed) -> results.OrderLines:
+    run = dataclasses.replace(gj.Run(0.2, 101, ("no_load",)), **changed)
+    found = results.order_lines(dataclasses.replace(scene, run=run), case)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("analysis", "torque"), [("no_load", 0.0), ("static", 300.0)])
+def test_a_spectrum_of_a_short_run_is_of_a_whole_cycle(scene, analysis, torque):
+    found = lines_of(scene, case_of(scene, analysis, torque))
+    assert found.whole
+    np.testing.assert_allclose(found.order[:4], [0, 1, 2, 3], rtol=1e-12, atol=1e-12)
+    if torque:  # both pairs carry: all that is left of the errors are sines of the crank, which turns 26 times
+        assert found.amplitude[26] / arcmin == pytest.approx(0.6544, abs=1e-4)
+        others = np.delete(found.amplitude, [0, 26])
+        assert others.max() < 1e-9 * found.amplitude[26]
+
+
+def test_whole_cycles_in_a_record_are_used(scene):
+    """Two and a bit: the last two, which are those of any other two."""
+    spacing = 15.8 / 790
+    run = gj.Run(2.25 * 15.8 - 0.5 * spacing, round(2.25 * 790), ("no_load",))
+    long = dataclasses.replace(scene, run=dataclasses.replace(run, duration=spacing * (run.samples - 1)))
+    case = next(results.run_cases(long))
+    found = results.order_lines(long, case)
+    short = lines_of(scene, case_of(scene, "no_load"), duration=spacing * 10, samples=11)
+    assert found is not None
+    assert found.whole
+    assert len(found.order) == 790 + 1
+    np.testing.assert_allclose(found.amplitude[:200:2], short.amplitude[:100], atol=1e-12)
+    assert found.amplitude[1::2].max() < 1e-12  # nothing between the orders of one turn of the output
+
+
+def test_without_whole_cycles_a_window_is_used(scene, monkeypatch):
+    case = case_of(scene, "no_load")
+    alternating = dataclasses.replace(scene, load=gj.SinusoidalLoad(1.6))
+    assert not lines_of(alternating, case).whole
+    assert lines_of(dataclasses.replace(scene, load=gj.SinusoidalLoad("mesh")), case).whole
+    monkeypatch.setattr("gearjax.results.spectra.MOST_SAMPLES", 1000)
+    assert not lines_of(scene, case).whole
+    few = dataclasses.replace(scene, run=gj.Run(100.0, 5, ("no_load",)))
+    assert (
+        results.order_lines(few, dataclasses.replace(case, result=gj.transmission_error(few, np.arange(5.0)))) is None
+    )
+
+
+@pytest.mark.slow
+def test_a_motion_is_continued_to_a_whole_cycle_after_it_has_settled(scene):
+    """Under a torque at which both pairs carry: lines at the crank and at the mesh, nothing between to 1e-5."""
+    run = gj.Run(0.2, 201, ("dynamic",), (300.0,), settle=0.05)
+    moving = dataclasses.replace(scene, run=run)
+    found = results.order_lines(moving, next(results.run_cases(moving)))
+    assert found is not None
+    assert found.whole
+    assert found.amplitude[1300] / arcmin == pytest.approx(0.2139, abs=1e-3)
+    between = np.delete(found.amplitude, [*range(5), *range(26 - 3, 26 + 4), *range(1300 - 60, 1300 + 61)])[:1150]
+    assert between.max() < 1e-5 * found.amplitude[1300]
+
+
+def test_a_part_of_a_cycle_is_told_in_the_table(scene):
+    case = case_of(scene, "no_load")
+    assert (case.span, case.as_json()["cycle_s"]) == ("0.2 of 15.8", pytest.approx(15.8))
+    assert dataclasses.replace(case, window=15.8).span == "15.8"
+
+
+COMMANDS = [
+    ("run", "two_kv/wang_2020.toml"),
+    ("run", "rv_cycloidal/hu_2020.toml"),
+    ("optimise", "two_kv/wang_2020_phases.toml"),
+    ("tolerance", "two_kv/wang_2020_tolerance.toml"),
+    ("tolerance", "rv_cycloidal/hu_2020_tolerance.toml"),
+]
+
+
+def test_every_shipped_configuration_has_its_command():
+    files = {str(path.relative_to(ROOT / "configs")) for path in (ROOT / "configs").rglob("*.toml")}
+    assert {name for _, name in COMMANDS} == files
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("word", "name"), COMMANDS)
+def test_shipped_configurations_run_without_a_warning(tmp_path, word, name):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "default"}
+    command = [sys.executable, "-W", "error", "-m", "gearjax", word, str(ROOT / "configs" / name), "--out", "out"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=1500)
+    assert done.returncode == 0, done.stderr[-2000:]
+    words = re.compile("note:|warning|gearjax: error", re.IGNORECASE)
+    told = [line for line in done.stderr.splitlines() if words.search(line)]
+    assert told == []
