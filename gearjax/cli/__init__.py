@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import jax
+import typer
 
 from gearjax.checks import GearjaxError
+from gearjax.cli import stopping
 from gearjax.cli.commands import app
 
 __all__ = ["app", "keep_programs", "main"]
@@ -47,6 +49,9 @@ def _collect_seldom() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the command ``gearjax``."""
+    stopping.say_when_stopped(stopping.nothing_kept)
+    if arguments is None:
+        stopping.listen()
     jax.config.update("jax_enable_x64", True)
     keep_programs()
     if arguments is None:
@@ -54,6 +59,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         given = sys.argv[1:] if arguments is None else arguments
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):  # where Ctrl-C is not listened for; typer makes its own of it
+        print(stopping.message(), file=sys.stderr)
+        sys.exit(stopping.CODE)
     except Exception as fault:
         message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
         if not isinstance(fault, GearjaxError) and message is None:
@@ -61,7 +69,4 @@ def main(arguments: list[str] | None = None) -> None:
         words = " ".join(str(message() if message else fault).split())
         print(f"gearjax: error: {words}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("gearjax: stopped", file=sys.stderr)
-        sys.exit(130)
     sys.exit(code if isinstance(code, int) else 0)

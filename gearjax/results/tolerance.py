@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from gearjax.checks import GearjaxError, writing
+from gearjax.checks import GearjaxError
 from gearjax.config import ToleranceSection, with_numbers
+from gearjax.files import write_file
 from gearjax.progress import Progress
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Study, Tolerances, Work
@@ -308,8 +309,4 @@ def save_tolerance(found: ToleranceResults, work: Work, config: str, folder: Pat
             row = work.inputs(index, index + 1)[0].tolist()
             values = dict(zip(work.sample.paths, row, strict=True))
             texts[f"worst_{name}.toml"] = with_numbers(config, values, parameters)
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+    return [write_file(folder / name, text) for name, text in texts.items()]
