@@ -35,14 +35,15 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _progress = Console(stderr=True)
 
 
-
 def _writable(out: Path | None) -> Path | None:
     """The folder of --out, of whatever command; refused before anything is computed for it."""
     return None if out is None else writable(out)
 
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]
-OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures", callback=_writable)]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures", callback=_writable)
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 
 

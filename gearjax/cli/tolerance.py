@@ -20,6 +20,7 @@ from gearjax.cli.stopping import say_when_stopped
 from gearjax.cli.tables import output
 from gearjax.config import loads_tolerance
 from gearjax.progress import Progress as Say
+from gearjax.results.needs import affordable
 from gearjax.results.store import Store, held
 from gearjax.results.tolerance import LISTED, ToleranceResults, finished, prepared
 from gearjax.timing import Stopwatch
@@ -59,6 +60,8 @@ def study(
     if scheduler is None and workers is None:
         use_all_cores()
     tables, _, section = loads_tolerance(text, base)
+    devices = len(jax.local_devices()) if scheduler is None and workers is None else workers or os.cpu_count() or 1
+    say(affordable(section, devices, folder).words(stored=folder is not None))
     with contextlib.ExitStack() as stack:
         if folder is not None:
             stack.enter_context(held(folder))

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from gearjax.checks import GearjaxError
 from gearjax.config import ToleranceSection, with_numbers
 from gearjax.files import write_file
 from gearjax.progress import Progress
+from gearjax.results.needs import affordable
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Study, Tolerances, Work
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
@@ -254,9 +256,15 @@ def _matched(section: ToleranceSection, progress: Progress) -> MatchedAssembly |
 
 
 def shifts(section: ToleranceSection) -> list[PrecisionShift]:
-    """How far float32 shifts the quantiles of a section's measures."""
+    """How far float32 shifts the quantiles of a section's measures.
+
+    Raises:
+        GearjaxError: the scene lacks what a measure needs, or there is too little memory.
+    """
     options = {"sampler": section.sampler, "extremes": section.extremes, "chunk": section.chunk}
     number = min(SHIFTED, section.samples)
+    looked_at = dataclasses.replace(section, samples=number, sensitivity=0, allocation=None, assembly=None)
+    affordable(looked_at, len(jax.local_devices()), None)
     return precision_shifts(section.tolerances, section.measures, n=number, key=section.seed, **options)
 
 
