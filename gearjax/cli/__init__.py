@@ -59,9 +59,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         given = sys.argv[1:] if arguments is None else arguments
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
-    except (KeyboardInterrupt, typer.Abort):  # where Ctrl-C is not listened for; typer makes its own of it
-        print(stopping.message(), file=sys.stderr)
-        sys.exit(stopping.CODE)
+    except (KeyboardInterrupt, typer.Abort):  # where Ctrl-C is not listened for; some versions of typer abort,
+        code = stopping.CODE  # others return this code
     except Exception as fault:
         message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
         if not isinstance(fault, GearjaxError) and message is None:
@@ -69,4 +68,6 @@ def main(arguments: list[str] | None = None) -> None:
         words = " ".join(str(message() if message else fault).split())
         print(f"gearjax: error: {words}", file=sys.stderr)
         sys.exit(2)
+    if code == stopping.CODE:
+        print(stopping.message(), file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)

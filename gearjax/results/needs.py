@@ -92,8 +92,8 @@ def needs(section: ToleranceSection, devices: int) -> Needs:
     if section.assembly is not None:
         rows = section.assembly.units * section.assembly.starts
         memory["tolerance.assembly.units"] = rows * NUMBER * (4 * free + 4 * len(section.assembly.where))
-    column = math.ceil(chunk * NUMBER / BLOCK) * BLOCK
-    disk = float(chunks * (column * (measured + 1) + BLOCK))
+    column, codes = (math.ceil(chunk * size / BLOCK) for size in (NUMBER, NUMBER / 2))
+    disk = float(chunks * BLOCK * (column * measured + codes + 1))
     seconds = free * DRAWN + 2 / devices * sum(_work(section, kind, contacts) for kind in kinds)
     return Needs(memory, disk, chunks * (measured + 2), section.samples * seconds)
 
