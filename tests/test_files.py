@@ -48,7 +48,7 @@ def refused(arguments: list[str], capsys) -> str:
 def nothing_computed(monkeypatch):
     """Whatever a command would compute fails the test."""
 
-    def computed(*arguments, **words):
+    def computed(*_arguments, **_words):
         raise AssertionError("computed before --out was tried")
 
     for name in ("run_cases", "run_optimise", "run_tradeoff", "accurate_step"):
@@ -83,7 +83,7 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path, capsys, mo
         pytest.skip("there is no /proc here")
     if out == "full":
 
-        def full(**words):
+        def full(**_words):
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr("tempfile.NamedTemporaryFile", full)
@@ -139,7 +139,7 @@ def test_a_file_is_written_through_before_it_takes_its_name(tmp_path, monkeypatc
 def test_what_fails_half_way_leaves_the_old_file(tmp_path, monkeypatch):
     path = files.write_file(tmp_path / "file", "old")
 
-    def fsync(number: int) -> None:
+    def fsync(_number: int) -> None:
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", fsync)

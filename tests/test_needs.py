@@ -94,7 +94,7 @@ def test_the_disk_is_looked_at(tmp_path, monkeypatch):
     monkeypatch.setattr(room, "free_memory", lambda: None)
     asked = section(samples=10**8, chunk=16384)
     affordable(asked, 2, None)
-    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 1e9}))
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1e9}))
     with pytest.raises(GearjaxError, match=r"take 2.6 GiB on disk, 0.93 GiB are free .*; at most 35000000 fit"):
         affordable(asked, 2, tmp_path / "out")
     affordable(section(samples=3 * 10**7, chunk=16384), 2, tmp_path / "out")
@@ -105,7 +105,7 @@ def test_what_is_stored_already_needs_no_room(tmp_path, monkeypatch):
     asked = section(samples=10**6, chunk=10**5)
     marks = tmp_path / room.NAME / "done" / "c"
     marks.mkdir(parents=True)
-    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 4e6}))
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 4e6}))
     with pytest.raises(GearjaxError, match="on disk"):
         affordable(asked, 2, tmp_path)
     for index in range(9):

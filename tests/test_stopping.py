@@ -27,14 +27,15 @@ class Running:
 
     def __init__(self, *arguments: str, folder: Path):
         self.errors = folder / "stderr"
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "gearjax", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=self.errors.open("wb"),
-            cwd=ROOT,
-            env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},  # every program is compiled
-            start_new_session=True,
-        )
+        with self.errors.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "gearjax", *arguments],
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                cwd=ROOT,
+                env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},  # every program is compiled
+                start_new_session=True,
+            )
 
     def stopped(self, once: Callable[[], bool], group: bool = False) -> str:
         """What it says when SIGINT comes as soon as something holds, which is checked to end it at once."""
@@ -51,7 +52,7 @@ class Running:
         assert printed == b""
         assert "Traceback" not in self.said
         *_, last = self.said.splitlines()
-        assert self.said.count("stopped") == 1
+        assert self.said.count("gearjax: stopped: ") == 1
         assert last.startswith("gearjax: stopped: ")
         return last
 
@@ -114,7 +115,7 @@ def test_a_stopped_study_without_a_folder_keeps_nothing(tmp_path, options):
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, EOFError])
 def test_within_another_program_ctrl_c_is_a_line_too(monkeypatch, capsys, fault):
-    def interrupted(*arguments, **words):
+    def interrupted(*_arguments, **_words):
         raise fault
 
     monkeypatch.setattr("gearjax.cli.commands.run_cases", interrupted)
@@ -138,9 +139,9 @@ def without_times(found: dict) -> dict:
 @pytest.mark.slow
 def test_the_same_study_twice_prints_the_same(tmp_path):
     """Every study of the example, in two processes, to the last bit."""
-    text = WHOLE.read_text(encoding="utf-8").replace("samples = 20000", "samples = 300").replace("= 1024 ", "= 32 ")
+    text = WHOLE.read_text(encoding="utf-8").replace("samples = 20000", "samples = 100").replace("= 1024 ", "= 16 ")
     config = tmp_path / "whole.toml"
-    config.write_text(text.replace("units = 1000", "units = 8").replace("samples = 1581", "samples = 201"))
+    config.write_text(text.replace("units = 1000", "units = 4").replace("samples = 1581", "samples = 101"))
     line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json"]
     printed = [subprocess.run(line, capture_output=True, check=True, cwd=ROOT).stdout for _ in range(2)]
     first, second = (without_times(json.loads(text)) for text in printed)

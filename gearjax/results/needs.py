@@ -157,10 +157,10 @@ def _groups() -> Iterator[tuple[Path, str, str]]:
         if controllers and "memory" not in controllers.split(","):
             continue
         root = Path("/sys/fs/cgroup") / ("memory" if controllers else "")
-        names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if controllers else ("memory.max", "memory.current")
+        limit, used = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
         inner = root / path.strip("/")
         for folder in (inner, *(level for level in inner.parents if level.is_relative_to(root))):
-            yield folder, *names
+            yield folder, f"memory.{limit}", f"memory.{used}"
 
 
 def _check_disk(section: ToleranceSection, found: Needs, folder: Path) -> None:

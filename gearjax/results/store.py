@@ -165,18 +165,23 @@ class Store:
     def _metadata(self, config: str) -> dict[str, bytes]:
         """What zarr says about such a study, by file."""
         import zarr
+        from zarr.storage import MemoryStore
 
         found: dict[str, Any] = {}
-        attributes = {"config": config, "definition": self._study}
-        group = zarr.create_group(zarr.storage.MemoryStore(store_dict=found), attributes=attributes)
+        attributes: dict[str, Any] = {"config": config, "definition": self._study}
+        group = zarr.create_group(MemoryStore(store_dict=found), attributes=attributes)
         plain: dict[str, Any] = {"compressors": None, "filters": None}
-        sample = {"shape": (self.work.number,), "chunks": (self.work.chunk,), "dimension_names": ("sample",)}
-        about = {"units": "rad", "per_arcmin": arcmin}
+        sample: dict[str, Any] = {
+            "shape": (self.work.number,),
+            "chunks": (self.work.chunk,),
+            "dimension_names": ("sample",),
+        }
+        about: dict[str, Any] = {"units": "rad", "per_arcmin": arcmin}
         for name in self.work.names:
             group.create_array(name, dtype="<f8", fill_value=np.nan, attributes=about, **sample, **plain)
         about = {"long_name": "result code, 0 good, -1 not yet done"}
         group.create_array(_CODES, dtype="<i4", fill_value=-1, attributes=about, **sample, **plain)
-        chunk = {"shape": (len(self.work.chunks),), "chunks": (1,), "dimension_names": ("chunk",)}
+        chunk: dict[str, Any] = {"shape": (len(self.work.chunks),), "chunks": (1,), "dimension_names": ("chunk",)}
         about = {"long_name": "hash of the study, of the chunk's index and of its files; 0 not yet done"}
         group.create_array(_MARKS, dtype="<u8", fill_value=0, attributes=about, **chunk, **plain)
         return {name: content.to_bytes() for name, content in found.items()}
@@ -202,7 +207,9 @@ class Store:
         if not differing:
             return
         marked = (index for index in range(len(self.work.chunks)) if self._marked(index))
-        if any(self._read(index) is not None for index in itertools.islice(marked, _LOOKED_AT)):
+        looked_at = itertools.islice(marked, _LOOKED_AT)
+        foreign = not stored and _object(self.path / _ABOUT) is not None  # it says that it is something else
+        if not foreign and any(self._read(index) is not None for index in looked_at):
             return  # the samples are of this study: only what is said about them is damaged
         if not stored:
             raise GearjaxError(f"--out {place(self.path.parent)}: {NAME} is not a study of gearjax: choose another")
@@ -221,7 +228,7 @@ class Store:
                 continue
             for one in (there, right) if name == _ABOUT else ():
                 # the text of the configuration is that of the last run: limits in it may have changed
-                if isinstance(one.get("attributes"), dict):
+                if one is not None and isinstance(one.get("attributes"), dict):
                     one["attributes"].pop("config", None)
             damaged |= there != right
             write_file(self.path / name, content)
@@ -252,18 +259,18 @@ def held(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def _object(path: Path) -> dict[str, Any]:
-    """The JSON object in a file; empty where there is none."""
+def _object(path: Path) -> dict[str, Any] | None:
+    """The JSON object in a file; ``None`` where there is none."""
     try:
         found = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def _definition(path: Path) -> dict[str, Any]:
     """What study a group says that it is of; empty where it does not."""
-    attributes = _object(path / _ABOUT).get("attributes")
+    attributes = (_object(path / _ABOUT) or {}).get("attributes")
     text = attributes.get("definition") if isinstance(attributes, dict) else None
     try:
         found = json.loads(text) if isinstance(text, str) else {}
