@@ -113,6 +113,7 @@ def test_what_is_stored_already_needs_no_room(tmp_path, monkeypatch):
     affordable(asked, 2, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_stored_size_is_the_one_told(tmp_path, capsys):
     config, out = tmp_path / "study.toml", tmp_path / "out"
     config.write_text(small(samples=2000, chunk=1000))

@@ -234,6 +234,7 @@ def test_samples_of_another_version_are_another_study(finished, monkeypatch):
         Store(finished.folder, finished.tables, finished.work, "")
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_works_out_again(tmp_path, capsys):
     config, out = tmp_path / "study.toml", tmp_path / "out"
     config.write_text(small(samples=130), encoding="utf-8")
