@@ -118,7 +118,13 @@ def writing(path: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as fault:
-        raise GearjaxError(f"--out {path}: cannot be written ({fault.strerror or fault})") from fault
+        raise GearjaxError(f"--out {place(path)}: cannot be written ({fault.strerror or fault})") from fault
+
+
+def place(path: str | Path) -> str:
+    """A path as an error repeats it: one short line."""
+    text = _clean(str(path))
+    return text if len(text) <= _LONGEST_KEY else f"{text[:_SHOWN]}... ({len(text)} characters)"
 
 
 class Missing:

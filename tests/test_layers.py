@@ -12,6 +12,7 @@ LAYERS = {
     "units": 0,
     "typing": 0,
     "checks": 0,
+    "files": 0,
     "timing": 0,
     "progress": 0,
     "parameters": 0,

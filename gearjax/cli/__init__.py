@@ -9,9 +9,11 @@ import sys
 from pathlib import Path
 
 import jax
+import typer
 
 from gearjax.checks import GearjaxError
 from gearjax.cli import new as _new  # noqa: F401  (adds its command)
+from gearjax.cli import stopping
 from gearjax.cli.commands import app
 
 __all__ = ["app", "keep_programs", "main"]
@@ -48,6 +50,9 @@ def _collect_seldom() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the command ``gearjax``."""
+    stopping.say_when_stopped(stopping.nothing_kept)
+    if arguments is None:
+        stopping.listen()
     jax.config.update("jax_enable_x64", True)
     keep_programs()
     if arguments is None:
@@ -57,6 +62,8 @@ def main(arguments: list[str] | None = None) -> None:
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
         if not given and not code:
             code = 2  # nothing was asked for; the help tells what could be
+    except (KeyboardInterrupt, typer.Abort):  # where Ctrl-C is not listened for; some versions of typer abort,
+        code = stopping.CODE  # others return this code
     except Exception as fault:
         message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
         if not isinstance(fault, GearjaxError) and message is None:
@@ -64,7 +71,6 @@ def main(arguments: list[str] | None = None) -> None:
         words = " ".join(str(message() if message else fault).split())
         print(f"gearjax: error: {words}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("gearjax: stopped", file=sys.stderr)
-        sys.exit(130)
+    if code == stopping.CODE:
+        print(stopping.message(), file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)

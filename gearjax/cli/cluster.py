@@ -56,6 +56,8 @@ def each_on_cluster(
         raise GearjaxError('--scheduler and --workers need dask: pip install "gearjax[dask]"') from fault
     cluster: Any = None
     if scheduler is None or scheduler == LOCAL:
+        # a process that Ctrl-C ends leaves semaphores, which are tidied up after it without a word
+        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
         cluster = LocalCluster(
             n_workers=workers or os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=""
         )

@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from gearjax.checks import ParameterError, check_path, nearest, writing
+from gearjax.checks import ParameterError, check_path, nearest
 from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_shifts, print_tradeoff
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
+from gearjax.files import writable, write_file
 from gearjax.reproduce import PAPERS, Row
 from gearjax.results import (
     clash_of,
@@ -34,8 +35,16 @@ from gearjax.units import arcmin
 app = typer.Typer(rich_markup_mode=None)
 _progress = Console(stderr=True)
 
+
+def _writable(out: Path | None) -> Path | None:
+    """The folder of --out, of whatever command; refused before anything is computed for it."""
+    return None if out is None else writable(out)
+
+
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]
-OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures")]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures", callback=_writable)
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 
 
@@ -69,6 +78,7 @@ def run(
     Without --out they go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
+    folder = _folder(out, json_, config)
     stepper = None
     if accuracy is not None:
         allowed = _positive("--accuracy", accuracy)
@@ -87,7 +97,6 @@ def run(
     words = None if overlap is None else overlap.told(scene)
     if words is not None:
         _progress.print(f"warning: {words}", soft_wrap=True)
-    folder = _folder(out, json_, config)
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
 
@@ -134,9 +143,8 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     """
     text = _read_text(config)
     scene, section = loads_optimise(text)
-
-    found = run_optimise(section, scene, _say)
     folder = _folder(out, json_, config)
+    found = run_optimise(section, scene, _say)
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
@@ -162,6 +170,7 @@ def tradeoff(
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
+    folder = _folder(out, json_, config)
     allowed, moving = _positive("--error", error), scene.run is not None and "dynamic" in scene.run.analyses
     shifted = []
     if "tolerance" in read_tables(text):
@@ -176,7 +185,6 @@ def tradeoff(
                 print_shifts(shifted)
             return
     found = run_tradeoff(scene, allowed, _say)
-    folder = _folder(out, json_, config)
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
@@ -227,8 +235,8 @@ def tolerance(
 
 
 def _folder(out: Path | None, json_: bool, config: Path) -> Path | None:
-    """Where results go: as told, nowhere with --json, else out/NAME."""
-    return out if out is not None else None if json_ else Path("out") / config.stem
+    """Where results go: as told, nowhere with --json, else out/NAME, if that can be written."""
+    return out if out is not None else None if json_ else writable(Path("out") / config.stem)
 
 
 def _positive(option: str, given: float) -> float:
@@ -255,12 +263,10 @@ def _read(config: Path) -> tuple[str, Scene]:
 
 
 def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        lines = ["paper,item,published,computed,deviation,unit,status"]
-        for paper, rows in reports:
-            lines += [
-                f'"{paper}","{row.item}",{row.published},{row.computed:.6g},{row.deviation:+.6g},{row.unit},{row.status}'
-                for row in rows
-            ]
-        (folder / "published.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = ["paper,item,published,computed,deviation,unit,status"]
+    for paper, rows in reports:
+        lines += [
+            f'"{paper}","{row.item}",{row.published},{row.computed:.6g},{row.deviation:+.6g},{row.unit},{row.status}'
+            for row in rows
+        ]
+    write_file(folder / "published.csv", "\n".join(lines) + "\n")

@@ -16,9 +16,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from gearjax.checks import ParameterError
+from gearjax.cli.stopping import say_when_stopped
 from gearjax.cli.tables import output
 from gearjax.config import loads_tolerance
 from gearjax.progress import Progress as Say
+from gearjax.results.needs import affordable
 from gearjax.results.store import Store, held
 from gearjax.results.tolerance import LISTED, ToleranceResults, finished, prepared
 from gearjax.timing import Stopwatch
@@ -58,11 +60,20 @@ def study(
     if scheduler is None and workers is None:
         use_all_cores()
     tables, _, section = loads_tolerance(text, base)
+    devices = len(jax.local_devices()) if scheduler is None and workers is None else workers or os.cpu_count() or 1
+    say(affordable(section, devices, folder).words(stored=folder is not None))
     with contextlib.ExitStack() as stack:
         if folder is not None:
             stack.enter_context(held(folder))
+            say_when_stopped(lambda: f"what {folder} held before is as it was; the same command goes on with it")
         work = prepared(section)
-        kept = Kept(work) if folder is None else Store(folder, tables, work, text)
+        if folder is None:
+            kept: Kept | Store = Kept(work)
+        else:
+            kept = store = Store(folder, tables, work, text)
+            say_when_stopped(lambda: _stored(store, folder))
+            for words in store.remarks:
+                say(words)
         if kept.samples_done:
             say(f"resuming: {kept.samples_done} of {work.number} samples are there")
         pending = kept.pending
@@ -79,6 +90,12 @@ def study(
                 advance(chunk[1] - chunk[0], _good(work, found))
         done = work.study(*kept.load(), watch)
         return finished(section, work, done, watch.seconds, computed, say), work
+
+
+def _stored(store: Store, folder: Path) -> str:
+    """What a stopped study leaves."""
+    there = f"{store.samples_done} of {store.work.number} samples are kept in {folder}"
+    return f"{there}; the same command goes on from there"
 
 
 class Kept:

@@ -1,12 +1,13 @@
 """Axes that all figures share. Angles are drawn in arcmin, forces in N, times in seconds."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gearjax.checks import writing
+from gearjax.files import write_file
 from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
 
@@ -50,7 +51,6 @@ def save_figure(figure: Figure, path: Path) -> Path:
     Raises:
         GearjaxError: the file cannot be written.
     """
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=130)
-    return path
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=130)
+    return write_file(path, drawn.getvalue())

@@ -24,7 +24,8 @@ from gearjax.analysis import (
 from gearjax.analysis.dynamics import growth_rate, suitable_step
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
-from gearjax.checks import GearjaxError, SceneError, writing
+from gearjax.checks import GearjaxError, SceneError
+from gearjax.files import write_file
 from gearjax.results.profile import FORMATS, export_profile
 from gearjax.scene import METRICS, Published, Run, Scene
 from gearjax.systems import DiscProfile
@@ -241,12 +242,12 @@ def save(scene: Scene, cases: list[Case], config: str, folder: Path) -> list[Pat
     Raises:
         GearjaxError: the folder cannot be written.
     """
-    paths = [folder / "results.nc", folder / "curves.csv", folder / "metrics.csv"]
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        dataset(scene, cases, config).to_netcdf(paths[0], engine="scipy")
-        paths[1].write_text(_curves(scene, cases), encoding="utf-8")
-        paths[2].write_text(_metrics(cases), encoding="utf-8")
+    contents = {
+        "results.nc": bytes(dataset(scene, cases, config).to_netcdf(engine="scipy")),
+        "curves.csv": _curves(scene, cases),
+        "metrics.csv": _metrics(cases),
+    }
+    paths = [write_file(folder / name, content) for name, content in contents.items()]
     if isinstance(scene.system, DiscProfile):
         paths += [export_profile(scene.system, folder / f"disc{ending}") for ending in FORMATS]
     return paths

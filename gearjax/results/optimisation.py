@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import writing
 from gearjax.config import OptimiseSection, with_numbers
+from gearjax.files import write_file
 from gearjax.parameters import Parameter
 from gearjax.progress import Progress
 from gearjax.results.cases import Case, run_cases
@@ -183,8 +183,4 @@ def save_optimisation(found: Optimisation, config: str, folder: Path) -> list[Pa
         "metrics.csv": "\n".join(rows) + "\n",
         "optimised.toml": with_numbers(config, best, parameters),
     }
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+    return [write_file(folder / name, text) for name, text in texts.items()]

@@ -1,27 +1,38 @@
-"""Samples of a study on disk: a zarr group, read and written through xarray, chunk by chunk.
+"""Samples of a study on disk: a zarr group that xarray opens, written chunk by chunk, checked whenever it is read.
 
-A chunk counts once its flag is written, after its data: a killed run leaves at most one chunk to be worked out again.
-The configuration is inside; one with other samples does not go on with them. One run at a time holds the folder.
+A chunk is one file for each measure and one for the result codes, not compressed, so that what is there can be told
+before it is decoded. A mark is written after them, a hash of the study, of the chunk's place and of its files: a chunk
+that is missing, damaged, out of place or of another study does not fit its mark and is worked out again, and so is one
+that a killed run had no time to mark. The zarr metadata follow from the study; where they are damaged they are written
+again. The configuration is inside; one with other samples does not go on with them. One run at a time holds the folder.
 """
 
 import contextlib
+import hashlib
+import itertools
 import json
-import warnings
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gearjax.checks import GearjaxError, writing
+from gearjax.checks import GearjaxError, place, writing
 from gearjax.config.tables import flattened
 from gearjax.config.tolerance import sampled
+from gearjax.files import settle, write_file
 from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import Evaluated
 from gearjax.units import arcmin
 
 NAME = "samples.zarr"
-_FORMAT = 1
+_FORMAT = 2
+_NEW = f".{NAME}.new"
+_MARKS, _CODES = "done", "result"
+_ABOUT = "zarr.json"
+_LOOKED_AT = 64  # chunks that may tell whose samples these are, where the metadata do not
+_MARK_BYTES = 8
 
 
 class Store:
@@ -33,20 +44,32 @@ class Store:
         work: the study.
         config: text of the configuration.
 
+    Attributes:
+        done: which chunks are there.
+        damaged: indices of the chunks that were there and are so no more.
+
     Raises:
         GearjaxError: the folder cannot be written, or holds another study; the first differences are named.
     """
 
     def __init__(self, folder: Path, definition: dict[str, Any], work: Work, config: str):
         self.path, self.work = folder / NAME, work
-        wanted = {"format": _FORMAT, "chunk": work.chunk, **flattened(sampled(definition))}
+        wanted = {"format": _FORMAT, "gearjax": metadata.version("gearjax"), "chunk": work.chunk}
+        wanted |= flattened(sampled(definition))
+        self._study = json.dumps(wanted, sort_keys=True)
+        self._columns = {name: np.dtype("<f8") for name in work.names} | {_CODES: np.dtype("<i4")}
+        about = self._metadata(config)
         with writing(folder):
-            if not self.path.exists():
-                self._create(wanted, config)
+            if self.path.is_symlink() or self.path.exists():
+                self._check_study(wanted)
+                self.healed = self._heal(about)
             else:
-                self._compare(wanted)
-            with _opened(self.path) as known:
-                self.done = np.asarray(known["done"].values, dtype=bool)
+                self._create(about)
+                self.healed = False
+            marked = [self._marked(index) for index in range(len(work.chunks))]
+            whole = [mark and self._read(index) is not None for index, mark in enumerate(marked)]
+        self.done = np.array(whole, dtype=bool)
+        self.damaged = np.flatnonzero(np.array(marked, dtype=bool) & ~self.done)
 
     @property
     def pending(self) -> list[tuple[int, int]]:
@@ -58,60 +81,158 @@ class Store:
         """How many samples are there."""
         return sum(end - begin for (begin, end), done in zip(self.work.chunks, self.done, strict=True) if done)
 
+    @property
+    def remarks(self) -> list[str]:
+        """What of the stored samples was damaged, in words."""
+        found = [f"{self.path}: its metadata were damaged and are written again"] if self.healed else []
+        if len(self.damaged):
+            chunks = self.work.chunks
+            samples = sum(chunks[index][1] - chunks[index][0] for index in self.damaged)
+            found.append(
+                f"{self.path}: {len(self.damaged)} of {len(chunks)} chunks are damaged or missing: "
+                f"{samples} samples are worked out again"
+            )
+        return found
+
     def put(self, chunk: tuple[int, int], found: Evaluated) -> None:
         """Write a chunk; a chunk that is there already stays as it is."""
         index = chunk[0] // self.work.chunk
         if self.done[index]:
             return
         values, codes = found
-        with writing(self.path.parent):
-            self._write("sample", chunk, {**dict(zip(self.work.names, values.T, strict=True)), "result": codes})
-            self._write("chunk", (index, index + 1), {"done": np.ones(1, np.int8)})
+        filled = np.full((self.work.chunk, len(self.work.names)), np.nan)
+        filled[: len(values)] = values
+        told = np.full(self.work.chunk, -1)
+        told[: len(codes)] = codes
+        columns = [*filled.T, told]
+        contents = [column.astype(dtype).tobytes() for column, dtype in zip(columns, self._dtypes, strict=True)]
+        for path, content in zip(self._files(index), contents, strict=True):
+            write_file(path, content)
+        write_file(self._mark_file(index), self._mark(index, contents))
         self.done[index] = True
 
     def load(self) -> Evaluated:
-        """Measures and result codes of all samples."""
-        with _opened(self.path) as known:
-            values = np.stack([np.asarray(known[name].values) for name in self.work.names], axis=1)
-            return values, np.asarray(known["result"].values)
+        """Measures and result codes of all samples.
 
-    def _create(self, wanted: dict[str, Any], config: str) -> None:
-        import xarray as xr
+        Raises:
+            GearjaxError: a chunk was damaged since it was looked at.
+        """
+        values = np.empty((self.work.number, len(self.work.names)))
+        codes = np.empty(self.work.number, np.int32)
+        for index, (begin, end) in enumerate(self.work.chunks):
+            columns = self._read(index)
+            if columns is None:
+                words = f"samples {begin} to {end - 1} were damaged during this run: start it again"
+                raise GearjaxError(f"{place(self.path)}: {words}")
+            for column, found in enumerate(columns[:-1]):
+                values[begin:end, column] = found[: end - begin]
+            codes[begin:end] = columns[-1][: end - begin]
+        return values, codes
 
-        number, chunk = self.work.number, self.work.chunk
-        about = {"units": "rad", "per_arcmin": arcmin}
-        variables = {name: ("sample", np.full(number, np.nan), about) for name in self.work.names}
-        codes = ("sample", np.full(number, -1, np.int32), {"long_name": "result code, 0 good, -1 not yet done"})
-        flags = ("chunk", np.zeros(len(self.work.chunks), np.int8), {"long_name": "whether the chunk is written"})
-        attributes = {"config": config, "definition": json.dumps(wanted, sort_keys=True)}
-        data = xr.Dataset({**variables, "result": codes, "done": flags}, attrs=attributes)
-        encoding: dict[str, Any] = {name: {"chunks": (min(chunk, number),)} for name in (*variables, "result")}
-        encoding["done"] = {"chunks": (1,)}
-        started = self.path.with_suffix(".new")
-        _remove(started)
-        data.to_zarr(started, mode="w", encoding=encoding, consolidated=False)
-        started.rename(self.path)
+    @property
+    def _dtypes(self) -> list[np.dtype]:
+        return list(self._columns.values())
 
-    def _compare(self, wanted: dict[str, Any]) -> None:
+    def _files(self, index: int) -> list[Path]:
+        return [self.path / name / "c" / str(index) for name in self._columns]
+
+    def _mark_file(self, index: int) -> Path:
+        return self.path / _MARKS / "c" / str(index)
+
+    def _mark(self, index: int, contents: list[bytes]) -> bytes:
+        """What tells that these are the files of this chunk of this study."""
+        found = hashlib.blake2b(f"{self._study}\0{index}\0".encode(), digest_size=_MARK_BYTES)
+        for content in contents:
+            found.update(content)
+        return found.digest()
+
+    def _marked(self, index: int) -> bool:
+        """Whether the chunk was there once, as far as its mark tells."""
+        return self._mark_file(index).exists()
+
+    def _read(self, index: int) -> list[np.ndarray] | None:
+        """A chunk's measures and codes, shape (chunk,) each; ``None`` where it is not what was written."""
         try:
-            with _opened(self.path) as known:
-                stored = json.loads(known.attrs["definition"])
-        except (KeyError, ValueError, OSError) as fault:
-            raise GearjaxError(f"--out {self.path.parent}: {NAME} is not a study of gearjax: choose another") from fault
-        keys = sorted({*stored, *wanted})
-        differing = [key for key in keys if stored.get(key) != wanted.get(key)]
-        if differing:
-            words = "; ".join(f"{key}: {_shown(stored, key)} there, {_shown(wanted, key)} now" for key in differing[:3])
-            more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
-            raise GearjaxError(
-                f"{self.path.parent} holds another study ({words}{more}): choose another --out, or remove {NAME}"
-            )
+            contents = [path.read_bytes() for path in self._files(index)]
+            mark = self._mark_file(index).read_bytes()
+        except OSError:  # missing, or what the disk cannot read any more
+            return None
+        sizes = [self.work.chunk * dtype.itemsize for dtype in self._dtypes]
+        if [len(content) for content in contents] != sizes or mark != self._mark(index, contents):
+            return None
+        return [np.frombuffer(content, dtype) for content, dtype in zip(contents, self._dtypes, strict=True)]
 
-    def _write(self, dimension: str, region: tuple[int, int], variables: dict[str, np.ndarray]) -> None:
-        import xarray as xr
+    def _metadata(self, config: str) -> dict[str, bytes]:
+        """What zarr says about such a study, by file."""
+        import zarr
+        from zarr.storage import MemoryStore
 
-        data = xr.Dataset({name: (dimension, values) for name, values in variables.items()})
-        data.to_zarr(self.path, region={dimension: slice(*region)}, consolidated=False)
+        found: dict[str, Any] = {}
+        attributes: dict[str, Any] = {"config": config, "definition": self._study}
+        group = zarr.create_group(MemoryStore(store_dict=found), attributes=attributes)
+        plain: dict[str, Any] = {"compressors": None, "filters": None}
+        sample: dict[str, Any] = {
+            "shape": (self.work.number,),
+            "chunks": (self.work.chunk,),
+            "dimension_names": ("sample",),
+        }
+        about: dict[str, Any] = {"units": "rad", "per_arcmin": arcmin}
+        for name in self.work.names:
+            group.create_array(name, dtype="<f8", fill_value=np.nan, attributes=about, **sample, **plain)
+        about = {"long_name": "result code, 0 good, -1 not yet done"}
+        group.create_array(_CODES, dtype="<i4", fill_value=-1, attributes=about, **sample, **plain)
+        chunk: dict[str, Any] = {"shape": (len(self.work.chunks),), "chunks": (1,), "dimension_names": ("chunk",)}
+        about = {"long_name": "hash of the study, of the chunk's index and of its files; 0 not yet done"}
+        group.create_array(_MARKS, dtype="<u8", fill_value=0, attributes=about, **chunk, **plain)
+        return {name: content.to_bytes() for name, content in found.items()}
+
+    def _create(self, about: dict[str, bytes]) -> None:
+        import shutil
+
+        started = self.path.with_name(_NEW)
+        shutil.rmtree(started, ignore_errors=True)  # of a run that was killed here
+        for name, content in about.items():
+            write_file(started / name, content)
+        for name in (*self._columns, _MARKS):
+            (started / name / "c").mkdir()
+            settle(started / name)
+        settle(started)
+        started.rename(self.path)
+        settle(self.path.parent)
+
+    def _check_study(self, wanted: dict[str, Any]) -> None:
+        """Refuse what is not this study."""
+        stored = _definition(self.path)
+        differing = [key for key in sorted({*stored, *wanted}) if stored.get(key) != wanted.get(key)]
+        if not differing:
+            return
+        marked = (index for index in range(len(self.work.chunks)) if self._marked(index))
+        looked_at = itertools.islice(marked, _LOOKED_AT)
+        foreign = not stored and _object(self.path / _ABOUT) is not None  # it says that it is something else
+        if not foreign and any(self._read(index) is not None for index in looked_at):
+            return  # the samples are of this study: only what is said about them is damaged
+        if not stored:
+            raise GearjaxError(f"--out {place(self.path.parent)}: {NAME} is not a study of gearjax: choose another")
+        words = "; ".join(f"{key}: {_shown(stored, key)} there, {_shown(wanted, key)} now" for key in differing[:3])
+        more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
+        raise GearjaxError(
+            f"{place(self.path.parent)} holds another study ({words}{more}): choose another --out, or remove {NAME}"
+        )
+
+    def _heal(self, about: dict[str, bytes]) -> bool:
+        """Write metadata again that are not as they were written; whether there were such."""
+        damaged = False
+        for name, content in about.items():
+            there, right = _object(self.path / name), json.loads(content)
+            if there == right:
+                continue
+            for one in (there, right) if name == _ABOUT else ():
+                # the text of the configuration is that of the last run: limits in it may have changed
+                if one is not None and isinstance(one.get("attributes"), dict):
+                    one["attributes"].pop("config", None)
+            damaged |= there != right
+            write_file(self.path / name, content)
+        return damaged
 
 
 @contextlib.contextmanager
@@ -130,7 +251,7 @@ def held(folder: Path) -> Iterator[None]:
             lock.acquire(timeout=0)
         except filelock.Timeout as fault:
             raise GearjaxError(
-                f"--out {folder}: another run is writing there: wait, or choose another folder"
+                f"--out {place(folder)}: another run is writing there: wait, or choose another folder"
             ) from fault
     try:
         yield
@@ -138,23 +259,24 @@ def held(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    import xarray as xr
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of zarr, that a format may change
-        data = xr.open_zarr(path, consolidated=False, chunks=None, mask_and_scale=False)
+def _object(path: Path) -> dict[str, Any] | None:
+    """The JSON object in a file; ``None`` where there is none."""
     try:
-        yield data
-    finally:
-        data.close()
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
-def _remove(path: Path) -> None:
-    import shutil
-
-    shutil.rmtree(path, ignore_errors=True)
+def _definition(path: Path) -> dict[str, Any]:
+    """What study a group says that it is of; empty where it does not."""
+    attributes = (_object(path / _ABOUT) or {}).get("attributes")
+    text = attributes.get("definition") if isinstance(attributes, dict) else None
+    try:
+        found = json.loads(text) if isinstance(text, str) else {}
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _shown(table: dict[str, Any], key: str) -> str:

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from gearjax.checks import GearjaxError, writing
+from gearjax.checks import GearjaxError
 from gearjax.config import ToleranceSection, with_numbers
+from gearjax.files import write_file
 from gearjax.progress import Progress
+from gearjax.results.needs import affordable
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Study, Tolerances, Work
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
@@ -253,9 +256,15 @@ def _matched(section: ToleranceSection, progress: Progress) -> MatchedAssembly |
 
 
 def shifts(section: ToleranceSection) -> list[PrecisionShift]:
-    """How far float32 shifts the quantiles of a section's measures."""
+    """How far float32 shifts the quantiles of a section's measures.
+
+    Raises:
+        GearjaxError: the scene lacks what a measure needs, or there is too little memory.
+    """
     options = {"sampler": section.sampler, "extremes": section.extremes, "chunk": section.chunk}
     number = min(SHIFTED, section.samples)
+    looked_at = dataclasses.replace(section, samples=number, sensitivity=0, allocation=None, assembly=None)
+    affordable(looked_at, len(jax.local_devices()), None)
     return precision_shifts(section.tolerances, section.measures, n=number, key=section.seed, **options)
 
 
@@ -308,8 +317,4 @@ def save_tolerance(found: ToleranceResults, work: Work, config: str, folder: Pat
             row = work.inputs(index, index + 1)[0].tolist()
             values = dict(zip(work.sample.paths, row, strict=True))
             texts[f"worst_{name}.toml"] = with_numbers(config, values, parameters)
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+    return [write_file(folder / name, text) for name, text in texts.items()]

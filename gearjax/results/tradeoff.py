@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gearjax.checks import writing
+from gearjax.files import write_file
 from gearjax.studies.tradeoff import Measured, Tradeoff
 from gearjax.units import arcmin
 
@@ -44,10 +44,7 @@ def save_tradeoff(found: Tradeoff, folder: Path) -> list[Path]:
     """
     lines = ["group,setting,error [arcmin],run [s],gradient [s],compile [s]"]
     lines += [f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))}" for row in found.rows]
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "tradeoff.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return [folder / "tradeoff.csv"]
+    return [write_file(folder / "tradeoff.csv", "\n".join(lines) + "\n")]
 
 
 def _numbers(row: Measured) -> list[str]:

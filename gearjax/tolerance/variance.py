@@ -103,7 +103,8 @@ def sensitivities(
             raise GearjaxError(f"sensitivity of {name}: {(~good).sum()} of {good.size} gear sets failed")
         column = np.where(good, column, column[good].mean())  # a failure counts as nothing special
         varies = np.ptp(column) > 0
-        indices = sobol.analyze(problem, column, calc_second_order=False, seed=key) if varies else None
+        # SALib takes a seed of 0 for none, and draws what the errors rest on as it comes
+        indices = sobol.analyze(problem, column, calc_second_order=False, seed=key + 1) if varies else None
         none = np.zeros(len(independent.paths))
         first, first_error, total, total_error = (none if indices is None else indices[part] for part in _PARTS)
         squares = ranges[:, index] ** 2

@@ -1,0 +1,286 @@
+"""What a tolerance study takes of memory, disk and time, told before any of it is set up.
+
+Sizes follow from what the study holds: its results, its further studies, and the curves of the examples that its
+program is made from. What a program itself takes was measured (peaks of whole runs on two cores, float64; the numbers
+below are above all of them, by up to two): it is told from the kind of its curves.
+"""
+
+import dataclasses
+import math
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from gearjax.analysis.dynamics import suitable_step
+from gearjax.checks import ParameterError, place
+from gearjax.compliance import AbstractCompliance
+from gearjax.config import ToleranceSection
+from gearjax.contact import HardContact
+from gearjax.results.store import NAME
+from gearjax.scene import Scene
+from gearjax.studies.select import numbers
+from gearjax.tolerance.curves import FINE
+from gearjax.tolerance.measures import TOGETHER
+from gearjax.tolerance.population import EXAMPLES
+
+GIB = 2.0**30
+PROGRAM = 0.5 * GIB  # Python, JAX, and programs of few contacts while they are compiled
+PROGRAM_PER_CONTACT = 4e6
+NUMBER = 8.0  # bytes
+JUDGED = 5  # numbers for each sample while a measure is judged: values, those that are good, sorted, below, drawn
+STRATA = 6  # the same of a Latin hypercube, whose orders of strata are kept for up to four names
+RESAMPLED = 1000  # numbers for each base sample while SALib resamples it, 100 times
+ROWS = 6  # copies of what a chunk is drawn from, on the host and on the devices
+LISTED = 300  # bytes for each chunk of a study
+TAKEN = 5  # arrays of the size of the examples' curves
+LOOKED_AT = 9  # arrays of the size of the contacts of gear sets whose analyses are done in full, for each curve
+STEPS = 8  # numbers for each step and gear set of a motion
+BLOCK = 4096  # bytes that a file takes on disk, at least
+SECONDS = {"quick": 0.6e-9, "balances": 3e-9, "other": 40e-9, "dynamic": 3e-9}  # of two cores, see `_work`
+DRAWN = 4e-7  # seconds for each number drawn, on the host
+BETWEEN = 7.0  # times as long where extremes are looked for between the samples
+SEARCHED = 1.5e-3  # seconds for each contact of a curve whose extremes are searched in full
+
+
+@dataclasses.dataclass(frozen=True)
+class Needs:
+    """What a study takes.
+
+    Args:
+        memory: at its peak, by the key of the configuration that it grows with [B]; "" for what does not grow.
+        disk: of the stored samples [B].
+        files: that hold them.
+        seconds: roughly, without compiling and further studies.
+    """
+
+    memory: dict[str, float]
+    disk: float
+    files: int
+    seconds: float
+
+    def words(self, stored: bool) -> str:
+        """The needs as they are told."""
+        disk = f", {_size(self.disk)} on disk" if stored else ""
+        return f"needs about {_size(sum(self.memory.values()))} of memory{disk} and roughly {_time(self.seconds)}"
+
+
+def needs(section: ToleranceSection, devices: int) -> Needs:
+    """What the study of a section takes; nothing of its size is made for that.
+
+    Args:
+        section: what is asked for.
+        devices: how many work side by side.
+    """
+    free, measured = len(section.tolerances.paths), len(section.measures)
+    chunk = min(section.chunk, section.samples)
+    chunks = math.ceil(section.samples / chunk)
+    contacts = _contacts(section.tolerances.scene)
+    kinds = _kinds(section)
+    judged = JUDGED + (STRATA if section.sampler == "latin_hypercube" else 0)
+    memory = {
+        "": PROGRAM + PROGRAM_PER_CONTACT * contacts,
+        "tolerance.samples": section.samples * (NUMBER * (measured + judged) + 4),
+        "tolerance.chunk": chunk * ROWS * NUMBER * (free + measured) + chunks * LISTED,
+        "run.samples": sum(_curves(section, kind, contacts, devices) for kind in kinds),
+        "tolerance.sensitivity.samples": section.sensitivity * NUMBER * (RESAMPLED + 4 * (free + 2) * free),
+        "tolerance.assembly.units": 0.0,
+    }
+    if section.assembly is not None:
+        rows = section.assembly.units * section.assembly.starts
+        memory["tolerance.assembly.units"] = rows * NUMBER * (4 * free + 4 * len(section.assembly.where))
+    column, codes = (math.ceil(chunk * size / BLOCK) for size in (NUMBER, NUMBER / 2))
+    disk = float(chunks * BLOCK * (column * measured + codes + 1))
+    seconds = free * DRAWN + 2 / devices * sum(_work(section, kind, contacts) for kind in kinds)
+    return Needs(memory, disk, chunks * (measured + 2), section.samples * seconds)
+
+
+def affordable(section: ToleranceSection, devices: int, folder: Path | None) -> Needs:
+    """What the study of a section takes, where this machine has it.
+
+    Args:
+        section: what is asked for.
+        devices: how many work side by side.
+        folder: of the stored samples; ``None`` where they are not stored.
+
+    Raises:
+        ParameterError: there is too little memory or disk, with what would fit.
+    """
+    found, available = needs(section, devices), free_memory()
+    total = sum(found.memory.values())
+    if available is not None and total > available:
+        key = max((key for key in found.memory if key), key=found.memory.__getitem__)
+        share = (available - (total - found.memory[key])) / found.memory[key]
+        words = f"needs about {_size(total)} of memory, {_size(available)} are free"
+        raise ParameterError(key, _given(section, key), f"{words}; {_fitting(_given(section, key), share, key)}")
+    if folder is not None:
+        _check_disk(section, found, folder)
+    return found
+
+
+def free_memory() -> float | None:
+    """What this process may still take [B]; ``None`` where the system does not say."""
+    return min(_free(), default=None)
+
+
+def _free() -> Iterator[float]:
+    try:
+        rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
+        yield 1024.0 * int(rows["MemAvailable"].split()[0])
+    except (OSError, KeyError, ValueError):
+        try:
+            yield float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        except (AttributeError, OSError, ValueError):
+            return
+    for folder, limit, used in _groups():
+        try:
+            allowed = int((folder / limit).read_text(encoding="ascii"))
+            taken = int((folder / used).read_text(encoding="ascii"))
+            rows = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
+        except (OSError, ValueError):  # no such group, or "max"
+            continue
+        # what files take there is given back when it is needed
+        yield float(allowed - taken + int(rows.get("file", rows.get("total_cache", 0))))
+
+
+def _groups() -> Iterator[tuple[Path, str, str]]:
+    """Control groups that this process is in, with the names of their limits, of both versions of Linux'."""
+    try:
+        own = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return
+    for line in own:
+        _, controllers, path = line.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = Path("/sys/fs/cgroup") / ("memory" if controllers else "")
+        limit, used = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
+        inner = root / path.strip("/")
+        for folder in (inner, *(level for level in inner.parents if level.is_relative_to(root))):
+            yield folder, f"memory.{limit}", f"memory.{used}"
+
+
+def _check_disk(section: ToleranceSection, found: Needs, folder: Path) -> None:
+    level = next(level for level in (folder, *folder.absolute().parents) if level.exists())
+    marks = folder / NAME / "done" / "c"
+    chunks = math.ceil(section.samples / min(section.chunk, section.samples))
+    left = max(0.0, 1 - (len(os.listdir(marks)) if marks.is_dir() else 0) / chunks)
+    free = shutil.disk_usage(level).free
+    if found.disk * left > free:
+        share = free / (found.disk * left)
+        words = f"its samples take {_size(found.disk * left)} on disk, {_size(free)} are free in {place(level)}"
+        fits = _fitting(section.samples, share, "tolerance.samples")
+        raise ParameterError("tolerance.samples", section.samples, f"{words}; {fits}, or leave --out out with --json")
+    if not hasattr(os, "statvfs"):
+        return
+    disk = os.statvfs(level)
+    if disk.f_files and found.files * left > disk.f_favail:  # 0 where there are as many as one likes
+        least = math.ceil(section.chunk * found.files * left / max(disk.f_favail, 1))
+        words = f"its samples take {found.files} files, {disk.f_favail} more can be made in {place(level)}"
+        raise ParameterError("tolerance.chunk", section.chunk, f"{words}; raise it to {least} or more")
+
+
+def _given(section: ToleranceSection, key: str) -> int:
+    run, assembly = section.tolerances.scene.run, section.assembly
+    return {
+        "tolerance.samples": section.samples,
+        "tolerance.chunk": section.chunk,
+        "run.samples": 0 if run is None else run.samples,
+        "tolerance.sensitivity.samples": section.sensitivity,
+        "tolerance.assembly.units": 0 if assembly is None else assembly.units,
+    }[key]
+
+
+def _fitting(given: int, share: float, key: str) -> str:
+    """What of a number fits, to two digits."""
+    if key == "tolerance.chunk" and given < 1024:
+        return "raise it: each chunk takes memory of its own"
+    most = given * share
+    if most < 2:
+        return "nothing fits: use a machine with more"
+    step = 10.0 ** max(0, math.floor(math.log10(most)) - 1)
+    return f"at most {math.floor(most / step) * step:.0f} fit"
+
+
+def _contacts(scene: Scene) -> int:
+    """Candidate contacts of a gear set, both flanks."""
+    found = jax.eval_shape(scene.contacts, jax.ShapeDtypeStruct((), scene.dtype))
+    return found.gap.shape[0]
+
+
+def _kinds(section: ToleranceSection) -> set[str]:
+    """How the curves of the measures come, as `gearjax.tolerance.measures` chooses."""
+    scene, paths = section.tolerances.scene, section.tolerances.paths
+    found = {"dynamic"} if any(measure.analysis == "dynamic" for measure in section.measures) else set()
+    still = [measure for measure in section.measures if measure.analysis != "dynamic"]
+    if not still:
+        return found
+    varies = any(path.startswith("system.") for path in paths)
+    if not isinstance(scene.contact, HardContact) or varies:
+        return found | {"other"}
+    if not scene.system.two_sided:
+        return found | {"quick"}
+    linear = all(m.analysis != "static" for m in still) or isinstance(scene.compliance, AbstractCompliance)
+    return found | {"balances" if linear and section.extremes == "samples" else "other"}
+
+
+def _angles(section: ToleranceSection) -> int:
+    run = section.tolerances.scene.run
+    assert run is not None  # read_tolerance refuses a scene without
+    return run.samples
+
+
+def _numbers_of(section: ToleranceSection, dynamic: bool) -> int:
+    """How many curves of gear sets are looked at."""
+    return len({(m.analysis, m.torque) for m in section.measures if (m.analysis == "dynamic") == dynamic})
+
+
+def _curves(section: ToleranceSection, kind: str, contacts: int, devices: int) -> float:
+    """Memory of curves over all input angles [B]."""
+    scene = section.tolerances.scene
+    together = TOGETHER[kind] * devices
+    if kind == "dynamic":
+        return (_steps(scene) + _angles(section) * contacts) * STEPS * NUMBER * together
+    if kind == "quick":  # examples at the angles and between them, and gear sets side by side
+        shared = EXAMPLES * FINE * TAKEN
+        return _angles(section) * NUMBER * contacts * (shared + together * _numbers_of(section, False))
+    if kind == "balances":  # what one unit of each number opens, where errors of single pins look at all pins
+        known = numbers(scene)
+        tables = 5 + 2 * len({path.split(".")[1] for path in section.tolerances.paths if path.count(".")})
+        return _angles(section) * NUMBER * contacts * tables * (1 + sum(path.endswith("]") for path in known))
+    return _angles(section) * NUMBER * contacts * together * LOOKED_AT * _numbers_of(section, False)
+
+
+def _work(section: ToleranceSection, kind: str, contacts: int) -> float:
+    """Time of a gear set on two cores, roughly [s]."""
+    if kind == "dynamic":
+        return _numbers_of(section, True) * _steps(section.tolerances.scene) * SECONDS[kind]
+    seconds = _angles(section) * SECONDS[kind]
+    if section.extremes == "between":
+        seconds = BETWEEN * seconds + (SEARCHED if kind == "other" else 0.0)
+    return _numbers_of(section, False) * contacts * seconds
+
+
+def _steps(scene: Scene) -> float:
+    """Steps of a motion."""
+    run = scene.run
+    assert run is not None
+    return max(run.duration / suitable_step(scene, run.duration).step, float(run.samples))
+
+
+def _size(number: float) -> str:
+    return f"{number / GIB:.2g} GiB" if 0.1 * GIB <= number < 100 * GIB else _small_or_large(number)
+
+
+def _small_or_large(number: float) -> str:
+    return f"{number / GIB:,.0f} GiB" if number >= GIB else f"{max(1.0, np.ceil(number / 2**20)):.0f} MiB"
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}" if seconds < 99 * size else f"{seconds / size:,.0f} {unit}"
+    return f"{max(1, round(seconds))} s"

@@ -1,0 +1,168 @@
+"""What a tolerance study takes of memory, disk and time: told beforehand, refused with what would fit."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+import tracemalloc
+
+import pytest
+
+from gearjax.checks import GearjaxError
+from gearjax.config import loads_tolerance
+from gearjax.results import needs as room
+from gearjax.results.needs import GIB, affordable, free_memory, needs
+from gearjax.results.tolerance import shifts
+from tests.conftest import ROOT
+from tests.test_tolerance_command import command, small
+
+
+def section(**words):
+    return loads_tolerance(small(**words))[2]
+
+
+def wide(angles: int, **words) -> str:
+    text = small(**words)
+    assert "samples = 201" in text
+    return text.replace("samples = 201", f"samples = {angles}")
+
+
+@pytest.fixture
+def sixteen(monkeypatch):
+    """A machine with 16 GiB of free memory."""
+    monkeypatch.setattr(room, "free_memory", lambda: 16 * GIB)
+
+
+@pytest.mark.usefixtures("sixteen")
+@pytest.mark.parametrize("sampler", ["monte_carlo", "latin_hypercube", "sobol"])
+def test_a_study_that_is_too_large_is_refused_without_taking_anything(tmp_path, capsys, sampler):
+    config = tmp_path / "study.toml"
+    text = small(samples=1_000_000_000).replace('sampler = "sobol"', f'sampler = "{sampler}"')
+    config.write_text(text)
+    tracemalloc.start()
+    try:
+        assert command(str(config), "--out", str(tmp_path / "out"), "--json") == 2
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 100e6
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("\n") == 1
+    assert "tolerance.samples = 1000000000: needs about" in shown.err
+    assert "16 GiB are free; at most" in shown.err
+    fits = int(shown.err.split("at most ")[1].split()[0])
+    assert 1e8 <= fits < 5e8
+    affordable(loads_tolerance(text.replace("1000000000", str(fits)))[2], 2, None)  # and it does fit
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("sixteen")
+def test_too_many_angles_are_refused_with_how_many_fit(tmp_path, capsys):
+    config = tmp_path / "study.toml"
+    config.write_text(wide(10_000_000))
+    assert command(str(config), "--json") == 2
+    shown = capsys.readouterr().err
+    assert shown.count("\n") == 1
+    assert "run.samples = 10000000: needs about" in shown
+    fits = int(shown.split("at most ")[1].split()[0])
+    affordable(loads_tolerance(wide(fits))[2], 2, None)
+    with pytest.raises(GearjaxError, match=r"run.samples = 10000000"):
+        shifts(loads_tolerance(wide(10_000_000))[2])  # of gearjax tradeoff
+
+
+@pytest.mark.usefixtures("sixteen")
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ({"samples": 10**9, "chunk": 1}, r"tolerance.chunk = 1: .*raise it"),
+        ({"samples": 12 * 10**7, "chunk": 2**24}, r"tolerance.chunk = 16777216: .*at most"),
+    ],
+)
+def test_chunks_count_too(words, named):
+    with pytest.raises(GearjaxError, match=named):
+        affordable(section(**words), 2, None)
+
+
+@pytest.mark.usefixtures("sixteen")
+def test_further_studies_count_too():
+    with pytest.raises(GearjaxError, match=r"tolerance.sensitivity.samples = 16777216: .*at most"):
+        affordable(dataclasses.replace(section(), sensitivity=2**24), 2, None)
+
+
+def test_the_disk_is_looked_at(tmp_path, monkeypatch):
+    monkeypatch.setattr(room, "free_memory", lambda: None)
+    asked = section(samples=10**8, chunk=16384)
+    affordable(asked, 2, None)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1e9}))
+    with pytest.raises(GearjaxError, match=r"take 2.6 GiB on disk, 0.93 GiB are free .*; at most 35000000 fit"):
+        affordable(asked, 2, tmp_path / "out")
+    affordable(section(samples=3 * 10**7, chunk=16384), 2, tmp_path / "out")
+
+
+def test_what_is_stored_already_needs_no_room(tmp_path, monkeypatch):
+    monkeypatch.setattr(room, "free_memory", lambda: None)
+    asked = section(samples=10**6, chunk=10**5)
+    marks = tmp_path / room.NAME / "done" / "c"
+    marks.mkdir(parents=True)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 4e6}))
+    with pytest.raises(GearjaxError, match="on disk"):
+        affordable(asked, 2, tmp_path)
+    for index in range(9):
+        (marks / str(index)).touch()
+    affordable(asked, 2, tmp_path)
+
+
+@pytest.mark.slow
+def test_the_stored_size_is_the_one_told(tmp_path, capsys):
+    config, out = tmp_path / "study.toml", tmp_path / "out"
+    config.write_text(small(samples=2000, chunk=1000))
+    assert command(str(config), "--out", str(out), "--json") == 0
+    shown = capsys.readouterr().err
+    assert "needs about" in shown
+    assert "on disk and roughly" in shown
+    told = needs(loads_tolerance(config.read_text())[2], 1)
+    chunks = [path for path in (out / room.NAME).rglob("*") if path.is_file() and path.parent.name == "c"]
+    assert len(chunks) == told.files
+    rounded = sum(-(-path.stat().st_size // room.BLOCK) * room.BLOCK for path in chunks)
+    assert rounded == told.disk
+
+
+def test_limits_of_a_control_group_count(tmp_path, monkeypatch):
+    free = free_memory()
+    assert free is None or free > 0
+    group = tmp_path / "group"
+    group.mkdir()
+    (group / "memory.max").write_text("2000000\n")
+    (group / "memory.current").write_text("1500000\n")
+    (group / "memory.stat").write_text("anon 500000\nfile 1000000\n")
+    monkeypatch.setattr(room, "_groups", lambda: iter([(group, "memory.max", "memory.current")]))
+    assert free_memory() == 1_500_000
+    (group / "memory.max").write_text("max\n")
+    assert free_memory() == pytest.approx(free, rel=0.9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("samples", "angles", "words"),
+    [
+        (200, 201, {}),
+        (1_000_000, 201, {"extremes": "samples", "chunk": 16384}),
+        (200, 20_001, {"extremes": "samples"}),
+    ],
+)
+def test_a_study_takes_what_it_is_said_to_take(tmp_path, samples, angles, words):
+    """Peak memory of a whole run lies below what was told, and above half of it."""
+    config = tmp_path / "study.toml"
+    config.write_text(wide(angles, samples=samples, **words))
+    code = (
+        "import resource, sys; from gearjax.cli import main\n"
+        "try: main(['tolerance', sys.argv[1], '--json'])\n"
+        "except SystemExit: print('\\n', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, str(config)], capture_output=True, text=True, cwd=ROOT)
+    printed, peak = ended.stdout.rsplit("\n", 2)[0], float(ended.stdout.split()[-1])
+    assert json.loads(printed)["samples"] == samples
+    unit = 1.0 if sys.platform == "darwin" else 1024.0
+    told = sum(needs(loads_tolerance(config.read_text())[2], 2).memory.values())
+    assert 0.5 * told < peak * unit < told

@@ -1,0 +1,149 @@
+"""Ctrl-C: real processes and real signals; and the same study printed twice."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gearjax.cli import main, stopping
+from gearjax.results.store import NAME
+from tests.conftest import CONFIG, ROOT
+from tests.test_tolerance_command import CONFIG as WHOLE
+from tests.test_tolerance_command import small
+
+PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
+NOTHING = "nothing of this run was kept; the same command begins again"
+
+
+class Running:
+    """A command as a process of its own."""
+
+    def __init__(self, *arguments: str, folder: Path):
+        self.errors = folder / "stderr"
+        with self.errors.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "gearjax", *arguments],
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                cwd=ROOT,
+                env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},  # every program is compiled
+                start_new_session=True,
+            )
+
+    def stopped(self, once: Callable[[], bool], group: bool = False) -> str:
+        """What it says when SIGINT comes as soon as something holds, which is checked to end it at once."""
+        deadline = time.monotonic() + 240
+        while not once():
+            assert time.monotonic() < deadline
+            assert self.process.poll() is None, self.said
+            time.sleep(0.01)
+        sent = time.monotonic()
+        (os.killpg if group else os.kill)(self.process.pid, signal.SIGINT)
+        printed, _ = self.process.communicate(timeout=60)
+        assert time.monotonic() - sent < 10
+        assert self.process.returncode == 130
+        assert printed == b""
+        assert "Traceback" not in self.said
+        *_, last = self.said.splitlines()
+        assert self.said.count("gearjax: stopped: ") == 1
+        assert last.startswith("gearjax: stopped: ")
+        return last
+
+    @property
+    def said(self) -> str:
+        return self.errors.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "begun"),
+    [
+        (["run", str(CONFIG)], "note: "),
+        (["optimise", str(PHASES)], "grid of"),
+        (["tradeoff", str(CONFIG)], "truth"),
+        (["reproduce", "two_kv"], "computing"),
+    ],
+)
+def test_ctrl_c_ends_a_command_with_a_line(tmp_path, arguments, begun):
+    out = tmp_path / "out"
+    running = Running(*arguments, "--out", str(out), folder=tmp_path)
+    assert running.stopped(lambda: begun in running.said).endswith(NOTHING)
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
+    config, out = tmp_path / "study.toml", tmp_path / "out"
+    config.write_text(small(samples=60_000, chunk=256, extremes="samples"), encoding="utf-8")
+    line = ["tolerance", str(config), "--json", "--out", str(out)]
+    marks = out / NAME / "done" / "c"
+    running = Running(*line, folder=tmp_path)
+    last = running.stopped(lambda: marks.exists() and len(list(marks.iterdir())) > 3)
+    found = re.fullmatch(
+        r"gearjax: stopped: (\d+) of 60000 samples are kept in (.*); the same command goes on from there", last
+    )
+    assert found
+    assert found[2] == str(out)
+    kept = int(found[1])
+    assert 3 * 256 <= kept < 60_000
+    assert [path for path in out.rglob("*") if path.name.endswith((".part", ".new"))] == []
+    ended = subprocess.run([sys.executable, "-m", "gearjax", *line], capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 0
+    assert f"resuming: {kept} of 60000 samples are there" in ended.stderr
+    whole = [*line[:-1], str(tmp_path / "whole")]
+    other = subprocess.run([sys.executable, "-m", "gearjax", *whole], capture_output=True, text=True, cwd=ROOT)
+    assert json.loads(ended.stdout)["computed"] == 60_000 - kept
+    assert json.loads(ended.stdout)["measures"] == json.loads(other.stdout)["measures"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--workers", "2"]])
+def test_a_stopped_study_without_a_folder_keeps_nothing(tmp_path, options):
+    config = tmp_path / "study.toml"
+    config.write_text(small(samples=1_000_000), encoding="utf-8")
+    running = Running("tolerance", str(config), "--json", *options, folder=tmp_path)
+    begun = "cluster" if options else "needs"
+    assert running.stopped(lambda: begun in running.said, group=True).endswith(NOTHING)
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, EOFError])
+def test_within_another_program_ctrl_c_is_a_line_too(monkeypatch, capsys, fault):
+    def interrupted(*_arguments, **_words):
+        raise fault
+
+    monkeypatch.setattr("gearjax.cli.commands.run_cases", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(CONFIG), "--json"])
+    assert ended.value.code == stopping.CODE
+    shown = capsys.readouterr()
+    assert shown.err.splitlines()[-1] == f"gearjax: stopped: {NOTHING}"
+    assert "Traceback" not in shown.err
+
+
+def without_times(found: dict) -> dict:
+    """A JSON object without run times, whose names have the word "second" in them."""
+    return {
+        key: without_times(value) if isinstance(value, dict) else value
+        for key, value in found.items()
+        if "second" not in key
+    }
+
+
+@pytest.mark.slow
+def test_the_same_study_twice_prints_the_same(tmp_path):
+    """Every study of the example, in two processes, to the last bit."""
+    text = WHOLE.read_text(encoding="utf-8").replace("samples = 20000", "samples = 100").replace("= 1024 ", "= 16 ")
+    config = tmp_path / "whole.toml"
+    config.write_text(text.replace("units = 1000", "units = 4").replace("samples = 1581", "samples = 101"))
+    line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json"]
+    printed = [subprocess.run(line, capture_output=True, check=True, cwd=ROOT).stdout for _ in range(2)]
+    first, second = (without_times(json.loads(text)) for text in printed)
+    assert {"sensitivity", "allocation", "assembly", "halved_tolerance_yield"} <= set(first)
+    assert json.dumps(first) == json.dumps(second)
