@@ -52,9 +52,7 @@ def is_separable(scene: Scene, free: Free) -> bool:
     two-sided contacts do changes with the input angle."""
     owners = [tuple(path.split(".")[:2]) for path in free.paths]
     return (
-        not scene.system.two_sided
-        and all(owner[0] == "errors" for owner in owners)
-        and len(set(owners)) == len(owners)
+        not scene.system.two_sided and all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
     )
 
 
