@@ -245,7 +245,7 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
     ("contact_pressure", "two_kv", ""): "line contacts",
     ("allocate", "", "phase"): "is no tolerance",
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
-    ("minimise", "two_kv", "element"): "does not depend on it",
+    **{(name, "two_kv", "element"): "does not depend on it" for name in ("grid_search", "minimise", "optimise")},
 }
 
 
