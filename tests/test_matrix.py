@@ -333,7 +333,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
 
 
 def test_every_command_is_listed():
-    listed = {command.name or command.callback.__name__ for command in app.registered_commands}
+    listed = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
     assert listed == set(COMMANDS)
 
 

@@ -83,8 +83,8 @@ def ends(
     def at(place: Float[Array, " lane"], lever: Array, gap: Array) -> Float[Array, " lane"]:
         weights = _weights(place)[:, None]
         # worked out once: fused with what uses them, they would be worked out again for every use
-        here = jax.lax.optimization_barrier(((weights * lever).sum(axis=0), (weights * gap).sum(axis=0)))
-        return sign * curve(*here, near)
+        lever, gap = jax.lax.optimization_barrier(((weights * lever).sum(axis=0), (weights * gap).sum(axis=0)))
+        return sign * curve(lever, gap, near)
 
     near = jnp.take_along_axis(frozen, tops, axis=0).ravel()
     fixed = jax.lax.stop_gradient((lever, gap))
