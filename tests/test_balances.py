@@ -186,3 +186,31 @@ def test_numbers_that_open_gaps_together_have_tables_of_their_own():
     sums = AffineGaps.of(gap, at, examples)
     assert sums.influence.shape == (7, 2, 3)
     assert AffineGaps.of(lambda numbers, at: gap(numbers**2, at), at, examples) is None
+
+
+BETWEEN = ["static.maximum@784Nm", "static.minimum@784Nm", "no_load.minimum", "backlash.maximum"]
+
+
+@pytest.mark.slow
+def test_extremes_between_samples_are_those_of_the_analyses():
+    """Eight samples per pin, where the analyses find them from slopes: within 1e-3 of the larger peak-to-peak. One per
+    pin, as of the record with eight: the samples alone miss up to a tenth."""
+    population = some_pins()
+    rows = population.examples[:3]
+    theta = np.linspace(0.0, 0.5, 26)
+    found = Measures([Measure.named(name) for name in BETWEEN], population, theta, "between")
+    assert isinstance(found.curves, Balances)
+    few = Measures([Measure.named(name) for name in BETWEEN], population, theta[::5], "between")
+    assert isinstance(few.curves, Balances)
+    assert few.places > 1
+    values, codes = jax.jit(found.rows)(jnp.asarray(rows))
+    sparse = jax.jit(few.rows)(jnp.asarray(rows))[0]
+    assert not codes.any()
+    for row, own, other in zip(rows, np.asarray(values), np.asarray(sparse), strict=True):
+        one = population.with_values(jnp.asarray(row))
+        te, play = gj.transmission_error(one, theta, 784.0).extremes, gj.backlash(one, theta)
+        empty = gj.transmission_error(one, theta).extremes
+        expected = [float(x) for x in (te.maximum, te.minimum, empty.minimum, play.extremes.maximum)]
+        swing = float(empty.maximum - empty.minimum)
+        np.testing.assert_allclose(own, expected, atol=1e-3 * swing)
+        np.testing.assert_allclose(other, expected, atol=5e-3 * swing)

@@ -1,7 +1,9 @@
 """Grid searches: the structured one against every combination, and the paper's own grid."""
 
 import dataclasses
+import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ import pytest
 import gearjax as gj
 from gearjax.studies import separable
 from gearjax.studies.select import numbers, pick
-from gearjax.units import arcmin, deg, um
+from gearjax.units import arcmin, deg, mm, um
+from tests import rv
+from tests.conftest import ROOT
 
 PHASES = [f"errors.{body}.phase" for body in ("planet_1", "planet_2", "revolution", "output_wheel")]
 
@@ -177,3 +181,84 @@ def test_the_grid_of_the_paper(scene, duration, objective, phases):
     assert words[0].startswith("grid of 1679616 combinations")
     if duration == 15.8:
         np.testing.assert_allclose(found.objectives[1:3] / arcmin, 0.633540, atol=2e-6)
+
+
+def of_pins(random) -> gj.Scene:
+    """An RV reducer of five pins whose errors are drawn."""
+    small = {"pins": 5, "pin_circle": 20 * mm, "pin_radius": 2 * mm, "eccentricity": 1.2 * mm}
+    errors = {
+        "throw": gj.Eccentricity("throw", random.uniform(1, 4) * um, random.uniform(-3, 3)),
+        "disc": gj.Eccentricity("disc_1", random.uniform(1, 4) * um, random.uniform(-3, 3)),
+        "pins": gj.Positions("pin_ring", random.normal(0, 2 * um, 5), []),
+    }
+    return gj.Scene(rv.system(**small), errors, compliance=rv.LINEAR)
+
+
+SMALL = np.linspace(0.0, 6.0, 25)
+NUMBERS = {  # of each kind: a phase, an amplitude, one of a series, one of the system; levels apart, and bounds
+    "errors.throw.phase": (90 * deg, None),
+    "errors.disc.amplitude": (2 * um, (0.0, 4 * um)),
+    "errors.pins.outward[0]": (3 * um, (-3 * um, 3 * um)),
+    "system.isometric_modification": (2 * um, (-23 * um, -19 * um)),
+}
+
+
+def one_by_one(scene, paths, levels, curve, metric):
+    """Objectives of all combinations by the analyses themselves, the order as by `itertools.product`."""
+    points = np.array(list(itertools.product(*levels)))
+    free = pick(scene, paths)
+    judge = jax.jit(lambda point: getattr(curve(free.set(scene, point)), metric))
+    return points, np.array([float(judge(jnp.asarray(point))) for point in points])
+
+
+@pytest.mark.parametrize(
+    ("name", "torque"),
+    [
+        ("no_load_amplitude", None),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("no_load_peak_to_peak", None), ("static_peak_to_peak", 20.0), ("backlash_range", None))
+        ),
+    ],
+)
+def test_contacts_that_touch_either_flank_are_searched_exactly(name, torque, rng):
+    """Numbers of every kind, random errors: what the bound leaves out was worse."""
+
+    def curve(scene):
+        return gj.backlash(scene, SMALL) if name == "backlash_range" else gj.transmission_error(scene, SMALL, torque)
+
+    scene = of_pins(rng)
+    paths = list(NUMBERS)
+    found = gj.grid_search(
+        name,
+        scene,
+        where=paths,
+        step={path: step for path, (step, _) in NUMBERS.items()},
+        bounds={path: ends for path, (_, ends) in NUMBERS.items() if ends},
+        theta=SMALL,
+        torque=torque,
+        keep=7,
+    )
+    levels = [
+        np.arange(-180, 180, 90) * deg if ends is None else np.arange(ends[0], ends[1] + 0.5 * step, step)
+        for step, ends in NUMBERS.values()
+    ]
+    points, objectives = one_by_one(scene, paths, levels, curve, "amplitude" if "ampl" in name else "peak_to_peak")
+    order = np.argsort(objectives, kind="stable")
+    assert found.combinations == len(points) == 4 * 3**3
+    np.testing.assert_allclose(found.objectives, objectives[order[:7]], rtol=1e-9)
+    place = np.flatnonzero(np.isclose(objectives, objectives.min(), rtol=1e-9))
+    assert np.isclose(points[place], found.best, atol=1e-12).all(axis=1).any()
+
+
+@pytest.mark.slow
+def test_single_pins_of_a_shipped_reducer_and_phases_of_both_discs():
+    scene = gj.load(ROOT / "configs" / "rv_cycloidal" / "hu_2020.toml")
+    theta = jnp.linspace(0.0, 6.2, 101)
+    paths = ["errors.disc_1.phase", "errors.disc_2.phase"]
+    found = gj.grid_search("no_load_amplitude", scene, where=paths, step=60 * deg, theta=theta, keep=3)
+    free = pick(scene, paths)
+    judge = jax.jit(lambda point: gj.transmission_error(free.set(scene, point), theta).amplitude)
+    each = [float(judge(jnp.asarray(p))) for p in itertools.product(np.arange(-180, 180, 60) * deg, repeat=2)]
+    np.testing.assert_allclose(found.objectives, np.sort(each)[:3], rtol=1e-9)
+    assert found.evaluated < 36

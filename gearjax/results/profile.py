@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from gearjax.arguments import one_number
-from gearjax.checks import ParameterError, SceneError, writing
+from gearjax.checks import ParameterError, SceneError
+from gearjax.files import write_file
 from gearjax.geometry.cycloid import Cycloid, profile
 from gearjax.results.dxf import DIGITS, drawing
 from gearjax.scene import Scene
@@ -65,10 +66,7 @@ def export_profile(of: AbstractSystem | Scene, path: str | Path, *, tolerance: f
     arcs = path.suffix.lower() == ".dxf"
     points, bulges = _pieces(system.profile, float(tolerance), arcs)
     text = drawing(points / mm, bulges, "profile") if arcs else _csv(points / mm)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="ascii")
-    return path
+    return write_file(path, text)
 
 
 def _csv(points: np.ndarray) -> str:

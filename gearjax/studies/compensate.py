@@ -308,7 +308,7 @@ def _others(free: Free, number: int) -> list[np.ndarray]:
     """Designs spread between the bounds."""
     from scipy.stats import qmc
 
-    low, high = np.array(free.bounds).T
+    low, high = free.box
     return [low + (high - low) * point for point in qmc.Halton(len(low), scramble=False).random(number + 1)[1:]]
 
 
@@ -321,7 +321,7 @@ def _descend(
     """
     from scipy import optimize
 
-    low, high = np.array(task.free.bounds).T
+    low, high = task.free.box
     scale = high - low
 
     def at(place: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:

@@ -22,9 +22,9 @@ from gearjax.typing import ArrayLike
 
 CHUNK = 16384  # combinations between two lines of progress
 JUDGED = 16  # combinations judged at once
-SURVIVORS = 256  # combinations judged at once after bounding
 BOUND_SAMPLES = 16  # per turn of the fastest error
 MOST_COMBINATIONS = 100_000_000
+ROUNDED, NO_MORE = 0.7, 0.01  # of a bound: power of the dtype's spacing, and positions that may round away [rad]
 
 
 class GridSearch(eqx.Module):
@@ -129,7 +129,7 @@ def grid_search(
 def _is_structured(objective: Objective, scene: Scene, free: Free) -> bool:
     names = ("no_load_amplitude", "no_load_peak_to_peak")
     alone = len(objective.terms) == 1 and objective.terms[0].name in names
-    return alone and isinstance(scene.contact, HardContact) and separable.is_separable(free)
+    return alone and isinstance(scene.contact, HardContact) and separable.is_separable(scene, free)
 
 
 def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]) -> np.ndarray:
@@ -223,7 +223,9 @@ def _exhaustive(
         coarse = objective.coarse(scene, BOUND_SAMPLES).tabulated(scene, free)
         require_influence(coarse, scene, free, low, high)
         bounds = each(values(coarse, scene, free, "sampled"), "bounded")
-        return _best_of(bounds, lambda flat: evaluate(numbers(flat)), numbers, keep, progress)
+        spacing = float(np.finfo(objective.theta.dtype).eps)
+        slack = spacing**ROUNDED, spacing * NO_MORE
+        return _best_of(bounds, lambda flat: evaluate(numbers(flat)), numbers, keep, slack, progress)
     require_influence(objective, scene, free, low, high, "hard")
     reached = each(evaluate, "evaluated")
     if not np.isfinite(reached).any():
@@ -233,14 +235,22 @@ def _exhaustive(
     return list(zip(reached[best].tolist(), numbers(best), strict=True)), total
 
 
-def _best_of(bounds: np.ndarray, judge: Values, numbers: Callable, keep: int, progress: Progress) -> Found:
-    """The best combinations from lower bounds of all: judged from the lowest bound on, until no other can be better."""
+def _best_of(
+    bounds: np.ndarray,
+    judge: Values,
+    numbers: Callable,
+    keep: int,
+    slack: tuple[float, float],
+    progress: Progress,
+) -> Found:
+    """The best combinations from lower bounds of all: judged from the lowest bound on, until no other can be better by
+    more than rounding, relative and in rad."""
     order = np.argsort(np.where(np.isfinite(bounds), bounds, np.inf), kind="stable")
     found: list[tuple[float, int]] = []
     evaluated = 0
     while evaluated < len(order):
-        part = order[evaluated : evaluated + SURVIVORS]
-        if len(found) == keep and bounds[part[0]] > found[-1][0] * (1 + 1e-12):
+        part = order[evaluated : evaluated + JUDGED]
+        if len(found) == keep and bounds[part[0]] > found[-1][0] * (1 + slack[0]) + slack[1]:
             break
         objectives = judge(part)
         evaluated += len(part)

@@ -21,7 +21,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from gearjax.scene import Scene
 from gearjax.studies.blocks import in_blocks
-from gearjax.studies.select import Free
+from gearjax.studies.select import Free, pick
 from gearjax.typing import Array, Float
 
 BLOCK = 16  # times written out in the inner loop
@@ -47,10 +47,13 @@ class Tables(NamedTuple):
         return tuple(axis.shape[0] for axis in self.axes)
 
 
-def is_separable(free: Free) -> bool:
-    """Whether every free number belongs to an error of its own."""
+def is_separable(scene: Scene, free: Free) -> bool:
+    """Whether every free number belongs to an error of its own, and the same contacts drive at all times: which of
+    two-sided contacts do changes with the input angle."""
     owners = [tuple(path.split(".")[:2]) for path in free.paths]
-    return all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
+    return (
+        not scene.system.two_sided and all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
+    )
 
 
 @eqx.filter_jit
@@ -72,11 +75,11 @@ def tables(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Arr
     base = each(eqx.tree_at(lambda s: s.errors, scene, rest)) if rest else zero
 
     def alone(path: str, owner: str, levels: Array) -> Float[Array, "level time pair"]:
-        name = path.split(".")[2]
+        bare = eqx.tree_at(lambda s: s.errors, scene, {owner: scene.errors[owner]})
+        chosen = pick(bare, path)
 
         def one(level):
-            error = eqx.tree_at(lambda e: getattr(e, name), scene.errors[owner], level)
-            return each(eqx.tree_at(lambda s: s.errors, scene, {owner: error})) - zero
+            return each(chosen.set(bare, level[None])) - zero
 
         return jax.vmap(one)(levels)
 

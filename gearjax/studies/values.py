@@ -14,9 +14,11 @@ from gearjax.studies.objective import Objective
 from gearjax.studies.select import Free, probed
 from gearjax.typing import Array, Float
 
-BLOCKS = (16, 512, 8192)
+BLOCKS = (16, 64, 512, 8192)
+CALL = 16  # points that are worked out while a block is called
 MOST_AT_ONCE = 512
-MOST_NUMBERS = 2**21  # samples times points worked on at once
+MOST_SAMPLES = 2**21  # times points worked on at once, of motions
+MOST_GAPS = 2**19  # samples times contacts times points worked on at once: beyond, they leave the processor's cache
 TRIED = 12  # points from which a number is tried for its influence
 Values = Callable[[np.ndarray], np.ndarray]
 
@@ -31,21 +33,33 @@ def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard") -
         kind: ``"hard"``, ``"refined"`` or ``"sampled"``: methods of the objective, the later the faster.
     """
     physics, dtype = objective.physics(scene, free), objective.theta.dtype
+    at_once = _at_once(objective, physics)
 
     def evaluate(points: np.ndarray) -> np.ndarray:
-        block = next((size for size in BLOCKS if len(points) <= size), BLOCKS[-1])
-        return in_blocks(lambda part: _block(objective, physics, free, jnp.asarray(part, dtype), kind), block, points)
+        block = min(BLOCKS, key=lambda size: -(-len(points) // size) * (size + CALL))  # the last one is filled up
+        batch = min(at_once, block)
+        return in_blocks(
+            lambda part: _block(objective, physics, free, jnp.asarray(part, dtype), kind, batch), block, points
+        )
 
     return evaluate
 
 
+def _at_once(objective: Objective, physics: Scene) -> int:
+    """Points that are worked on side by side: a power of two, which divides a block."""
+    samples = objective.theta.shape[0]
+    if objective.function is not None or objective.is_dynamic:
+        most = MOST_SAMPLES // samples
+    else:
+        most = MOST_GAPS // (samples * jax.eval_shape(physics.contacts, objective.theta[0]).gap.shape[0])
+    return 1 << (max(1, min(MOST_AT_ONCE, most)).bit_length() - 1)
+
+
 @eqx.filter_jit
-def _block(objective: Objective, physics: Scene, free: Free, points: Float[Array, "n free"], kind: str):
+def _block(objective: Objective, physics: Scene, free: Free, points: Float[Array, "n free"], kind: str, batch: int):
     def one(point: Float[Array, " free"]):
         return getattr(objective, kind)(free.set(physics, point))
 
-    batch = max(1, min(MOST_AT_ONCE, points.shape[0], MOST_NUMBERS // objective.theta.shape[0]))
-    batch = 1 << (batch.bit_length() - 1)  # divides the block
     return jax.lax.map(one, points, batch_size=batch)
 
 

@@ -103,7 +103,7 @@ def allocate(
         raise ParameterError("measure", measure.name, "has no limit")
     for path in costs:
         if path not in tolerances.tolerated:
-            raise ParameterError("costs", path, nearest(path, tolerances.tolerated))
+            raise ParameterError("costs", path, f"is no tolerance; {nearest(path, tolerances.tolerated)}")
     if not costs:
         raise ParameterError("costs", dict(costs), "names no tolerance")
     paths = tuple(costs)

@@ -9,10 +9,10 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.metrics import deviation
-from gearjax.checks import SceneError
+from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.progress import Progress, silent
 from gearjax.studies.descent import default_optimiser, descend
-from gearjax.studies.select import pick
+from gearjax.studies.select import numbers, pick
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measures import Measure, Measures
@@ -98,10 +98,18 @@ def matched_assembly(
         options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
 
     Raises:
+        ParameterError: ``where`` names something else than phases.
         SceneError: the measure does not allow a quick search.
     """
     from gearjax.tolerance.distributions import UniformPhase
 
+    known = numbers(tolerances.scene)
+    phases = [path for path in known if known[path].periodic]
+    if not where:
+        raise ParameterError("where", where, f"must be phases; {nearest('', phases)}")
+    for path in where:
+        if path not in phases or where.count(path) > 1:
+            raise ParameterError("where", path, f"must be phases, each once; {nearest(path, phases)}")
     added = {path: UniformPhase() for path in where if path not in tolerances.distributions}
     population = Tolerances(tolerances.scene, {**tolerances.distributions, **added}, tolerances.correlations)
     with Stopwatch() as watch:

@@ -19,6 +19,7 @@ from gearjax.contact.search import closed_side, hard_balance
 from gearjax.errors import AbstractError
 from gearjax.scene import Scene
 from gearjax.tolerance.affine import AffineGaps, summed
+from gearjax.tolerance.closer import ends, is_followed
 from gearjax.typing import Array, Float, Scalar
 
 EXAMPLES = 4  # gear sets whose gaps the sums are compared with
@@ -85,6 +86,36 @@ class Balances(eqx.Module):
             return jax.lax.stop_gradient(near), curves
 
         return jax.lax.scan(step, starts, tables)[1]
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether all of it is smooth enough to be looked at between the angles (`tops`)."""
+        return all(is_followed(table) for table in (self.lever, self.gaps.nominal, self.gaps.influence))
+
+    def tops(self, scenes: Scene, key: Key, curve: Float[Array, "n row"]) -> tuple[Array, Array]:
+        """Highest and lowest value of a curve of several gear sets, between the angles too, shape (row,) each [rad].
+
+        Args:
+            scenes: the gear sets, whose numbers have a leading axis.
+            key: the analysis.
+            curve: at the angles, as from `curves`.
+        """
+        analysis, torque = key
+        numbers = jax.vmap(lambda scene: _flat(scene, self.varied), out_axes=-1)(scenes)
+        terms = self.gaps.terms(numbers)
+        rows = curve.shape[1]
+
+        def tables(nodes: Array) -> tuple[Array, Array]:
+            opened = (self.gaps.influence[nodes] * jnp.moveaxis(terms, -1, 0)[None, None]).sum(axis=3)
+            return jnp.moveaxis(self.lever[nodes], -1, 1), jnp.moveaxis(self.gaps.nominal[nodes] + opened, -1, 1)
+
+        def of_lanes(lever: Array, gap: Array, near: Array) -> Array:
+            if torque is None:
+                return _edges(lever, gap, analysis)
+            load = jnp.tile(jax.vmap(_load, in_axes=(0, None))(scenes, torque), gap.shape[1] // rows)
+            return hard_balance(lever, gap, load, near)
+
+        return ends(of_lanes, tables, curve)
 
 
 def _numbers(scene: Scene, varied: Sequence[str]) -> dict[str, AbstractError]:

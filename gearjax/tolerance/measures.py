@@ -19,6 +19,7 @@ from gearjax.contact import HardContact
 from gearjax.scene import ANALYSES, METRICS, NEEDS, Scene, require
 from gearjax.studies.objective import SLOTS
 from gearjax.tolerance.balances import Balances
+from gearjax.tolerance.closer import closer, places_between
 from gearjax.tolerance.curves import Curves, Touches
 from gearjax.tolerance.population import Tolerances
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -154,7 +155,8 @@ class Measures:
         theta: ArrayLike | None,
         extremes: str,
     ):
-        scene = tolerances.scene
+        scene = self.scene = tolerances.scene
+        self.places = 1  # of the curves from one sample to the next
         self.measures, self.extremes = tuple(measures), extremes
         _check(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
@@ -178,12 +180,19 @@ class Measures:
         return dataclasses.replace(curves, series=None)
 
     def _balances(self, population: Scene, analyses: set[str]) -> Balances | None:
-        """Curves of two-sided contacts, where they come quickly: at the samples, with linear springs."""
+        """Curves of two-sided contacts, where they come quickly: with linear springs."""
         linear = "static" not in analyses or isinstance(population.compliance, AbstractCompliance)
-        if self._system_varies or not linear or self.extremes == "between":
+        if self._system_varies or not linear or population.system.exact:
             return None
         varied = [path.split(".")[1] for path in self.free.paths if path.startswith("errors.")]
-        return Balances.of(population, self.theta, varied)
+        if self.extremes == "samples":
+            return Balances.of(population, self.theta, varied)
+        places = places_between(self.scene, self.theta)
+        found = None if places is None else Balances.of(population, closer(self.theta, places), varied)
+        if found is None or places is None or not found.is_followed:
+            return None
+        self.places = places
+        return found
 
     @property
     def _system_varies(self) -> bool:
@@ -205,13 +214,16 @@ class Measures:
 
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
+        if isinstance(self.curves, Balances) and self.extremes == "between":
+            found, codes = self.rows(values[None])
+            return found[0], codes[0]
         scene = self.free.set(self.physics, values)
         curves = self.curves
         touches = curves.touches(scene) if isinstance(curves, Curves) else None
 
         def record(analysis: str, torque: float | None) -> Record:
             if isinstance(curves, Balances):
-                return _sampled(curves.curve(scene, analysis, torque))
+                return self._of_balances(curves.curve(scene, analysis, torque), None)
             if touches is None:
                 return _analysed(scene, self.theta, self.extremes, analysis, torque)
             return _quick(touches, analysis, torque)
@@ -232,11 +244,27 @@ class Measures:
         keys = list(dict.fromkeys((m.analysis, m.torque) for m in self.measures if m.analysis != "dynamic"))
         curves = self.curves.curves(scenes, keys)
 
-        def one(scene: Scene, curves: list[Array]) -> tuple[Array, Array]:
-            known = dict(zip(keys, curves, strict=True))
-            return _told(self.measures, self.motion, scene, lambda *key: _sampled(known[key]))
+        ends: list[tuple[Array, Array] | None] = [None] * len(keys)
+        if self.extremes == "between":
+            sought = {(m.analysis, m.torque) for m in self.measures if m.metric not in ("mean", "std")}
+            ends = [
+                self.curves.tops(scenes, key, curve) if key in sought else None
+                for key, curve in zip(keys, curves, strict=True)
+            ]
 
-        return jax.vmap(one, in_axes=(0, -1))(scenes, curves)
+        def one(scene: Scene, curves: list[Array], ends: list) -> tuple[Array, Array]:
+            known = dict(zip(keys, zip(curves, ends, strict=True), strict=True))
+            return _told(self.measures, self.motion, scene, lambda *key: self._of_balances(*known[key]))
+
+        return jax.vmap(one, in_axes=(0, -1, 0))(scenes, curves, ends)
+
+    def _of_balances(self, values: Float[Array, " m"], ends: tuple[Scalar, Scalar] | None) -> Record:
+        """Metrics of the samples of a curve, and its extremes where they are known."""
+        samples = values[:: self.places]
+        high, low = (
+            (lambda: top(samples), lambda: -top(-samples)) if ends is None else (lambda: ends[0], lambda: ends[1])
+        )
+        return Record(_of_curve(samples, high, low), jnp.where(jnp.isnan(values).any(), 3, 0))
 
 
 class SceneMeasures:
@@ -342,12 +370,6 @@ def _quick(touches: Touches, analysis: str, torque: float | None) -> Record:
     if touches.alike is not None:
         code = jnp.where(touches.alike, code, 4)
     return Record(_of_curve(values, high, low), code)
-
-
-def _sampled(values: Float[Array, " n"]) -> Record:
-    """Metrics of the samples of a curve."""
-    lost = jnp.isnan(values).any()
-    return Record(_of_curve(values, lambda: top(values), lambda: -top(-values)), jnp.where(lost, 3, 0))
 
 
 def _lost(values: Float[Array, " n"], analysis: str) -> Array:

@@ -1,0 +1,118 @@
+"""Extremes between the angles of curves whose active contacts change all the time, of many gear sets at once.
+
+Gaps and levers of single contacts are smooth in the input angle, however the curve that they make up is bent: near the
+best places of a record they are polynomials through the angles around, and the curve is worked out from them closer
+and closer to its highest point, at a kink too.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis.metrics import highest_intervals
+from gearjax.scene import Scene
+from gearjax.typing import Array, Float, Int
+
+PER_PERIOD = 4  # angles of the record per period of what turns fastest, which the polynomials need
+MOST = 64  # of them from one sample to the next
+PLACES = 4  # that are looked at, of the highest and of the lowest
+REACH = 3  # angles on either side that a polynomial goes through
+HALVINGS = 6  # of the distance between two angles
+FITTING = 2e-3  # of a largest entry, that polynomials through every other angle may miss: these miss a hundredth
+PerContact = Float[Array, "contact lane"]
+Curve = Callable[[PerContact, PerContact, Float[Array, " lane"]], Float[Array, " lane"]]
+
+
+def places_between(scene: Scene, theta: Float[Array, " n"]) -> int | None:
+    """Angles of a record that polynomials can follow, from one sample to the next, 1 where the samples do; ``None``
+    where there are too many, or samples are not evenly spaced."""
+    if theta.shape[0] < 3:
+        return None
+    steps = np.diff(np.asarray(theta, dtype=float))
+    if np.ptp(steps) > 1e-3 * steps.mean():
+        return None
+    fastest = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
+    needed = np.ceil(PER_PERIOD * float(steps.max()) * fastest / (2 * np.pi) - 1e-3)
+    places = max(1, int(needed), -(-2 * (2 * REACH + 1) // (theta.shape[0] - 1)))
+    return places if places <= MOST else None
+
+
+def closer(theta: Float[Array, " n"], places: int) -> Float[Array, " m"]:
+    """The angles of the samples, and others evenly between [rad]."""
+    number = theta.shape[0]
+    steps = np.arange(places * (number - 1) + 1) / places
+    return jnp.asarray(np.interp(steps, np.arange(number), np.asarray(theta)), theta.dtype)
+
+
+def is_followed(table: Float[Array, "m ..."]) -> bool:
+    """Whether polynomials through its neighbours give every entry, from twice as far apart as `highest` has them."""
+    values = np.asarray(table, dtype=float).reshape(len(table), -1)
+    distances = np.arange(-2 * REACH + 1, 2 * REACH, 2)
+    weights = [np.prod([-d / (c - d) for d in distances if d != c]) for c in distances]
+    inner = np.arange(2 * REACH, len(values) - 2 * REACH)
+    found = sum(weight * values[inner + distance] for weight, distance in zip(weights, distances, strict=True))
+    return bool(np.abs(found - values[inner]).max(initial=0.0) <= FITTING * np.abs(values).max(initial=0.0))
+
+
+def ends(
+    curve: Curve,
+    tables: Callable[[Int[Array, "node place row"]], tuple[Array, Array]],
+    values: Float[Array, "m row"],
+) -> tuple[Float[Array, " row"], Float[Array, " row"]]:
+    """Highest and lowest value of a curve of each gear set, between the angles of its record too.
+
+    Args:
+        curve: from levers and gaps, shape (contact, lane) each, lanes being places of gear sets one after the other,
+            and values nearby.
+        tables: levers and gaps at angles given by their numbers, shape (node, contact, place, row) each.
+        values: the curve at the angles.
+    """
+    number, rows = values.shape
+    frozen = jax.lax.stop_gradient(values)
+    best_of = jax.vmap(lambda column: highest_intervals(column, PLACES), in_axes=-1, out_axes=-1)
+    tops = jnp.concatenate([best_of(frozen), best_of(-frozen)])  # (place, row)
+    half = tops.shape[0] // 2
+    sign = jnp.asarray(np.repeat([1.0, -1.0], half * rows), values.dtype)
+    centre = jnp.clip(tops, REACH, number - 1 - REACH)
+    nodes = centre[None] + jnp.arange(-REACH, REACH + 1, dtype=centre.dtype)[:, None, None]
+    lever, gap = jax.lax.optimization_barrier(tuple(part.reshape(*part.shape[:2], -1) for part in tables(nodes)))
+    first, last = (edge.ravel().astype(values.dtype) for edge in (-centre, number - 1 - centre))
+
+    def at(place: Float[Array, " lane"], lever: Array, gap: Array) -> Float[Array, " lane"]:
+        weights = _weights(place)[:, None]
+        # worked out once: fused with what uses them, they would be worked out again for every use
+        lever, gap = jax.lax.optimization_barrier(((weights * lever).sum(axis=0), (weights * gap).sum(axis=0)))
+        return sign * curve(lever, gap, near)
+
+    near = jnp.take_along_axis(frozen, tops, axis=0).ravel()
+    fixed = jax.lax.stop_gradient((lever, gap))
+
+    def closer_by(state: tuple[Array, Array, Array], step: Array) -> tuple[tuple[Array, Array, Array], None]:
+        middle, place, best = state
+        tried = jnp.clip(middle + step, first, last)
+        found = at(tried, *fixed)
+        better = found > best
+        place, best = jnp.where(better, tried, place), jnp.where(better, found, best)
+        return (jnp.where(step > 0, place, middle), place, best), None  # both sides are tried from one middle
+
+    start = (tops - centre).ravel().astype(values.dtype)
+    steps = np.outer(0.5 ** np.arange(1, HALVINGS + 1), [-1.0, 1.0]).ravel()
+    (_, place, _), _ = jax.lax.scan(closer_by, (start, start, sign * near), jnp.asarray(steps, values.dtype))
+    found = at(jax.lax.stop_gradient(place), lever, gap).reshape(2, half, rows)
+    best = jnp.argmax(jax.lax.stop_gradient(found), axis=1)[:, None]
+    high, low = jnp.take_along_axis(found, best, axis=1)[:, 0]
+    return high, -low
+
+
+def _weights(place: Float[Array, " lane"]) -> Float[Array, "node lane"]:
+    """Of the polynomial through the angles around a place, which counts from the middle one (Lagrange)."""
+    nodes = np.arange(-REACH, REACH + 1)
+    found = []
+    for one in nodes:
+        weight = jnp.ones_like(place)
+        for other in nodes[nodes != one]:
+            weight = weight * (place - float(other)) * (1.0 / float(one - other))
+        found.append(weight)
+    return jnp.stack(found)

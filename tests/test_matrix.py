@@ -1,0 +1,368 @@
+"""Every public function and every command on every gear set, for a number of each kind.
+
+Each gives finite numbers, or refuses in one line that names what is missing. A new function, command or gear set that
+is not listed here fails.
+"""
+
+import dataclasses
+import inspect
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tomli_w
+
+import gearjax as gj
+from gearjax.cli import app, main
+from gearjax.config import read_file, read_tables
+from gearjax.studies.select import pick
+from gearjax.systems import SYSTEMS
+from gearjax.units import arcmin, um
+from tests.conftest import ROOT
+
+TORQUE = 20.0
+RUN = {
+    "duration": "0.3 s",
+    "samples": 61,
+    "analyses": ["no_load", "backlash", "static", "dynamic"],
+    "torques": ["20 N*m"],
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """A number of a scene that a study may change: its path, and its bounds as a configuration has them and in SI."""
+
+    path: str
+    written: tuple[str | float, str | float] | None = None
+    ends: tuple[float, float] = (-np.pi, np.pi)
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        return {} if self.written is None else {self.path: self.ends}
+
+    @property
+    def step(self) -> float:
+        return (self.ends[1] - self.ends[0]) / 2
+
+    @property
+    def spread(self) -> gj.UniformPhase | gj.Uniform:
+        return gj.UniformPhase() if self.written is None else gj.Uniform(*self.ends)
+
+    @property
+    def written_spread(self) -> dict[str, Any]:
+        if self.written is None:
+            return {"kind": "uniform_phase"}
+        return {"kind": "uniform", "low": self.written[0], "high": self.written[1]}
+
+
+@dataclasses.dataclass(frozen=True)
+class GearSet:
+    """A small gear set: a shipped configuration, changed, with numbers of each kind."""
+
+    file: str
+    changes: Mapping[str, Any]
+    numbers: Mapping[str, Number]
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        found = read_tables(read_file(ROOT / "configs" / self.file))
+        found["system"] |= self.changes["system"]
+        return found | {key: part for key, part in self.changes.items() if key != "system"} | {"run": RUN}
+
+    @property
+    def scene(self) -> gj.Scene:
+        return gj.loads(tomli_w.dumps(self.tables))
+
+
+PINS = {"kind": "positions", "body": "pin_ring", "outward": [f"{x} um" for x in (1, 0, -1, 0, 2, 0)], "around": []}
+DISC = {"kind": "eccentricity", "body": "disc_1", "amplitude": "2 um", "phase": "20 deg"}
+GEAR_SETS = {
+    "two_kv": GearSet(
+        "two_kv/wang_2020.toml",
+        {"system": {}},
+        {
+            "phase": Number("errors.planet_1.phase"),
+            "amplitude": Number("errors.planet_1.amplitude", ("2 um", "8 um"), (2 * um, 8 * um)),
+            "element": Number("compliance.relative_amplitudes[0]", (0.05, 0.15), (0.05, 0.15)),
+            "system": Number("system.module", ("2.45 mm", "2.55 mm"), (2.45e-3, 2.55e-3)),
+        },
+    ),
+    "rv_cycloidal": GearSet(
+        "rv_cycloidal/hu_2020.toml",
+        {
+            "system": {
+                "pins": 6,
+                "pin_circle": "20 mm",
+                "pin_radius": "2 mm",
+                "eccentricity": "1.2 mm",
+                "discs": 1,
+                "input_speed": "300 rpm",
+            },
+            "errors": {"disc_1": DISC, "pins": PINS},
+        },
+        {
+            "phase": Number("errors.disc_1.phase"),
+            "amplitude": Number("errors.disc_1.amplitude", ("1 um", "3 um"), (1 * um, 3 * um)),
+            "element": Number("errors.pins.outward[4]", ("-3 um", "3 um"), (-3 * um, 3 * um)),
+            "system": Number("system.isometric_modification", ("-24 um", "-20 um"), (-24 * um, -20 * um)),
+        },
+    ),
+}
+KINDS = ("phase", "amplitude", "element", "system")
+
+
+class Case:
+    """A gear set, and a number of it."""
+
+    def __init__(self, gear_set: str, *kinds: str):
+        self.gear_set = GEAR_SETS[gear_set]
+        self.numbers = [self.gear_set.numbers[kind] for kind in kinds]
+        self.scene = self.gear_set.scene
+        self.where = [number.path for number in self.numbers]
+        self.ts = np.linspace(0.0, 0.05, 26)
+        self.theta = float(self.scene.system.input_speed) * np.linspace(0.0, 0.3, 31)
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        return {path: ends for number in self.numbers for path, ends in number.bounds.items()}
+
+    @property
+    def steps(self) -> dict[str, float]:
+        return {number.path: number.step for number in self.numbers}
+
+    @property
+    def moved(self) -> gj.Scene:
+        """The gear set with its numbers moved within their bounds."""
+        values = jnp.asarray([number.ends[0] + 0.3 * number.step for number in self.numbers])
+        return pick(self.scene, self.where).set(self.scene, values)
+
+    @property
+    def population(self) -> gj.Tolerances:
+        return gj.Tolerances(self.scene, {number.path: number.spread for number in self.numbers})
+
+    def te(self, torque: float | None = None) -> Any:
+        return gj.transmission_error(self.moved, self.theta, torque)
+
+
+LOSS, MEASURE = "no_load_std", "no_load.std"
+STEEL = gj.HertzLineContact(206e9, 0.3, 10e-3)
+QUICK = ("lost_motion", "order_spectrum", "torsion", "transmission_error")
+OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
+    "backlash": lambda case: gj.backlash(case.moved, case.theta),
+    "contact_pressure": lambda case: gj.contact_pressure(case.moved, case.te(TORQUE), STEEL),
+    "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
+    "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
+    "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
+    "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
+    "shooting": lambda case: gj.shooting(case.moved, TORQUE, 0.02, steps=64).te,
+    "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
+    "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
+    "torsion": lambda case: gj.torsion(case.moved, case.theta[:3], np.array([-TORQUE, TORQUE])),
+    "transmission_error": lambda case: [case.te(), case.te(TORQUE)],
+}
+OF_NUMBERS: dict[str, Callable[[Case], Any]] = {
+    "allocate": lambda case: (
+        gj.allocate(
+            case.population,
+            gj.Measure.named("static.peak_to_peak@20Nm", limit=3 * arcmin),
+            required=0.5,
+            costs=dict.fromkeys(case.where, ((0.5, 2.0), (1.0, 1.0))),
+            n=64,
+            judged=256,
+            theta=case.theta,
+            extremes="samples",
+        ).factors
+    ),
+    "compensate": lambda case: (
+        gj.compensate(case.scene, case.theta, TORQUE, case.where, bounds=case.bounds).after.mean_lag
+    ),
+    "grid_search": lambda case: (
+        gj.grid_search(
+            "static_peak_to_peak",
+            case.scene,
+            where=case.where,
+            step=case.steps,
+            bounds=case.bounds,
+            theta=case.theta,
+            torque=TORQUE,
+            keep=2,
+        ).objectives
+    ),
+    "local_sensitivity": lambda case: (
+        gj.local_sensitivity(LOSS, case.scene, where=case.where, bounds=case.bounds, theta=case.theta).worst
+    ),
+    "matched_assembly": lambda case: (
+        gj.matched_assembly(
+            case.population,
+            MEASURE,
+            where=tuple(case.where),
+            units=4,
+            starts=2,
+            theta=case.theta,
+            extremes="samples",
+        ).matched
+    ),
+    "minimise": lambda case: (
+        gj.minimise(
+            LOSS,
+            case.scene,
+            where=case.where,
+            bounds=case.bounds,
+            theta=case.theta,
+            starts=2,
+            steps=3,
+            polish_steps=2,
+        ).ends
+    ),
+    "monte_carlo": lambda case: (
+        gj.monte_carlo(
+            case.population,
+            ["no_load.std", "static.mean@20Nm", "backlash.minimum"],
+            n=8,
+            theta=case.theta,
+            extremes="samples",
+        ).values
+    ),
+    "sensitivities": lambda case: [
+        found.total
+        for found in gj.sensitivities(case.population, "static.mean@20Nm", n=16, theta=case.theta, extremes="samples")
+    ],
+}
+OF_NO_GEAR_SET = {
+    "it_tolerance",
+    "load",
+    "loads",
+    "run_out_tolerance",
+    "single_pitch_tolerance",
+    "total_pitch_tolerance",
+}
+REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
+    ("contact_pressure", "two_kv", ""): "line contacts",
+    ("allocate", "", "phase"): "is no tolerance",
+    **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
+    **{(name, "two_kv", "element"): "does not depend on it" for name in ("grid_search", "minimise", "optimise")},
+}
+
+
+def refusal(function: str, gear_set: str, kind: str) -> str | None:
+    """What a function says that it lacks for a gear set and a kind of number; ``None`` where it works."""
+    keys = [(function, a, b) for a in (gear_set, "") for b in (kind, "")]
+    return next((REFUSED[key] for key in keys if key in REFUSED), None)
+
+
+def is_finite(found: Any) -> bool:
+    """Whether all numbers of a result are, and there are some."""
+    leaves = [leaf for leaf in jax.tree.leaves(found) if isinstance(leaf, (jax.Array, np.ndarray, float, int))]
+    return bool(leaves) and all(np.isfinite(leaf).all() for leaf in leaves)
+
+
+def check(name: str, call: Callable[[Case], Any], gear_set: str, *kinds: str) -> None:
+    words = refusal(name, gear_set, kinds[0] if len(kinds) == 1 else "")
+    if words is None:
+        assert is_finite(call(Case(gear_set, *kinds)))
+        return
+    with pytest.raises(gj.GearjaxError) as caught:
+        call(Case(gear_set, *kinds))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_function_and_every_gear_set_is_listed():
+    functions = {name for name in gj.__all__ if inspect.isfunction(getattr(gj, name))}
+    assert functions == set(OF_A_SCENE) | set(OF_NUMBERS) | OF_NO_GEAR_SET
+    for name in OF_NO_GEAR_SET:
+        annotations = map(str, inspect.get_annotations(getattr(gj, name)).values())
+        assert not any(word in text for text in annotations for word in ("scene: ", "tolerances: "))
+    assert set(GEAR_SETS) == {system.kind for system in SYSTEMS}
+    assert all(tuple(gear_set.numbers) == KINDS for gear_set in GEAR_SETS.values())
+
+
+@pytest.mark.parametrize("gear_set", GEAR_SETS)
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in OF_A_SCENE]
+)
+def test_functions_of_a_scene(name, gear_set):
+    """With a number of each kind moved."""
+    check(name, OF_A_SCENE[name], gear_set, *KINDS)
+    for kind in KINDS:
+        check(name, OF_A_SCENE[name], gear_set, kind)
+
+
+@pytest.mark.parametrize("gear_set", GEAR_SETS)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        (name, kind)
+        if refusal(name, "", kind) or (name, kind) in {("monte_carlo", "element"), ("grid_search", "phase")}
+        else pytest.param(name, kind, marks=pytest.mark.slow)
+        for name in OF_NUMBERS
+        for kind in KINDS
+    ],
+)
+def test_functions_of_numbers(name, kind, gear_set):
+    check(name, OF_NUMBERS[name], gear_set, kind)
+
+
+COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
+    "run": lambda _: {},
+    "optimise": lambda number: {
+        "optimise": {
+            "objective": "no_load_std",
+            "where": [number.path],
+            "starts": 2,
+            "grid_step": {number.path: "90 deg"} if number.written is None else {},
+            "bounds": {} if number.written is None else {number.path: list(number.written)},
+        }
+    },
+    "tolerance": lambda number: {
+        "tolerance": {
+            "samples": 16,
+            "measures": [{"name": "static.peak_to_peak", "torque": "20 N*m", "limit": "3 arcmin"}],
+            "extremes": "samples",
+            number.path: number.written_spread,
+        }
+    },
+    "tradeoff": lambda _: {},
+    "reproduce": None,  # of papers, not of a configuration: tests/test_published.py
+}
+
+
+def test_every_command_is_listed():
+    listed = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
+    assert listed == set(COMMANDS)
+
+
+@pytest.mark.parametrize("gear_set", GEAR_SETS)
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [
+        pytest.param(command, kind, marks=[] if (command, kind) == ("tolerance", "element") else pytest.mark.slow)
+        for command, more in COMMANDS.items()
+        if more is not None
+        for kind in (KINDS if more(Number("")) else KINDS[:1])
+    ],
+)
+def test_commands(command, kind, gear_set, tmp_path, capsys):
+    """Exit code 0 and an object without nan, or 2 and one line."""
+    sections = COMMANDS[command]
+    assert sections is not None
+    chosen = GEAR_SETS[gear_set]
+    config = tmp_path / "mine.toml"
+    config.write_text(tomli_w.dumps(chosen.tables | sections(chosen.numbers[kind])), encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main([command, str(config), "--json"])
+    told = capsys.readouterr()
+    words = refusal(command, gear_set, kind)
+    if words is None:
+        assert ended.value.code == 0, told.err
+        assert json.loads(told.out)
+        return
+    assert ended.value.code == 2
+    last = told.err.strip().splitlines()[-1]
+    assert last.startswith("gearjax: error: ")
+    assert words in last
