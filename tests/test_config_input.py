@@ -27,8 +27,8 @@ def test_all_missing_keys_are_told_at_once(config_text, rv_text):
     assert refusal('[system]\nkind = "two_kv"') == (
         "system = (9 keys missing): must have sun_teeth, first_stage_planet_teeth, planet_teeth, ring_teeth: a whole "
         'number; module: a length such as "10 um"; cutting_pressure_angle, working_pressure_angle: an angle such as '
-        '"90 deg"; input_speed: an angular speed such as "300 rpm"; te_radius: "planet", "ring" or a length such as '
-        '"10 um"; may be left out: planets = 2'
+        '"90 deg"; input_speed: an angular speed such as "300 rpm"; te_radius: "planet", "ring", "held_sun" or a '
+        'length such as "10 um"; may be left out: planets = 2'
     )
     words = refusal(config_text.replace('mean = "9.245e7 N/m"', "").replace("relative_amplitudes = [0.13]", ""))
     assert words == (
@@ -46,7 +46,7 @@ def test_all_missing_keys_are_told_at_once(config_text, rv_text):
     assert "outward, around: a list of lengths such as" in refusal(
         f'{rv_text}\n[errors.pegs]\nkind = "positions"\nbody = "pin_ring"'
     )
-    old = '{ kind = "truncated_normal", mean = "0.15 mm", scale = "5 um", low = "0.135 mm", high = "0.165 mm" }'
+    old = '{ kind = "truncated_normal", mean = "0.15 mm", std = "5 um", low = "0.135 mm", high = "0.165 mm" }'
     assert old in TOLERANCE
     words = refusal(TOLERANCE.replace(old, '{ kind = "truncated_normal" }'))
     assert words.startswith("tolerance.backlash.initial = (4 keys missing): must have mean, ")

@@ -7,6 +7,7 @@ import tomllib
 import pytest
 
 import gearjax as gj
+from gearjax import registry
 from gearjax.cli import main
 from gearjax.compliance import COMPLIANCES
 from gearjax.config import loads_optimise, loads_tolerance, template
@@ -124,8 +125,7 @@ def test_meanings_are_those_of_the_docstrings():
 
 def test_a_gear_set_of_ones_own(monkeypatch):
     """From its declared fields alone: no example is given in them."""
-    for module in ("build", "commented"):
-        monkeypatch.setattr(f"gearjax.config.{module}.SYSTEMS", (*SYSTEMS, SpurPair), raising=True)
+    monkeypatch.setitem(registry._kinds, "gearjax.systems", {part.kind: part for part in (*SYSTEMS, SpurPair)})
     text = template(SpurPair.kind)
     scene = gj.loads(text)
     assert isinstance(scene.system, SpurPair)

@@ -207,3 +207,20 @@ def test_few_angles_are_told_where_extremes_between_them_are_asked_for(rng):
     fine = gj.transmission_error(one, jnp.linspace(0.0, 0.5, 1 + int(20 * 40 * 0.5 / (2 * np.pi)) + 1))
     assert float(fine.peak_to_peak) > 0
     assert float(gj.transmission_error(one, jnp.asarray([0.1])).peak_to_peak) == 0.0
+
+
+def test_interference_in_a_population_names_its_worst_gear_set():
+    one = scene("conjugate", discs=1, with_errors=True)
+    tolerances = gj.Tolerances(one, {"errors.pins.outward[*]": gj.Normal(0.0, 1 * um)})
+    from gearjax.tolerance import Work
+    from gearjax.tolerance.interference import clashes
+
+    theta = jnp.linspace(0.0, 2 * jnp.pi, 41)
+    work = Work(tolerances, ["backlash.minimum"], number=6, theta=theta, extremes="samples")
+    rows = work.inputs(0, 6)
+    found = clashes(tolerances, rows, theta)
+    alone = [gj.interference(tolerances.free.set(one, jnp.asarray(row)), theta) for row in rows]
+    assert found.interfering == sum(bool(each.interferes.any()) for each in alone) > 0
+    assert found.overlap == pytest.approx(float(alone[found.sample].overlap.max()), rel=1e-12)
+    assert found.told.startswith(f"interference: rigid bodies overlap in {found.interfering} of the first 6 gear sets")
+    assert "um (pin " in found.told

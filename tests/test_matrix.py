@@ -7,7 +7,9 @@ is not listed here fails.
 import dataclasses
 import inspect
 import json
+import tempfile
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -149,12 +151,19 @@ class Case:
         return gj.transmission_error(self.moved, self.theta, torque)
 
 
+def _written(export: Callable[..., Any], scene: gj.Scene) -> Any:
+    """A file that a function writes."""
+    return export(scene, Path(tempfile.mkdtemp()) / "disc.csv", tolerance=1e-5)
+
+
 LOSS, MEASURE = "no_load_std", "no_load.std"
 STEEL = gj.HertzLineContact(206e9, 0.3, 10e-3)
 QUICK = ("lost_motion", "order_spectrum", "torsion", "transmission_error")
 OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "backlash": lambda case: gj.backlash(case.moved, case.theta),
     "contact_pressure": lambda case: gj.contact_pressure(case.moved, case.te(TORQUE), STEEL),
+    "interference": lambda case: gj.interference(case.moved, case.theta),
+    "export_profile": lambda case: np.loadtxt(_written(gj.export_profile, case.moved), delimiter=",", skiprows=1),
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
@@ -238,11 +247,13 @@ OF_NO_GEAR_SET = {
     "load",
     "loads",
     "run_out_tolerance",
+    "register",
     "single_pitch_tolerance",
     "total_pitch_tolerance",
 }
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("contact_pressure", "two_kv", ""): "line contacts",
+    ("export_profile", "two_kv", ""): "has no disc with a profile",
     ("allocate", "", "phase"): "is no tolerance",
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
     **{(name, "two_kv", "element"): "does not depend on it" for name in ("grid_search", "minimise", "optimise")},
@@ -328,6 +339,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
         }
     },
     "tradeoff": lambda _: {},
+    "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
     "reproduce": None,  # of papers, not of a configuration: tests/test_published.py
 }
 

@@ -233,7 +233,7 @@ def test_motions_of_a_population(scene):
         (lambda p: gj.monte_carlo(p, "no_load.std@3Nm", **SHORT), "takes no torque"),
         (lambda p: gj.monte_carlo(p, ["no_load.std", "no_load.std"], **SHORT), "listed twice"),
         (lambda p: gj.monte_carlo(p, [], **SHORT), "at least one"),
-        (lambda p: gj.monte_carlo(p, "no_load.std", n=0), "whole number"),
+        (lambda p: gj.monte_carlo(p, "no_load.std", n=0), "must be at least 1"),
         (lambda p: gj.monte_carlo(p, "no_load.std", sampler="grid", **SHORT), "valid: monte_carlo"),
         (lambda p: gj.monte_carlo(p, "no_load.std", extremes="none", **SHORT), "valid: samples"),
         (lambda p: gj.Tolerances(p.scene, {"errors.planet_3.amplitude": gj.Rayleigh(1e-6)}), "no number"),

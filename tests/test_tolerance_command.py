@@ -94,7 +94,8 @@ def test_the_worst_sample_is_a_configuration(config, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     scene = gj.load(out / "worst_no_load.peak_to_peak.toml")
     theta = scene.system.input_speed * np.asarray(scene.run.times)
-    value = float(gj.transmission_error(scene, theta).peak_to_peak)
+    with pytest.warns(gj.FewAngles):  # of a short record: the study says nothing else of it
+        value = float(gj.transmission_error(scene, theta).peak_to_peak)
     section = loads_tolerance(config.read_text())[2]
     study = gj.monte_carlo(section.tolerances, section.measures, n=200, sampler="sobol")
     assert value == pytest.approx(study.column("no_load.peak_to_peak").max(), rel=3e-3)

@@ -2,10 +2,12 @@
 
 import json
 
+import diffrax
 import pytest
 
+import gearjax as gj
 from gearjax.config import loads
-from gearjax.studies.tradeoff import accurate_step, tradeoff
+from gearjax.studies.tradeoff import accurate_step, static_choices, tradeoff
 from gearjax.units import arcmin
 from tests.test_cli import command
 
@@ -51,6 +53,28 @@ def test_accuracy(short):
     scene = loads(short.read_text(encoding="utf-8"))
     coarse, fine = (accurate_step(scene, error * arcmin) for error in (1e-2, 1e-5))
     assert fine.step < coarse.step
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [1e-2, 1e-3, 1e-4])
+def test_what_accuracy_promises_holds_against_an_independent_reference(short, error):
+    """Dormand and Prince of eighth order at 1e-11, another scheme than those that steps are chosen by."""
+    scene = loads(short.read_text(encoding="utf-8"))
+    run = scene.run
+    found = gj.simulate(scene, run.times, 100.0, stepper=accurate_step(scene, error * arcmin))
+    true = gj.simulate(scene, run.times, 100.0, stepper=gj.AdaptiveStep(1e-11, 1e-11, diffrax.Dopri8()))
+    for metric in ("mean", "std", "peak_to_peak", "amplitude"):
+        assert abs(float(getattr(found, metric) - getattr(true, metric))) <= error * arcmin
+
+
+@pytest.mark.slow
+def test_choices_of_geometry_are_told_with_their_cost(rv_text):
+    text = rv_text.replace("samples = 801", "samples = 41").replace('"dynamic"', '"no_load"')
+    rows = static_choices(loads(text))
+    assert [row.name for row in rows] == ['clearance = "linear"', 'clearance = "exact"']
+    assert 1e-4 < rows[0].error / arcmin < 0.05
+    assert 0.02 < rows[0].force_error < 0.3
+    assert rows[1].error == rows[1].force_error == 0.0
 
 
 @pytest.mark.parametrize("option", [["--error", "0"], ["--error", "nan"]])

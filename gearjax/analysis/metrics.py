@@ -29,7 +29,7 @@ class FewAngles(UserWarning):
     """Extremes of a curve may be missed: it was looked at too few angles."""
 
 
-def angles_per_turn(theta: Float[Array, " n"], fastest_order: float) -> float:
+def angles_per_turn(theta: Float[Array, "... n"], fastest_order: float) -> float:
     """Fewest angles per turn of what turns fastest; infinite for a single angle.
 
     Args:
@@ -42,7 +42,7 @@ def angles_per_turn(theta: Float[Array, " n"], fastest_order: float) -> float:
     return float(2 * math.pi / (np.diff(angles, axis=-1).max() * fastest_order))
 
 
-def few_angles(theta: Float[Array, " n"], fastest_order: float) -> str | None:
+def few_angles(theta: Float[Array, "... n"], fastest_order: float) -> str | None:
     """What a reader of the extremes should know, ``None`` where there are angles enough."""
     fewest = angles_per_turn(theta, fastest_order)
     if fewest > FEWEST * (1 - 1e-3):

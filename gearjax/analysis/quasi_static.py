@@ -197,6 +197,7 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
     return _backlash(scene.physics("backlash"), angles_of(scene, theta))
 
 
+@arguments.checked()
 def interference(scene: Scene, theta: ArrayLike) -> Interference:
     """How far rigid bodies overlap at each input angle wherever the output is: jammed teeth, pins that a disc cannot
     clear.

@@ -20,6 +20,12 @@ from gearjax.typing import Array, Float, Int, Scalar
 from gearjax.units import deg, um
 
 ROUNDS = 2
+TOUCHING = 1e-12  # m, overlap up to which bodies just touch
+
+
+def tolerated(dtype: jnp.dtype) -> float:
+    """Overlap that is no more than rounding, of machines of some metres [m]: 0.5 um in float32."""
+    return max(TOUCHING, 4 * float(jnp.finfo(dtype).eps))
 
 
 class Interference(eqx.Module):
@@ -29,7 +35,7 @@ class Interference(eqx.Module):
         theta: input angles, shape (n,) [rad].
         overlap: the least that the deepest contact overlaps by, whatever the output's position: how far the bodies
             must give way to be assembled; negative where all are clear, shape (n,) [m].
-        contact: the contact that overlaps most, or is closest to it, shape (n,).
+        contact: of the two contacts that overlap most, or are closest to it, the one of the shorter lever, shape (n,).
         position: of the output there [rad].
     """
 
@@ -41,7 +47,7 @@ class Interference(eqx.Module):
     @property
     def interferes(self) -> Array:
         """Whether bodies overlap, beyond rounding, shape (n,)."""
-        return self.overlap > jnp.finfo(self.overlap.dtype).eps  # of lengths of about a metre: 0.1 um in float32
+        return self.overlap > tolerated(self.overlap.dtype)
 
     @property
     def result(self) -> Int[Array, "... n"]:

@@ -108,7 +108,7 @@ def run(
             told["interference"] = overlap.as_json(scene)
         print(json.dumps(told, allow_nan=False))
     else:
-        print_cases(cases)
+        print_cases(cases, scene.system.told_of_forces)
 
 
 @app.command()

@@ -27,6 +27,14 @@ def print_tradeoff(found: Tradeoff) -> None:
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
     console.print(table)
+    if found.statics:
+        table = Table(title="Geometry under static torque, against the most exact choice")
+        for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):
+            table.add_column(escape(column), justify="left" if column == "choice" else "right")
+        for one in found.statics:
+            off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
+            table.add_row(escape(one.name), *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
+        console.print(table)
     allowed = f"{found.error / arcmin:g} arcmin"
     if found.best is None:
         console.print(f"no setting is within {allowed}", soft_wrap=True)
@@ -87,7 +95,8 @@ def _print_stages(console: Console, found: Optimisation) -> None:
     console.print(table)
 
 
-def print_cases(cases: list[Case]) -> None:
+def print_cases(cases: list[Case], told: str | None = None) -> None:
+    """Metrics of the cases, and what a reader of their contact forces should know."""
     compared = any(case.published for case in cases)
     table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
     for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
@@ -102,6 +111,8 @@ def print_cases(cases: list[Case]) -> None:
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
         titles = ", ".join(case.title for case in cases if case.published and case.published.note == note)
         console.print(f"{titles}: {note}", style="dim", soft_wrap=True)
+    if told is not None and any(getattr(case.result, "forces", None) is not None for case in cases):
+        console.print(told, style="dim", soft_wrap=True)
 
 
 def output() -> Console:

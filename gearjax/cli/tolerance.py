@@ -167,6 +167,8 @@ def print_tolerance(found: ToleranceResults) -> None:
         listed = ", ".join(map(str, study_.failed[:LISTED].tolist()))
         more = "" if len(study_.failed) <= LISTED else " and more: code and number of each are in samples.zarr"
         console.print(f"failed samples: {listed}{more}", soft_wrap=True)
+    if found.clashes is not None and found.clashes.told is not None:
+        console.print(found.clashes.told, soft_wrap=True)
     for words in found.problems:
         console.print(f"not done: {words}", soft_wrap=True)
     for name, missed in found.missed.items():

@@ -17,7 +17,7 @@ class Overlap(eqx.Module):
     Args:
         overlap: deepest overlap there; negative where all contacts can be clear at once, minus infinity where one side
             has no contacts [m].
-        contact: the contact that overlaps most there.
+        contact: of the two contacts that overlap most there, the one of the shorter lever.
         position: of the output [rad].
     """
 
@@ -58,6 +58,7 @@ def least_overlap(contacts: ContactSet) -> Overlap:
         lambda state: ~state[2] & (state[3] < MOST_STEPS), advance, (*start, ~both, 0)
     )
     position = crossing(falling, rising)
-    contact = highest(position)
+    # both overlap alike; the one that the output can clear least is named
+    contact = jnp.where(jnp.abs(lever[rising]) < jnp.abs(lever[falling]), rising, falling)
     overlap = contacts.lever[contact] * position - contacts.gap[contact]
     return Overlap(jnp.where(both, overlap, -jnp.inf), contact, position)

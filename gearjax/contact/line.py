@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from gearjax.typing import Array, Float
 
 STEPS = 6  # of Newton's method, from a start within a few per cent
-LAST = 2.0  # level less the logarithm of the force up to which the formula is gone by
+LAST = 1.5  # level less the logarithm of the force up to which the formula is gone by
 SHALLOWEST = 1e-26  # m, below which an approach counts as none
 
 

@@ -18,6 +18,7 @@ from gearjax.studies.select import numbers
 from gearjax.tolerance import Study, Tolerances, Work
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
+from gearjax.tolerance.interference import Clashes, clashes
 from gearjax.tolerance.monte_carlo import QUANTILES
 from gearjax.tolerance.precision import PrecisionShift, in_float32, precision_shifts
 from gearjax.tolerance.statistics import Estimate
@@ -46,6 +47,7 @@ class ToleranceResults:
         seconds: wall time of the Monte Carlo study without compilation [s], of the samples of this run.
         computed: samples of this run; the others were there before.
         problems: what could not be done, and why.
+        clashes: interference of the first gear sets; ``None`` without back flanks.
     """
 
     section: ToleranceSection
@@ -58,6 +60,7 @@ class ToleranceResults:
     seconds: float
     computed: int
     problems: tuple[str, ...] = ()
+    clashes: Clashes | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The object that ``gearjax tolerance --json`` prints."""
@@ -77,6 +80,8 @@ class ToleranceResults:
             "samples_per_second": self.computed / self.seconds if self.seconds > 0 else None,
             "computed": self.computed,
         }
+        if self.clashes is not None and self.clashes.interfering:
+            found["interference"] = self.clashes.as_json()
         if self.problems:
             found["problems"] = list(self.problems)
         if self.missed:
@@ -202,8 +207,10 @@ def finished(
     shares, narrowed = tried(_sensitivities, ([], {}))
     bought, matched = tried(_allocated, None), tried(_matched, None)
     missed = _missed(section, work) if section.extremes == "samples" else {}
+    number = min(CHECKED, section.samples)
+    found = clashes(_in_precision(section)[0], work.inputs(0, number))
     told = tuple(problems)
-    return ToleranceResults(section, study, missed, shares, narrowed, bought, matched, seconds, computed, told)
+    return ToleranceResults(section, study, missed, shares, narrowed, bought, matched, seconds, computed, told, found)
 
 
 def _sensitivities(section: ToleranceSection, progress: Progress) -> tuple[list[Sensitivities], dict]:

@@ -25,6 +25,16 @@ def as_json(config: str, found: Tradeoff) -> dict:
             }
             for row in found.rows
         ],
+        "static_choices": [
+            {
+                "name": choice.name,
+                "error_arcmin": choice.error / arcmin,
+                "force_error": choice.force_error,
+                "seconds": choice.seconds,
+                "compile_seconds": choice.compile_seconds,
+            }
+            for choice in found.statics
+        ],
         "recommended": None if found.best is None else f"{found.best.group}: {found.best.name}",
     }
 

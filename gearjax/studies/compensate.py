@@ -17,7 +17,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.analysis.metrics import extremes, top
 from gearjax.analysis.quasi_static import angles_of, play
-from gearjax.analysis.resting import rest
+from gearjax.analysis.resting import clash, rest, tolerated
 from gearjax.analysis.torsion import pressures
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.compliance import AbstractLineContact
@@ -25,7 +25,8 @@ from gearjax.contact import Equilibrium
 from gearjax.errors import AbstractError
 from gearjax.scene import Scene, require
 from gearjax.studies.select import Bounds, Free, Where, pick
-from gearjax.typing import Array, ArrayLike, Float, Scalar
+from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
+from gearjax.units import deg, um
 
 OBJECTIVES = ("mean_lag", "peak_to_peak")
 ROUNDS = 4  # of tightening
@@ -51,6 +52,9 @@ class Judged(eqx.Module):
         mean_backlash: mean over the angles, shape (set,) [rad].
         largest_force: shape (set,) [N].
         largest_pressure: by Hertz, shape (set,) [Pa]; ``None`` where no limit was given.
+        overlap: largest interference over the angles, negative where all contacts can be clear (`gj.interference`),
+            shape (set,) [m].
+        overlap_contact, overlap_theta: the contact and the input angle [rad] of it, shape (set,).
         radial_clearance: smallest gap of contacts whose lever is less than a tenth of the mean, such as pins at tips
             and roots, shape (set,) [m]; 10 mm where there are none.
     """
@@ -62,6 +66,21 @@ class Judged(eqx.Module):
     largest_force: Float[Array, " set"]
     largest_pressure: Float[Array, " set"] | None
     radial_clearance: Float[Array, " set"]
+    overlap: Float[Array, " set"]
+    overlap_contact: Int[Array, " set"]
+    overlap_theta: Float[Array, " set"]
+
+    def clash(self, scene: Scene) -> str | None:
+        """Interference in words, ``None`` where there is none under any set."""
+        worst = int(jnp.argmax(self.overlap))
+        if not float(self.overlap[worst]) > tolerated(self.overlap.dtype):
+            return None
+        count, name = int((self.overlap > 0).sum()), scene.system.contact_name(int(self.overlap_contact[worst]))
+        return (
+            f"interference under {count} of {len(self.overlap)} sets: rigid bodies overlap by up to "
+            f"{float(self.overlap[worst]) / um:.3g} um ({name}, input angle "
+            f"{float(self.overlap_theta[worst]) / deg:.5g} deg)"
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +93,7 @@ class Compensation:
         before, after: both designs judged.
         holds: whether every requirement holds, judged hard under every set of errors.
         complaints: what does not hold, one line each.
-        interferes: whether the start has negative backlash under some set of errors.
+        interferes: whether bodies of the start interfere under some set of errors (`Judged.clash` names them).
     """
 
     scene: Scene
@@ -178,7 +197,7 @@ def compensate(
     found = free.set(scene, jnp.asarray(values, scene.dtype))
     complaints = limits.complaints(found, after)
     named = dict(zip(free.paths, (float(v) for v in values), strict=True))
-    interferes = bool((before.minimum_backlash < 0).any())
+    interferes = before.clash(scene) is not None
     return Compensation(found, named, before, after, not complaints, complaints, interferes)
 
 
@@ -222,6 +241,9 @@ class _Limits:
             high = float(judged.largest_pressure.max())
             if high > self.maximum_pressure * (1 + 1e-6):
                 found.append(f"pressure above {self.maximum_pressure:g} Pa: {high:g}")
+        clash = judged.clash(scene)
+        if clash is not None:
+            found.append(clash)
         low = float(judged.radial_clearance.min())
         if low < 0:
             found.append(f"tips or roots touch: radial clearance {low:g} m")
@@ -298,6 +320,9 @@ class _Task(eqx.Module):
             te, found = rests.position, extremes(play, scene, self.theta, backlash)
             highest = None if pressure is None else pressure.max()
             sizes = found.minimum, backlash.mean(), rests.forces.max(), highest, self._radial(scene)[0]
+            overlap = jax.vmap(lambda angle: clash(scene, angle))(self.theta)
+            worst = jnp.argmax(overlap.overlap)
+            sizes = *sizes, overlap.overlap[worst], overlap.contact[worst], self.theta[worst]
             return -te.mean(), te.max() - te.min(), *sizes
 
         each = jax.lax.map(lambda at: one(at[0]), (self.sets, jnp.arange(self.number)))

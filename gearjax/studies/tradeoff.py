@@ -1,6 +1,7 @@
 """What each choice costs and buys on a scene: errors of the dynamic metrics, run time, gradient time, compile time."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
 
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate
+from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate, transmission_error
 from gearjax.analysis.dynamics import LONGEST_STEP, STEP, Stepper, suitable_step
 from gearjax.checks import SceneError
 from gearjax.compliance import HarmonicStiffness
@@ -19,6 +20,7 @@ from gearjax.progress import Progress, silent
 from gearjax.scene import METRICS, Run, Scene
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
+from gearjax.units import arcmin
 
 STEPS = (0.8, 0.4, 0.2, 0.1, 0.05)  # rad of the fastest motion
 WIDTHS = (1e-8, 1e-7, 1e-6)  # m
@@ -26,6 +28,11 @@ TRUE_STEP = 0.0125  # rad of the fastest motion, Runge-Kutta: the yardstick
 LONGEST_GRADIENT = 20.0  # s that a gradient may be expected to take: others are not measured
 DIFFERENTIATED = ("solver", "fidelity", "precision")  # groups whose gradients are timed
 REPEATS = 3
+YARDSTICK = 0.05  # rad of the fastest motion, Runge-Kutta: the first yardstick of `accurate_step`
+UNSURE = 0.2  # of the error that is asked for, that the yardstick may be off by
+MOST_HALVINGS = 4
+Metrics = dict[float, dict[str, float]]
+"""By torque and name [rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +80,25 @@ class Measured:
 
 
 @dataclasses.dataclass(frozen=True)
+class StaticChoice:
+    """What a choice of geometry costs and buys under static torque.
+
+    Args:
+        name: of the choice.
+        error: largest deviation of the metrics of the static TE under all torques from the most exact choice [rad].
+        force_error: largest deviation of a single contact force, over the largest force [-].
+        seconds: of one torque, the first run's compilation apart [s].
+        compile_seconds: [s].
+    """
+
+    name: str
+    error: float
+    force_error: float
+    seconds: float
+    compile_seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Tradeoff:
     """All settings of a scene and the cheapest one that is good enough.
 
@@ -81,12 +107,14 @@ class Tradeoff:
         truth_seconds: what the yardstick took [s].
         rows: the settings.
         error: what was asked for [rad].
+        statics: choices of geometry under static torque, where the system has any.
     """
 
     truth: dict[float, dict[str, float]]
     truth_seconds: float
     rows: list[Measured]
     error: float
+    statics: list[StaticChoice] = dataclasses.field(default_factory=list)
 
     @property
     def best(self) -> Measured | None:
@@ -116,7 +144,10 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
     for setting in settings(scene, run, longest, usual):
         rows.append(_measure(setting, truth))
         progress(f"{setting.group}: {setting.name}: {rows[-1].seconds:.3g} s")
-    return Tradeoff(truth, seconds, rows, error)
+    statics = static_choices(scene)
+    for choice in statics:
+        progress(f"static TE, {choice.name}: {choice.seconds:.3g} s")
+    return Tradeoff(truth, seconds, rows, error, statics)
 
 
 def _dynamic(scene: Scene) -> Run:
@@ -132,7 +163,11 @@ def _resolving(scene: Scene, run: Run) -> tuple[float, FixedStep]:
 
 
 def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> FixedStep:
-    """The longest steps of the fitted scheme whose metrics are within an error, against steps a quarter as long.
+    """The longest steps of the fitted scheme whose metrics are within an error of a yardstick of another scheme.
+
+    The yardstick is Runge-Kutta's, whose steps are halved until what that changes is small beside the error: steps of
+    one scheme share errors that a comparison among them does not show. How long the steps may be is foretold from the
+    usual ones, whose error falls with their square, and then tried.
 
     Args:
         scene: with a run section that lists ``dynamic``.
@@ -144,16 +179,78 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
     """
     run = _dynamic(scene)
     longest, usual = _resolving(scene, run)
-    for size in (*STEPS, STEPS[-1] / 2, STEPS[-1] / 4):
+
+    def metrics(stepper: FixedStep) -> Metrics:
+        return _run(Setting("solver", "", scene, stepper, run.samples), 0)[0]
+
+    truth, unsure = _yardstick(metrics, longest, error, progress)
+    sizes = (*STEPS, STEPS[-1] / 2, STEPS[-1] / 4)
+    size, tried = STEP, {}
+    while size not in tried:
         stepper = FixedStep(size * longest, windows=usual.windows)
-        setting = Setting("solver", f"{size:g} rad", scene, stepper, run.samples)
-        fine = dataclasses.replace(setting, stepper=dataclasses.replace(stepper, step=stepper.step / 4))
-        metrics, finer = _run(setting, 0)[0], _run(fine, 0)[0]
-        off = max(abs(metrics[t][name] - finer[t][name]) for t in metrics for name in METRICS)
-        progress(f"steps of {stepper.step:.2g} s: metrics within {off:.2g} rad of steps a quarter as long")
-        if off <= error:
-            return stepper
-    raise SceneError(f"accuracy: no step down to {STEPS[-1] / 4 * longest:.2g} s is within {error:.2g} rad")
+        tried[size] = off = _apart(metrics(stepper), truth) + unsure
+        progress(f"steps of {stepper.step:.2g} s: metrics within {off / arcmin:.2g} arcmin")
+        good = [one for one, apart in tried.items() if apart <= error]
+        foretold = size * math.sqrt(error / max(off, 1e-3 * error))
+        if good and (longer := [one for one in sizes if max(good) < one <= foretold and one not in tried]):
+            size = max(longer)
+        elif good:
+            size = max(good)
+        else:
+            shorter = [one for one in sizes if one < min(tried)]
+            if not shorter:
+                raise SceneError(
+                    f"accuracy: no step down to {stepper.step:.2g} s is within {error / arcmin:.2g} arcmin"
+                )
+            size = max((one for one in shorter if one <= foretold), default=min(shorter))
+    return FixedStep(size * longest, windows=usual.windows)
+
+
+def _yardstick(
+    metrics: Callable[[FixedStep], Metrics], longest: float, error: float, progress: Progress
+) -> tuple[Metrics, float]:
+    """Metrics by Runge-Kutta, and how far they may be off: a third of what half the step changed [rad]."""
+    step = YARDSTICK * longest
+    coarse = metrics(FixedStep(2 * step, solver=RungeKutta4()))
+    for _ in range(MOST_HALVINGS):
+        truth = metrics(FixedStep(step, solver=RungeKutta4()))
+        unsure = _apart(coarse, truth) / 3
+        progress(f"yardstick: Runge-Kutta, steps of {step:.2g} s: within {unsure / arcmin:.2g} arcmin")
+        if unsure <= UNSURE * error:
+            return truth, unsure
+        coarse, step = truth, step / 2
+    raise SceneError(f"accuracy: {error / arcmin:.2g} arcmin cannot be told: Runge-Kutta's own steps differ by more")
+
+
+def _apart(one: Metrics, other: Metrics) -> float:
+    """Largest difference of any metric under any torque [rad]."""
+    return max(abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS)
+
+
+def static_choices(scene: Scene) -> list[StaticChoice]:
+    """What the choices of a system's geometry cost and buy under static torque, against the most exact of them; none
+    where it has no choice, or the run section lists no static analysis."""
+    run, choices = scene.run, scene.system.choices()
+    if run is None or "static" not in run.analyses or not choices:
+        return []
+    theta = scene.system.input_speed * jnp.asarray(run.times)
+    found, metrics, forces, times = [], {}, {}, {}
+    for name, system in choices.items():
+        chosen = dataclasses.replace(scene, system=system)
+        with Stopwatch() as watch:
+            errors = [transmission_error(chosen, theta, torque) for torque in run.torques]
+            metrics[name] = {
+                torque: {metric: float(getattr(te, metric)) for metric in METRICS}
+                for torque, te in zip(run.torques, errors, strict=True)
+            }
+        forces[name] = np.stack([np.asarray(te.forces) for te in errors])
+        times[name] = watch.seconds / len(run.torques), watch.compile_seconds
+    exact = list(choices)[-1]
+    for name in choices:
+        largest = float(forces[exact].max())
+        off = float(np.abs(forces[name] - forces[exact]).max()) / largest if largest > 0 else 0.0
+        found.append(StaticChoice(name, _apart(metrics[name], metrics[exact]), off, *times[name]))
+    return found
 
 
 def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[Setting]:

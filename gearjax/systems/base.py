@@ -59,6 +59,16 @@ class AbstractSystem(eqx.Module):
         """Turns per turn of the input of what the curves follow fastest; the mesh counts where its teeth are errors."""
         return max((order for name, order in self.orders.items() if name != "mesh"), default=1.0)
 
+    def choices(self) -> Mapping[str, "AbstractSystem"]:
+        """The same gear set by each choice of how exactly its geometry is followed, the most exact one last; empty
+        where there is no choice."""
+        return {}
+
+    @property
+    def told_of_forces(self) -> str | None:
+        """What a reader of the single contact forces should know."""
+        return None
+
     def contact_name(self, contact: int) -> str:
         """Name of a contact, for messages."""
         return f"contact {contact + 1}"
