@@ -133,6 +133,7 @@ def test_a_larger_pin_ahead_of_the_throw_moves_the_driven_output():
         assert float(te[1] - te[0]) / arcmin == pytest.approx(expected, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_backlash_under_a_held_sun_is_that_of_exact_geometry():
     clean = system("conjugate", 2, isometric_modification=10 * um, clearance="exact")
     theta = jnp.linspace(0.0, 1.0, 30)
@@ -206,6 +207,7 @@ def test_first_order_gaps_are_the_slope_of_the_exact_ones():
     np.testing.assert_allclose(linear.lever, exact.lever, rtol=0, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_the_exact_equilibrium_balances_on_the_turned_levers():
     one = scene(with_errors=True, clearance="exact")
     te = gj.transmission_error(one, jnp.asarray([0.7, 1.9]), 784.0)
@@ -240,6 +242,7 @@ def test_gradients_of_exact_positions_are_central_differences_under_vmap_and_jit
         assert float(by_torque) == pytest.approx(float(slope), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_single_pin_forces_are_told_apart_by_exact_geometry():
     """What first order costs: little of the position, much of single pins."""
     theta = jnp.asarray(angles(per_turn=6))

@@ -159,7 +159,7 @@ def test_the_least_overlap_is_that_of_trying_all_positions(rng):
             assert float(found.overlap[0]) == pytest.approx(tried, abs=1e-10)
 
 
-@pytest.mark.parametrize("shifting", [0.0, 43.7e-6])
+@pytest.mark.parametrize("shifting", [0.0, pytest.param(43.7e-6, marks=pytest.mark.slow)])
 def test_interference_is_named_and_no_position_comes_out_of_a_vanishing_lever(shifting):
     """Without modification, errors of some um leave a pin at a tooth's tip no room: once a position of 1 rad."""
     one = scene("conjugate", with_errors=True, shifting_modification=shifting)
@@ -211,7 +211,7 @@ def test_few_angles_are_told_where_extremes_between_them_are_asked_for(rng):
 
 def test_interference_in_a_population_names_its_worst_gear_set():
     one = scene("conjugate", discs=1, with_errors=True)
-    tolerances = gj.Tolerances(one, {"errors.pins.outward[*]": gj.Normal(0.0, 1 * um)})
+    tolerances = gj.Tolerances(one, {f"errors.pins.outward[{pin}]": gj.Normal(0.0, 1 * um) for pin in range(40)})
     from gearjax.tolerance import Work
     from gearjax.tolerance.interference import clashes
 
