@@ -51,7 +51,7 @@ class RVCycloidal(AbstractSystem):
             ``K modification |L| / 2``, a reading of the paper's modification of the cumulative error.
         clearance: ``"linear"``, gaps and levers to first order in modification and errors, or ``"exact"``, by the foot
             of the normal of each displaced pin on its displaced and turned disc. First order is good for positions of
-            the output (some 0.01 arcmin at errors of some um) and moves single pin forces by 3 to 18 % of the largest.
+            the output (some 0.01 arcmin at errors of some um) and moves single pin forces by 3 to 20 % of the largest.
         sun_teeth, planet_teeth, first_stage_module: of the first stage; all or none of them.
         first_stage_pressure_angle: [rad].
 
