@@ -141,6 +141,7 @@ def test_a_killed_run_ends_with_the_same_numbers(tmp_path):
         assert time.monotonic() < deadline
         assert killed.poll() is None
         time.sleep(0.02)
+    killed.send_signal(signal.SIGSTOP)  # it holds the folder, however long the next command takes to begin
     refused = subprocess.run([*line, str(tmp_path / "killed")], capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     assert "another run is writing there" in refused.stderr
