@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time
+import warnings
 from collections.abc import Callable, Sequence
 
 import diffrax
@@ -13,6 +14,7 @@ import numpy as np
 
 from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate, transmission_error
 from gearjax.analysis.dynamics import LONGEST_STEP, STEP, Stepper, suitable_step
+from gearjax.analysis.metrics import FewAngles
 from gearjax.checks import SceneError
 from gearjax.compliance import HarmonicStiffness
 from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
@@ -237,7 +239,8 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
     found, metrics, forces, times = [], {}, {}, {}
     for name, system in choices.items():
         chosen = dataclasses.replace(scene, system=system)
-        with Stopwatch() as watch:
+        with Stopwatch() as watch, warnings.catch_warnings():
+            warnings.simplefilter("ignore", FewAngles)  # all choices are looked at the same angles
             errors = [transmission_error(chosen, theta, torque) for torque in run.torques]
             metrics[name] = {
                 torque: {metric: float(getattr(te, metric)) for metric in METRICS}
