@@ -73,9 +73,10 @@ class Judged(eqx.Module):
     def clash(self, scene: Scene) -> str | None:
         """Interference in words, ``None`` where there is none under any set."""
         worst = int(jnp.argmax(self.overlap))
-        if not float(self.overlap[worst]) > tolerated(self.overlap.dtype):
+        interfering = self.overlap > tolerated(self.overlap.dtype)
+        if not bool(interfering[worst]):
             return None
-        count, name = int((self.overlap > 0).sum()), scene.system.contact_name(int(self.overlap_contact[worst]))
+        count, name = int(interfering.sum()), scene.system.contact_name(int(self.overlap_contact[worst]))
         return (
             f"interference under {count} of {len(self.overlap)} sets: rigid bodies overlap by up to "
             f"{float(self.overlap[worst]) / um:.3g} um ({name}, input angle "
