@@ -60,7 +60,7 @@ def test_the_best_phases(scene, angles):
     points = np.array(found.starts)
     points[3, 1], points[7, 0] = np.nan, np.inf
     again = gj.minimise("no_load_amplitude", scene, where=PHASES, theta=angles, starts=points)
-    assert again.compile_seconds == 0
+    assert again.compile_seconds < 1e-3  # shapes that were remembered; the smallest program takes ten times that
     assert again.failed == 2
     assert set(np.flatnonzero(again.result == 2)) == {3, 7}
     assert (again.objectives[[3, 7]] == np.inf).all()

@@ -23,7 +23,7 @@ NOTHING = "nothing of this run was kept; the same command begins again"
 
 
 class Running:
-    """A command as a process of its own."""
+    """A command as a process of its own, which ends with the ``with`` block."""
 
     def __init__(self, *arguments: str, folder: Path):
         self.errors = folder / "stderr"
@@ -36,6 +36,14 @@ class Running:
                 env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},  # every program is compiled
                 start_new_session=True,
             )
+
+    def __enter__(self) -> "Running":
+        return self
+
+    def __exit__(self, *_fault: object) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate()
 
     def stopped(self, once: Callable[[], bool], group: bool = False) -> str:
         """What it says when SIGINT comes as soon as something holds, which is checked to end it at once."""
@@ -65,7 +73,7 @@ class Running:
 @pytest.mark.parametrize(
     ("arguments", "begun"),
     [
-        (["run", str(CONFIG)], "note: "),
+        (["run", str(CONFIG)], "done: "),
         (["optimise", str(PHASES)], "grid of"),
         (["tradeoff", str(CONFIG)], "truth"),
         (["reproduce", "two_kv"], "computing"),
@@ -73,8 +81,8 @@ class Running:
 )
 def test_ctrl_c_ends_a_command_with_a_line(tmp_path, arguments, begun):
     out = tmp_path / "out"
-    running = Running(*arguments, "--out", str(out), folder=tmp_path)
-    assert running.stopped(lambda: begun in running.said).endswith(NOTHING)
+    with Running(*arguments, "--out", str(out), folder=tmp_path) as running:
+        assert running.stopped(lambda: begun in running.said).endswith(NOTHING)
     assert not out.exists()
 
 
@@ -84,8 +92,8 @@ def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
     config.write_text(small(samples=60_000, chunk=256, extremes="samples"), encoding="utf-8")
     line = ["tolerance", str(config), "--json", "--out", str(out)]
     marks = out / NAME / "done" / "c"
-    running = Running(*line, folder=tmp_path)
-    last = running.stopped(lambda: marks.exists() and len(list(marks.iterdir())) > 3)
+    with Running(*line, folder=tmp_path) as running:
+        last = running.stopped(lambda: marks.exists() and len(list(marks.iterdir())) > 3)
     found = re.fullmatch(
         r"gearjax: stopped: (\d+) of 60000 samples are kept in (.*); the same command goes on from there", last
     )
@@ -108,9 +116,9 @@ def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
 def test_a_stopped_study_without_a_folder_keeps_nothing(tmp_path, options):
     config = tmp_path / "study.toml"
     config.write_text(small(samples=1_000_000), encoding="utf-8")
-    running = Running("tolerance", str(config), "--json", *options, folder=tmp_path)
     begun = "cluster" if options else "needs"
-    assert running.stopped(lambda: begun in running.said, group=True).endswith(NOTHING)
+    with Running("tolerance", str(config), "--json", *options, folder=tmp_path) as running:
+        assert running.stopped(lambda: begun in running.said, group=True).endswith(NOTHING)
 
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, EOFError])

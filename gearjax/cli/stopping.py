@@ -5,6 +5,7 @@ minute: a thread of its own is told by `signal.set_wakeup_fd`. It ends the proce
 (`gearjax.files`), so that none is half done.
 """
 
+import atexit
 import os
 import signal
 import socket
@@ -18,7 +19,7 @@ CODE = 130  # of a process that SIGINT ended, as shells count
 _PATIENCE = 5.0  # that a file may take to be written [s]
 _ERASE_LINE = "\r\x1b[2K\x1b[?25h"  # of a progress bar, whose cursor was hidden
 _kept: list[Callable[[], str]] = []
-_sockets: list[socket.socket] = []
+_listening: list[bool] = []
 
 
 def nothing_kept() -> str:
@@ -38,19 +39,32 @@ def message() -> str:
 
 def listen() -> None:
     """Have Ctrl-C end this process, unless whoever started it had it ignore that."""
-    if _sockets or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if _listening or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
     told, telling = socket.socketpair()
     telling.setblocking(False)
-    _sockets.extend((told, telling))
     signal.set_wakeup_fd(telling.fileno(), warn_on_full_buffer=False)
     signal.signal(signal.SIGINT, lambda *_: None)
-    threading.Thread(target=_watch, args=(told,), name="Ctrl-C", daemon=True).start()
+    watching = threading.Thread(target=_watch, args=(told,), name="Ctrl-C", daemon=True)
+    watching.start()
+    atexit.register(_deaf, telling, watching)
+    _listening.append(True)
+
+
+def _deaf(telling: socket.socket, watching: threading.Thread) -> None:
+    """Nothing is left to stop at the end of the process: close what is open."""
+    signal.set_wakeup_fd(-1)
+    telling.close()
+    watching.join(_PATIENCE)
 
 
 def _watch(told: socket.socket) -> None:
-    while signal.SIGINT not in told.recv(64):
-        pass
+    with told:
+        heard = told.recv(64)
+        while heard and signal.SIGINT not in heard:
+            heard = told.recv(64)
+    if not heard:
+        return
     unbroken.acquire(timeout=_PATIENCE)
     words = f"{_ERASE_LINE if sys.stderr.isatty() else ''}{message()}\n"
     os.write(sys.stderr.fileno(), words.encode(errors="backslashreplace"))

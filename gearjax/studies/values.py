@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import ParameterError
+from gearjax.contact import ContactSet
 from gearjax.scene import Scene
 from gearjax.studies.blocks import in_blocks
 from gearjax.studies.objective import Objective
 from gearjax.studies.select import Free, probed
-from gearjax.typing import Array, Float
+from gearjax.typing import Array, Float, Scalar
 
 BLOCKS = (16, 64, 512, 8192)
 CALL = 16  # points that are worked out while a block is called
@@ -51,8 +52,13 @@ def _at_once(objective: Objective, physics: Scene) -> int:
     if objective.function is not None or objective.is_dynamic:
         most = MOST_SAMPLES // samples
     else:
-        most = MOST_GAPS // (samples * jax.eval_shape(physics.contacts, objective.theta[0]).gap.shape[0])
+        most = MOST_GAPS // (samples * jax.eval_shape(_contacts, physics, objective.theta[0]).gap.shape[0])
     return 1 << (max(1, min(MOST_AT_ONCE, most)).bit_length() - 1)
+
+
+def _contacts(physics: Scene, theta: Scalar) -> ContactSet:
+    """A function of its own, not a bound method: jax then remembers the shapes, and traces once."""
+    return physics.contacts(theta)
 
 
 @eqx.filter_jit
