@@ -23,15 +23,15 @@ else:
     Optimiser = Any
 
 LEVELS = 4
-Loss = Callable[[Float[Array, " free"], Scalar], Scalar]
+Loss = Callable[[Float[Array, " free"], Array], Scalar]
 
 
 @functools.cache
-def default_optimiser(steps: int) -> Optimiser:
+def default_optimiser(steps: int, rate: float = 0.4) -> Optimiser:
     """Adam with a short memory, its rate falling to nothing as a cosine."""
     import optax
 
-    return optax.adam(optax.cosine_decay_schedule(0.4, max(steps, 1)), b1=0.8, b2=0.95)
+    return optax.adam(optax.cosine_decay_schedule(rate, max(steps, 1)), b1=0.8, b2=0.95)
 
 
 def check_optimiser(optimiser: Any) -> None:
@@ -50,7 +50,7 @@ def check_optimiser(optimiser: Any) -> None:
 
 
 def descend(
-    loss: Loss, start: Float[Array, " free"], optimiser: Optimiser, steps: int, temperatures: tuple[Scalar, Scalar]
+    loss: Loss, start: Float[Array, " free"], optimiser: Optimiser, steps: int, temperatures: tuple[Array, Array]
 ) -> tuple[Float[Array, " free"], Float[Array, " step"], Int[Array, ""]]:
     """Where the descent ends, its losses, and how many times loss and gradient were evaluated.
 
@@ -59,7 +59,7 @@ def descend(
         start: unconstrained numbers, shape (free,).
         optimiser: from optax or optimistix.
         steps: number of steps; the most steps of an optimistix minimiser, over all temperatures.
-        temperatures: first and last.
+        temperatures: first and last, numbers or arrays of whatever shape the loss takes.
     """
     if isinstance(optimiser, optimistix.AbstractMinimiser):
         return _levels(loss, start, optimiser, steps, temperatures)

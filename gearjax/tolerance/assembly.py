@@ -1,7 +1,7 @@
 """Assembly matched to the parts: phases chosen for each gear set from its own measured errors, next to random ones."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from gearjax.analysis.metrics import deviation
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.progress import Progress, silent
 from gearjax.studies.descent import default_optimiser, descend
-from gearjax.studies.select import numbers, pick
+from gearjax.studies.select import numbers
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measures import Measure, Measures
@@ -20,13 +20,33 @@ from gearjax.tolerance.monte_carlo import Work, over_rows
 from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
-from gearjax.typing import Array, Scalar
+from gearjax.typing import Array, Float, Scalar
 
 STEPS = 60
-TEMPERATURES = 0.1, 0.0015  # shares of the measure at the start
 PER_TURN = 12  # samples of the fastest error that the descent looks at
+FEWEST, MOST = 64, 512  # that it looks at
+FEW = 101  # where that would be more: a prime, which teeth do not pass in step with
+SMALLEST = 1e-12  # rad of a measure: below, a temperature makes no sense
 BLOCK = 1024  # gear sets whose phases are searched before progress is told
-TOGETHER = 4  # side by side on one device
+TOGETHER = 32  # rows side by side on one device
+
+
+class _Way(NamedTuple):
+    """How a descent goes.
+
+    Args:
+        rate: of the first steps [rad].
+        temperatures: first and last, as shares of the measure at the start.
+        words: for the progress.
+    """
+
+    rate: float
+    temperatures: tuple[float, float]
+    words: str = ""
+
+
+FIRST = _Way(0.4, (0.1, 0.0015))
+SECOND = _Way(0.1, (0.02, 0.0015), ", over all angles")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,67 +135,93 @@ def matched_assembly(
     with Stopwatch() as watch:
         work = Work(population, measure, number=units, seed=key, **options)
         chosen = work.measures[0]
-        search = _Search(population, chosen, where, work)
+        searches = _searches(population, chosen, where, work)
         inputs = work.inputs(0, units)
-        random = work.evaluate(inputs)[0][:, 0]
+        places = np.array([population.paths.index(path) for path in where])
         names = [f"start of {path}" for path in where]
         drawn = points("monte_carlo", key, names, units * starts, 0, units * starts)
         begun = (2 * np.pi * (drawn - 0.5)).reshape(units, starts, len(where))
-        begun[:, 0] = inputs[:, search.places]
-        ends = np.empty_like(begun)
-        for first in range(0, units, BLOCK):
-            rows = np.minimum(np.arange(first, first + BLOCK), units - 1)
-            ends[first : first + BLOCK] = search.run(inputs[rows], begun[rows])[: units - first]
-            progress(f"matched assembly: {min(first + BLOCK, units)} of {units} units searched")
-        rows = np.repeat(inputs[:, None], starts, axis=1)
-        rows[:, :, search.places] = ends
-        found = work.evaluate(rows.reshape(-1, rows.shape[2]))[0][:, 0].reshape(units, starts)
-        found = np.concatenate([found, random[:, None]], axis=1)  # nobody assembles worse than at random on purpose
-        ends = np.concatenate([ends, inputs[:, None, search.places]], axis=1)
-    ranked = np.where(np.isfinite(found), chosen.excess(found), np.inf)
-    best = np.argmin(ranked, axis=1)
-    line = np.arange(units)
-    phases = np.mod(ends[line, best] + np.pi, 2 * np.pi) - np.pi
-    return MatchedAssembly(chosen, where, random, found[line, best], phases, watch.seconds, watch.compile_seconds)
+        begun[:, 0] = inputs[:, places]
+
+        def judged(phases: np.ndarray) -> np.ndarray:
+            rows = np.repeat(inputs[:, None], phases.shape[1], axis=1)
+            rows[:, :, places] = phases
+            return work.evaluate(rows.reshape(-1, rows.shape[2]))[0][:, 0].reshape(phases.shape[:2])
+
+        tried = inputs[:, None, places]  # nobody assembles worse than at random on purpose
+        found = random = judged(tried)
+        for search in searches:
+            ended = search.of_all(inputs, begun, progress)
+            tried, found = np.concatenate([tried, ended], axis=1), np.concatenate([found, judged(ended)], axis=1)
+            best = np.argmin(np.where(np.isfinite(found), chosen.excess(found), np.inf), axis=1)
+            begun = tried[np.arange(units), best][:, None]
+    phases = np.mod(begun[:, 0] + np.pi, 2 * np.pi) - np.pi
+    matched = found[np.arange(units), best]
+    return MatchedAssembly(chosen, where, random[:, 0], matched, phases, watch.seconds, watch.compile_seconds)
+
+
+def _searches(population: Tolerances, measure: Measure, where: tuple[str, ...], work: Work) -> "list[_Search]":
+    """One search where few angles tell the measure; otherwise one over few of them, and one over all from its best."""
+    theta = work.one.theta
+    turns = population.scene.system.fastest_order * float(theta[-1] - theta[0]) / (2 * np.pi)
+    number = max(FEWEST, round(turns * PER_TURN))
+    if number <= MOST:
+        return [_Search(population, measure, where, work, min(len(theta), number), FIRST)]
+    few, every = min(len(theta), FEW), len(theta)
+    return [
+        _Search(population, measure, where, work, few, FIRST),
+        _Search(population, measure, where, work, every, SECOND),
+    ]
 
 
 class _Search:
-    """The descent of many gear sets at once."""
+    """The descent of many gear sets from many starts, side by side: each row is one start of one gear set."""
 
-    def __init__(self, population: Tolerances, measure: Measure, where: tuple[str, ...], work: Work):
-        scene, theta = population.scene, work.one.theta
-        self.measure, self.where = measure, where
+    def __init__(
+        self, population: Tolerances, measure: Measure, where: tuple[str, ...], work: Work, number: int, way: "_Way"
+    ):
+        self.measure, self.way = measure, way
         self.places = np.array([population.paths.index(path) for path in where])
-        turns = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
-        span = float(theta[-1] - theta[0])
-        number = min(len(theta), max(64, round(turns * span / (2 * np.pi) * PER_TURN)))
-        coarse = jnp.asarray(np.linspace(float(theta[0]), float(theta[-1]), number), scene.dtype)
-        self.measures = Measures([measure], population, coarse, "samples")
+        theta = np.linspace(float(work.one.theta[0]), float(work.one.theta[-1]), number)
+        self.measures = Measures([measure], population, jnp.asarray(theta, population.scene.dtype), "samples")
         if self.measures.curves is None:
             raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
-        self.free = pick(scene, population.paths)
-        optimiser = default_optimiser(STEPS)
+        self._program = over_rows(self, work.devices, TOGETHER)
 
-        def unit(values: Array, starts: Array) -> Array:
-            def loss(phases: Array, temperature: Scalar) -> Scalar:
-                return self._smooth(values.at[self.places].set(phases), temperature)
+    def of_all(self, inputs: np.ndarray, starts: np.ndarray, progress: Progress) -> np.ndarray:
+        """Ends of the descents, shape (unit, start, where), of gear sets (unit, free) from starts of that shape."""
+        units, number, size = starts.shape
+        ends = np.empty_like(starts)
+        for first in range(0, units, BLOCK):
+            part = slice(first, first + BLOCK)
+            rows = np.repeat(inputs[part], number, axis=0), starts[part].reshape(-1, size)
+            found = self._program(*(row.astype(self.measures.theta.dtype) for row in rows))
+            ends[part] = found.reshape(-1, number, size)
+            progress(f"matched assembly: {min(first + BLOCK, units)} of {units} units searched{self.way.words}")
+        return ends
 
-            def one(start: Array) -> Array:
-                scale = jnp.maximum(jnp.abs(self.measures(values.at[self.places].set(start))[0][0]), 1e-12)
-                hot, cold = (share * scale for share in TEMPERATURES)
-                return descend(loss, start, optimiser, STEPS, (hot, cold))[0]
+    def __call__(self, values: Float[Array, " free"], start: Float[Array, " where"]) -> Float[Array, " where"]:
+        """The end of one row."""
+        return self.rows(values[None], start[None])[0]
 
-            return jax.vmap(one)(starts)
+    def rows(self, values: Float[Array, "row free"], starts: Float[Array, "row where"]) -> Float[Array, "row where"]:
+        """Ends of rows that are worked on side by side. None touches another: the slopes of their sum are those of
+        each."""
 
-        self._program = over_rows(unit, work.devices, TOGETHER)
+        def moved(phases: Array) -> Array:
+            return values.at[:, self.places].set(phases.reshape(starts.shape))
 
-    def run(self, inputs: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Ends of the descents, shape (unit, start, where)."""
-        return self._program(*(part.astype(self.measures.theta.dtype) for part in (inputs, starts)))
+        def loss(phases: Array, temperature: Array) -> Scalar:
+            curves = self.measures.curve_rows(moved(phases), self.measure)
+            return jax.vmap(self._smooth)(curves, temperature).sum()
 
-    def _smooth(self, values: Array, temperature: Scalar) -> Scalar:
+        scale = jnp.maximum(jnp.abs(self.measures.rows(moved(starts))[0][:, 0]), SMALLEST)
+        hot, cold = (share * scale for share in self.way.temperatures)
+        optimiser = default_optimiser(STEPS, self.way.rate)
+        return descend(loss, starts.ravel(), optimiser, STEPS, (hot, cold))[0].reshape(starts.shape)
+
+    def _smooth(self, curve: Float[Array, " n"], temperature: Scalar) -> Scalar:
         """What the measure has too much of (`Measure.excess`), with smooth largest values."""
-        curve = self.measures.curve(values, self.measure)
 
         def largest(curve: Array) -> Scalar:
             return temperature * jax.nn.logsumexp(curve / temperature)

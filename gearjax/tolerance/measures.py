@@ -230,11 +230,14 @@ class Measures:
 
         return _told(self.measures, self.motion, scene, record)
 
-    def curve(self, values: Float[Array, " free"], measure: Measure) -> Float[Array, " n"]:
-        """The quasi-static curve that a measure is of, at the samples [rad], of a gear set with the given numbers."""
-        scene, key = self.free.set(self.physics, values), (measure.analysis, measure.torque)
-        assert self.curves is not None
-        return self.curves.curve(scene, *key)
+    def curve_rows(self, values: Float[Array, "row free"], measure: Measure) -> Float[Array, "row n"]:
+        """The quasi-static curves that a measure is of, at the samples [rad], of gear sets with the given numbers."""
+        key, curves = (measure.analysis, measure.torque), self.curves
+        scenes = jax.vmap(lambda row: self.free.set(self.physics, row))(values)
+        if isinstance(curves, Balances):
+            return curves.curves(scenes, [key])[0].T
+        assert curves is not None
+        return jax.vmap(lambda scene: curves.curve(scene, *key))(scenes)
 
     def rows(self, values: Float[Array, "row free"]) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
         """The same of several gear sets, their arrays laid out as is quick."""
