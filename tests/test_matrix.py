@@ -306,6 +306,7 @@ def test_functions_of_a_scene(name, gear_set):
 
 
 @pytest.mark.parametrize("gear_set", GEAR_SETS)
+@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # what comes out matters here, not how exact it is
 @pytest.mark.parametrize(
     ("name", "kind"),
     [

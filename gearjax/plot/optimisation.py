@@ -11,6 +11,7 @@ from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure
 from gearjax.results import Case, Optimisation, required_run
 from gearjax.units import arcmin
 
+NAMED_VALLEYS = 5
 COLOURS = {"before": "0.55", "grid": "tab:blue", "after": "tab:red"}
 
 
@@ -84,10 +85,16 @@ def _ends(ax: Axes, found: Optimisation) -> None:
     order = np.argsort(search.objectives[good])
     heights, valleys = search.objectives[good][order] / arcmin, search.valley[good][order]
     place = np.arange(1, heights.size + 1)
-    for valley in list(dict.fromkeys(valleys.tolist()))[:5]:
+    named = list(dict.fromkeys(valleys.tolist()))[:NAMED_VALLEYS]
+    for valley in named:
         mine = valleys == valley
-        label = f"valley {valley + 1}: {mine.sum()} starts"
+        label = f"valley {valley + 1}: {mine.sum()} start{'s' if mine.sum() > 1 else ''}"
         ax.plot(place[mine], heights[mine], ".", markersize=5, label=label)
+    others = ~np.isin(valleys, named)
+    if others.any():
+        number = len(set(valleys[others].tolist()))
+        label = f"{number} other valleys: {others.sum()} starts" if number > 1 else f"one other: {others.sum()}"
+        ax.plot(place[others], heights[others], ".", markersize=5, color="0.6", label=label)
     _reference_lines(ax, found)
     objective = found.section.objective.name.replace("_", " ")
     finish(ax, f"End points of {len(search.starts)} starts, best first", x="start [-]", y=f"{objective} [arcmin]")

@@ -17,7 +17,13 @@ import numpy as np
 
 from gearjax.analysis import FixedStep, Motion, backlash, simulate, transmission_error
 from gearjax.analysis.dynamics import suitable_step
-from gearjax.analysis.metrics import highest_intervals, slope_and_value, tangent_bounds, turning_points
+from gearjax.analysis.metrics import (
+    highest_intervals,
+    slope_and_value,
+    tangent_bounds,
+    turning_points,
+    warn_of_few_angles,
+)
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, no_load, play, static
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
 from gearjax.arguments import numbers, one_positive, torque
@@ -191,6 +197,8 @@ class Objective(eqx.Module):
         terms = jax.tree.map(lambda leaf: leaf.astype(scene.dtype), tuple(loss))
         if not terms:
             raise ParameterError("objective", (), "needs at least one term")
+        if any(term.metric in ("amplitude", "peak_to_peak") and term.analysis != "dynamic" for term in terms):
+            warn_of_few_angles(angles, scene.system.fastest_order)
         for term in terms:
             require(scene, term.name, *NEEDS[term.analysis])
             if term.metric == "order":
@@ -376,7 +384,7 @@ class Objective(eqx.Module):
         return jnp.cos(angles) * parts[0] + jnp.sin(angles) * parts[1]
 
     def _extremes(self, term: Term, scene: Scene) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """The highest points of a curve and of its negative: turning points, and the ends of the window."""
+        """The highest points of a curve and of its negative: turning points, the highest sample, ends of the window."""
         curve, physics = term.curve(scene)
         frozen, theta = jax.lax.stop_gradient((physics, self.theta))
         at = slope_and_value(curve, frozen)
@@ -395,9 +403,12 @@ class Objective(eqx.Module):
             intervals = highest_intervals(bounds, EXTREMES)
             points = turning_points(at, sign, (theta, slopes, samples), intervals, splits=SPLITS)
             values = points.values(lambda angle: curve(physics, angle))
+            # where samples are few, slopes may tell of no turning point, or not of the highest one
+            best = theta[jnp.argmax(sign * samples)]
+            besides = jnp.concatenate([edges, curve(physics, best)[None]])
             # a place without turning point repeats an end of the window
             values = jnp.where(points.heights > -jnp.inf, values, sign * edges[:1])
-            return jnp.concatenate([values, sign * edges])
+            return jnp.concatenate([values, sign * besides])
 
         signs = jnp.array([1.0, -1.0], theta.dtype)
         high, low = jax.vmap(side)(signs, jnp.stack(tangent_bounds(theta, samples, slopes)))
