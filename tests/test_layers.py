@@ -13,6 +13,7 @@ LAYERS = {
     "typing": 0,
     "checks": 0,
     "files": 0,
+    "memory": 0,
     "timing": 0,
     "progress": 0,
     "parameters": 0,

@@ -8,10 +8,13 @@ import tracemalloc
 
 import pytest
 
+import gearjax as gj
+from gearjax import memory
 from gearjax.checks import GearjaxError
 from gearjax.config import loads_tolerance
+from gearjax.memory import GIB, free_memory
 from gearjax.results import needs as room
-from gearjax.results.needs import GIB, affordable, free_memory, needs
+from gearjax.results.needs import affordable, needs
 from gearjax.results.tolerance import shifts
 from tests.conftest import ROOT
 from tests.test_tolerance_command import command, small
@@ -69,6 +72,28 @@ def test_too_many_angles_are_refused_with_how_many_fit(tmp_path, capsys):
     affordable(loads_tolerance(wide(fits))[2], 2, None)
     with pytest.raises(GearjaxError, match=r"run.samples = 10000000"):
         shifts(loads_tolerance(wide(10_000_000))[2])  # of gearjax tradeoff
+
+
+def test_samples_asked_for_in_python_count_too(monkeypatch, population):
+    monkeypatch.setattr(memory, "_free", lambda: iter([16 * GIB]))
+
+    def amplitude(scene):
+        return scene.errors["planet_1"].amplitude
+
+    with pytest.raises(gj.ParameterError, match=r"n = 4000000000: needs about 45 GiB .* at most 1400000000 fit"):
+        gj.monte_carlo(population, amplitude, n=4 * 10**9)
+    assert gj.monte_carlo(population, amplitude, n=10).samples == 10
+
+
+@pytest.mark.usefixtures("sixteen")
+def test_extremes_between_samples_of_rv_reducers_are_told():
+    text = (ROOT / "configs" / "rv_cycloidal" / "hu_2020_tolerance.toml").read_text(encoding="utf-8")
+    samples, between = (
+        needs(loads_tolerance(text.replace('extremes = "samples"', f'extremes = "{word}"'))[2], 2)
+        for word in ("samples", "between")
+    )
+    assert 5 * samples.seconds < between.seconds < 15 * samples.seconds
+    assert between.memory["run.samples"] == pytest.approx(4 * samples.memory["run.samples"], rel=0.01)
 
 
 @pytest.mark.usefixtures("sixteen")
@@ -136,7 +161,7 @@ def test_limits_of_a_control_group_count(tmp_path, monkeypatch):
     (group / "memory.max").write_text("2000000\n")
     (group / "memory.current").write_text("1500000\n")
     (group / "memory.stat").write_text("anon 500000\nfile 1000000\n")
-    monkeypatch.setattr(room, "_groups", lambda: iter([(group, "memory.max", "memory.current")]))
+    monkeypatch.setattr(memory, "_groups", lambda: iter([(group, "memory.max", "memory.current")]))
     assert free_memory() == 1_500_000
     (group / "memory.max").write_text("max\n")
     assert free_memory() == pytest.approx(free, rel=0.9)

@@ -9,25 +9,24 @@ import dataclasses
 import math
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from gearjax.analysis.dynamics import suitable_step
 from gearjax.checks import ParameterError, place
 from gearjax.compliance import AbstractCompliance
 from gearjax.config import ToleranceSection
 from gearjax.contact import HardContact
+from gearjax.memory import GIB, fitting, free_memory, size_words
 from gearjax.results.store import NAME
 from gearjax.scene import Scene
 from gearjax.studies.select import numbers
+from gearjax.tolerance.closer import places_for
 from gearjax.tolerance.curves import FINE
 from gearjax.tolerance.measures import TOGETHER
 from gearjax.tolerance.population import EXAMPLES
 
-GIB = 2.0**30
 PROGRAM = 0.5 * GIB  # Python, JAX, and programs of few contacts while they are compiled
 PROGRAM_PER_CONTACT = 4e6
 NUMBER = 8.0  # bytes
@@ -43,6 +42,7 @@ BLOCK = 4096  # bytes that a file takes on disk, at least
 SECONDS = {"quick": 0.6e-9, "balances": 3e-9, "other": 40e-9, "dynamic": 3e-9}  # of two cores, see `_work`
 DRAWN = 4e-7  # seconds for each number drawn, on the host
 BETWEEN = 7.0  # times as long where extremes are looked for between the samples
+SLOWER = 2.5  # the same for each angle of two-sided contacts, more of which are looked at then
 SEARCHED = 1.5e-3  # seconds for each contact of a curve whose extremes are searched in full
 
 
@@ -64,8 +64,8 @@ class Needs:
 
     def words(self, stored: bool) -> str:
         """The needs as they are told."""
-        disk = f", {_size(self.disk)} on disk" if stored else ""
-        return f"needs about {_size(sum(self.memory.values()))} of memory{disk} and roughly {_time(self.seconds)}"
+        disk = f", {size_words(self.disk)} on disk" if stored else ""
+        return f"needs about {size_words(sum(self.memory.values()))} of memory{disk} and roughly {_time(self.seconds)}"
 
 
 def needs(section: ToleranceSection, devices: int) -> Needs:
@@ -114,53 +114,11 @@ def affordable(section: ToleranceSection, devices: int, folder: Path | None) -> 
     if available is not None and total > available:
         key = max((key for key in found.memory if key), key=found.memory.__getitem__)
         share = (available - (total - found.memory[key])) / found.memory[key]
-        words = f"needs about {_size(total)} of memory, {_size(available)} are free"
+        words = f"needs about {size_words(total)} of memory, {size_words(available)} are free"
         raise ParameterError(key, _given(section, key), f"{words}; {_fitting(_given(section, key), share, key)}")
     if folder is not None:
         _check_disk(section, found, folder)
     return found
-
-
-def free_memory() -> float | None:
-    """What this process may still take [B]; ``None`` where the system does not say."""
-    return min(_free(), default=None)
-
-
-def _free() -> Iterator[float]:
-    try:
-        rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
-        yield 1024.0 * int(rows["MemAvailable"].split()[0])
-    except (OSError, KeyError, ValueError):
-        try:
-            yield float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-        except (AttributeError, OSError, ValueError):
-            return
-    for folder, limit, used in _groups():
-        try:
-            allowed = int((folder / limit).read_text(encoding="ascii"))
-            taken = int((folder / used).read_text(encoding="ascii"))
-            rows = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
-        except (OSError, ValueError):  # no such group, or "max"
-            continue
-        # what files take there is given back when it is needed
-        yield float(allowed - taken + int(rows.get("file", rows.get("total_cache", 0))))
-
-
-def _groups() -> Iterator[tuple[Path, str, str]]:
-    """Control groups that this process is in, with the names of their limits, of both versions of Linux'."""
-    try:
-        own = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return
-    for line in own:
-        _, controllers, path = line.split(":", 2)
-        if controllers and "memory" not in controllers.split(","):
-            continue
-        root = Path("/sys/fs/cgroup") / ("memory" if controllers else "")
-        limit, used = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
-        inner = root / path.strip("/")
-        for folder in (inner, *(level for level in inner.parents if level.is_relative_to(root))):
-            yield folder, f"memory.{limit}", f"memory.{used}"
 
 
 def _check_disk(section: ToleranceSection, found: Needs, folder: Path) -> None:
@@ -171,7 +129,9 @@ def _check_disk(section: ToleranceSection, found: Needs, folder: Path) -> None:
     free = shutil.disk_usage(level).free
     if found.disk * left > free:
         share = free / (found.disk * left)
-        words = f"its samples take {_size(found.disk * left)} on disk, {_size(free)} are free in {place(level)}"
+        words = (
+            f"its samples take {size_words(found.disk * left)} on disk, {size_words(free)} are free in {place(level)}"
+        )
         fits = _fitting(section.samples, share, "tolerance.samples")
         raise ParameterError("tolerance.samples", section.samples, f"{words}; {fits}, or leave --out out with --json")
     if not hasattr(os, "statvfs"):
@@ -195,14 +155,9 @@ def _given(section: ToleranceSection, key: str) -> int:
 
 
 def _fitting(given: int, share: float, key: str) -> str:
-    """What of a number fits, to two digits."""
     if key == "tolerance.chunk" and given < 1024:
         return "raise it: each chunk takes memory of its own"
-    most = given * share
-    if most < 2:
-        return "nothing fits: use a machine with more"
-    step = 10.0 ** max(0, math.floor(math.log10(most)) - 1)
-    return f"at most {math.floor(most / step) * step:.0f} fit"
+    return fitting(given * share)
 
 
 def _contacts(scene: Scene) -> int:
@@ -224,7 +179,18 @@ def _kinds(section: ToleranceSection) -> set[str]:
     if not scene.system.two_sided:
         return found | {"quick"}
     linear = all(m.analysis != "static" for m in still) or isinstance(scene.compliance, AbstractCompliance)
-    return found | {"balances" if linear and section.extremes == "samples" else "other"}
+    return found | {"balances" if linear and _places(section) is not None else "other"}
+
+
+def _places(section: ToleranceSection) -> int | None:
+    """Angles from one sample to the next that curves of kind ``balances`` are worked out at."""
+    if section.extremes == "samples":
+        return 1
+    run, scene = section.tolerances.scene.run, section.tolerances.scene
+    assert run is not None
+    if run.samples < 3:
+        return None
+    return places_for(scene, float(scene.system.input_speed) * run.duration / (run.samples - 1), run.samples)
 
 
 def _angles(section: ToleranceSection) -> int:
@@ -250,7 +216,8 @@ def _curves(section: ToleranceSection, kind: str, contacts: int, devices: int) -
     if kind == "balances":  # what one unit of each number opens, where errors of single pins look at all pins
         known = numbers(scene)
         tables = 5 + 2 * len({path.split(".")[1] for path in section.tolerances.paths if path.count(".")})
-        return _angles(section) * NUMBER * contacts * tables * (1 + sum(path.endswith("]") for path in known))
+        angles = _angles(section) * (_places(section) or 1)
+        return angles * NUMBER * contacts * tables * (1 + sum(path.endswith("]") for path in known))
     return _angles(section) * NUMBER * contacts * together * LOOKED_AT * _numbers_of(section, False)
 
 
@@ -259,7 +226,9 @@ def _work(section: ToleranceSection, kind: str, contacts: int) -> float:
     if kind == "dynamic":
         return _numbers_of(section, True) * _steps(section.tolerances.scene) * SECONDS[kind]
     seconds = _angles(section) * SECONDS[kind]
-    if section.extremes == "between":
+    if kind == "balances":
+        seconds *= SLOWER * (_places(section) or 1) if section.extremes == "between" else 1.0
+    elif section.extremes == "between":
         seconds = BETWEEN * seconds + (SEARCHED if kind == "other" else 0.0)
     return _numbers_of(section, False) * contacts * seconds
 
@@ -269,14 +238,6 @@ def _steps(scene: Scene) -> float:
     run = scene.run
     assert run is not None
     return max(run.duration / suitable_step(scene, run.duration).step, float(run.samples))
-
-
-def _size(number: float) -> str:
-    return f"{number / GIB:.2g} GiB" if 0.1 * GIB <= number < 100 * GIB else _small_or_large(number)
-
-
-def _small_or_large(number: float) -> str:
-    return f"{number / GIB:,.0f} GiB" if number >= GIB else f"{max(1.0, np.ceil(number / 2**20)):.0f} MiB"
 
 
 def _time(seconds: float) -> str:

@@ -33,9 +33,19 @@ def places_between(scene: Scene, theta: Float[Array, " n"]) -> int | None:
     steps = np.diff(np.asarray(theta, dtype=float))
     if np.ptp(steps) > 1e-3 * steps.mean():
         return None
-    fastest = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
-    needed = np.ceil(PER_PERIOD * float(steps.max()) * fastest / (2 * np.pi) - 1e-3)
-    places = max(1, int(needed), -(-2 * (2 * REACH + 1) // (theta.shape[0] - 1)))
+    return places_for(scene, float(steps.max()), theta.shape[0])
+
+
+def places_for(scene: Scene, step: float, samples: int) -> int | None:
+    """The same of evenly spaced samples.
+
+    Args:
+        scene: the scene.
+        step: from one sample to the next [rad].
+        samples: their number.
+    """
+    needed = np.ceil(PER_PERIOD * step * scene.system.fastest_order / (2 * np.pi) - 1e-3)
+    places = max(1, int(needed), -(-2 * (2 * REACH + 1) // (samples - 1)))
     return places if places <= MOST else None
 
 

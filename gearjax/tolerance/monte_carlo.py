@@ -12,6 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
+from gearjax.memory import fitting, free_memory, size_words
 from gearjax.scene import Scene
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
@@ -23,6 +24,7 @@ from gearjax.typing import Array, ArrayLike
 
 CHUNK = 16384
 ACCELERATED = 1024  # samples side by side on an accelerator, at least
+KEPT_STRATA = 6  # numbers for each sample of a Latin hypercube, whose orders of strata are kept
 QUANTILES = (0.05, 0.5, 0.95)
 Evaluated = tuple[np.ndarray, np.ndarray]
 """Measures, shape (n, measure), and result codes, shape (n,)."""
@@ -292,7 +294,7 @@ def monte_carlo(
         The study; samples that failed have a result code and nan.
 
     Raises:
-        ParameterError: a name or a number is wrong.
+        ParameterError: a name or a number is wrong, or there is too little memory for so many samples.
         SceneError: the scene lacks what a measure needs.
 
     Example:
@@ -316,12 +318,22 @@ def monte_carlo(
             chunk=chunk,
             devices=devices,
         )
+        _require_memory(work)
         values, result = np.full((work.number, len(work.names)), np.nan), np.zeros(work.number, np.int32)
         for (begin, end), (found, codes) in work.each(work.chunks):
             values[begin:end], result[begin:end] = found, codes
             if progress is not None:
                 progress(end, work.number)
     return work.study(values, result, watch)
+
+
+def _require_memory(work: Work) -> None:
+    """Refuse more samples than there is memory for what is kept of them."""
+    kept = 8.0 * (len(work.names) + (KEPT_STRATA if work.sampler == "latin_hypercube" else 0)) + 4.0
+    free = free_memory()
+    if free is not None and work.number * kept > free:
+        words = f"needs about {size_words(work.number * kept)} of memory, {size_words(free)} are free"
+        raise ParameterError("n", work.number, f"{words}; {fitting(free / kept)}")
 
 
 def _whole(name: str, given: Any) -> int:
