@@ -10,6 +10,7 @@ from gearjax.analysis.spectrum import order_amplitude
 from gearjax.studies.objective import Objective
 from gearjax.studies.select import numbers, pick
 from gearjax.units import arcmin, deg, um
+from tests import rv
 from tests.conftest import ROOT
 
 PHASES = [f"errors.{body}.phase" for body in ("planet_1", "planet_2", "revolution", "output_wheel")]
@@ -158,6 +159,21 @@ def test_numbers_of_a_series_are_free_too(scene):
     np.testing.assert_allclose(free.get(changed), [0.2, 1.5])
     by_function = pick(scene, lambda s: [s.errors["planet_2"].phase, s.compliance.phases])
     assert by_function.paths == ("errors.planet_2.phase", "compliance.phases[0]")
+
+
+def test_a_star_stands_for_a_whole_series():
+    one = rv.scene(with_errors=True)
+    every = tuple(f"errors.pins.around[{pin}]" for pin in range(40))
+    star = "errors.pins.around[*]"
+    free = pick(one, star, {star: (-1e-6, 1e-6)})
+    assert free.paths == every
+    assert set(free.bounds) == {(-1e-6, 1e-6)}
+    spread = gj.Normal(0.0, 1e-6)
+    assert gj.Tolerances(one, {star: spread}).paths == every
+    with pytest.raises(gj.ParameterError, match=r"errors.pins.around\[3\] .* is listed twice, once as .*\[\*\]"):
+        gj.Tolerances(one, {every[3]: spread, star: spread})
+    with pytest.raises(gj.ParameterError, match="no number of this scene"):
+        pick(one, "errors.pin.around[*]")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from gearjax.config.quantities import read_plain, read_quantity
 from gearjax.config.tables import Key, flattened, known_keys, read_whole, require_keys
 from gearjax.contact import HardContact
 from gearjax.scene import Scene
-from gearjax.studies.select import numbers
+from gearjax.studies.select import members, numbers, series_of
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
 from gearjax.tolerance.measures import EXTREMES
 from gearjax.tolerance.monte_carlo import CHUNK
@@ -175,7 +174,7 @@ def inlined(tables: dict[str, Any], scene: Scene, folder: Path) -> dict[str, Any
             assert isinstance(spread, Empirical)
             unit = f" {parameter.dimension.unit}" if parameter.dimension.unit else ""
             values = [f"{value!r}{unit}" if unit else value for value in spread.values]
-            section = _forget(_forget(section, path), _series(path))
+            section = _forget(_forget(section, path), series_of(path))
             section[path] = {"kind": Empirical.kind, "values": values}
     return {**tables, "tolerance": section}
 
@@ -203,19 +202,13 @@ def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
     return found
 
 
-def _series(path: str) -> str:
-    """What stands for all numbers of the series that a path is in."""
-    return re.sub(r"\[\d+\]$", "[*]", path) if path.endswith("]") else ""
-
-
 def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, Any]]]:
     """Paths with their distributions; quoted or not, a dotted key is a path, and ``[*]`` every number of a series."""
     known, found = numbers(scene), []
 
     def visit(path: str, given: Any) -> None:
-        members = [name for name in known if _series(name) == path]
-        if members:
-            for name in members:
+        if path.endswith("[*]") and (names := members(path, known)) != (path,):
+            for name in names:
                 visit(name, given)
             return
         if isinstance(given, dict) and given and "kind" not in given and path not in known:

@@ -118,7 +118,8 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
 
     Args:
         scene: the scene.
-        where: one path, several, or ``lambda scene: scene.errors["planet_1"].phase`` (or a list of such leaves).
+        where: one path, several, or ``lambda scene: scene.errors["planet_1"].phase`` (or a list of such leaves); a path
+            that ends with ``[*]`` stands for every number of its series.
         bounds: narrower bounds than the declared ones, by path, in SI.
 
     Raises:
@@ -126,9 +127,10 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
     """
     known = numbers(scene)
     paths = _paths(scene, where, known)
-    for path in bounds or {}:
+    narrower = {name: limits for path, limits in (bounds or {}).items() for name in members(path, known)}
+    for path, limits in narrower.items():
         if path not in paths:
-            raise ParameterError(f"bounds of {path}", (bounds or {})[path], f"is not free; {nearest(path, paths)}")
+            raise ParameterError(f"bounds of {path}", limits, f"is not free; {nearest(path, paths)}")
     periods, limits, searchable = [], [], []
     for path in paths:
         if path not in known:
@@ -137,18 +139,28 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
             raise ParameterError("where", path, "is listed twice")
         parameter = known[path]
         periods.append(2 * math.pi if parameter.periodic else None)
-        limits.append((bounds or {}).get(path, parameter.range))
-        searchable.append(path in (bounds or {}) or parameter.is_tight)
+        limits.append(narrower.get(path, parameter.range))
+        searchable.append(path in narrower or parameter.is_tight)
     if not paths:
         raise ParameterError("where", (), f"names no number; valid: {', '.join(known)}")
     return Free(paths, tuple(periods), tuple(limits), tuple(searchable))
 
 
+def members(path: str, known: Mapping[str, Parameter]) -> tuple[str, ...]:
+    """The numbers that a path stands for: those of a whole series if it ends with ``[*]``, else its own."""
+    if not isinstance(path, str) or not path.endswith("[*]"):
+        return (path,)
+    return tuple(name for name in known if series_of(name) == path) or (path,)
+
+
+def series_of(path: str) -> str:
+    """What stands for all numbers of the series that a path is in; empty where it is in none."""
+    return re.sub(r"\[\d+\]$", "[*]", path) if path.endswith("]") else ""
+
+
 def _paths(scene: Scene, where: Where, known: Mapping[str, Parameter]) -> tuple[str, ...]:
-    if isinstance(where, str):
-        return (where,)
     if not callable(where):
-        return tuple(where)
+        return tuple(name for path in ([where] if isinstance(where, str) else where) for name in members(path, known))
     leaves = jax.tree.leaves(where(scene))
     found = [path for leaf in leaves for path in known if _leaf(scene, _split(path)[0]) is leaf]
     if len({_split(path)[0] for path in found}) < len(leaves):

@@ -11,7 +11,7 @@ from scipy import special
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene
-from gearjax.studies.select import Free, numbers, pick
+from gearjax.studies.select import Free, members, numbers, pick
 from gearjax.tolerance.distributions import AbstractDistribution
 from gearjax.tolerance.sampling import points
 from gearjax.typing import Array, Float
@@ -48,6 +48,18 @@ def _check_distributions(given: Any) -> None:
         raise ParameterError(str(path), spread, words)
 
 
+def _each(scene: Scene, given: Mapping[str, AbstractDistribution]) -> dict[str, AbstractDistribution]:
+    """Distributions of single numbers."""
+    found: dict[str, AbstractDistribution] = {}
+    known = numbers(scene)
+    for path, spread in given.items():
+        for name in members(path, known):
+            if name in found:
+                raise ParameterError(name, type(spread).__name__, f"is listed twice, once as {path}")
+            found[name] = spread
+    return found
+
+
 def a_population(name: str, value: Any) -> None:
     """Refuse what is no population, as an argument of a public function."""
     if not isinstance(value, Tolerances):
@@ -59,7 +71,8 @@ class Tolerances:
 
     Args:
         scene: the gear set; numbers that are not listed keep its values.
-        distributions: distribution of each toleranced number, by path such as ``errors.planet_1.amplitude``.
+        distributions: distribution of each toleranced number, by path such as ``errors.planet_1.amplitude``; one that
+            ends with ``[*]`` stands for every number of a series, each by itself.
         correlations: pairs of numbers that vary together; the others are independent.
 
     Raises:
@@ -82,9 +95,9 @@ class Tolerances:
         correlations: Sequence[Correlation] = (),
     ):
         _check_distributions(distributions)
-        self.scene, self.distributions = scene, dict(distributions)
+        self.scene, self.distributions = scene, _each(scene, distributions)
         self.correlations = tuple(correlations)
-        self.free: Free = pick(scene, list(distributions))
+        self.free: Free = pick(scene, list(self.distributions))
         self._check_ranges()
         self._mixing = self._factor()
 
