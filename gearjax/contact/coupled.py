@@ -1,0 +1,152 @@
+"""Equilibrium of contacts whose springs are coupled by a matrix: teeth of one body, slices of one tooth face.
+
+A force on one contact moves the others too. Forces ``f`` and the position ``q`` of the output solve
+
+    S f + gap - J q = y >= 0,   f >= 0,   f y = 0,   J f = Q
+
+with the influence matrix ``S`` [m/N], symmetric and positive definite. What is searched for is the set of contacts that
+carry: each step solves the linear problem of one set exactly, and the signs of its forces and openings tell the next
+set (Hintermueller, Ito, Kunisch 2002). The same steps are Newton's on a convex function: where the sets go around in a
+circle, each goes only so far as that function falls, so that they end. What is found is exact to rounding.
+
+Derivatives are implicit and hold the set fixed: a contact that just touches gives one of its two one-sided values, that
+of the open contact where its force is rounded to nothing, else that of the closed one.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from gearjax.typing import Array, Bool, Float, Int, Scalar
+
+MOST_STEPS = 100
+PLAIN_STEPS = 8  # before the convex function is looked at: nearly all problems end within
+HALVINGS = 40  # of the length of a step
+CLOSED = 64.0  # roundings of the opening, within which an open contact may overlap
+Solution = tuple[Scalar, Float[Array, " contact"], Int[Array, ""]]
+
+
+def coupled_balance(
+    influence: Float[Array, "contact contact"],
+    lever: Float[Array, " contact"],
+    gap: Float[Array, " contact"],
+    load: Scalar,
+) -> Solution:
+    """Position of the output, forces of the contacts, and a result code.
+
+    Args:
+        influence: approach of each contact per force on each, symmetric, positive definite [m/N].
+        lever: change of overlap per change of the position, of either sign [m/rad].
+        gap: openings at position zero [m].
+        load: generalised force on the output [N m]. At zero the contacts that hold against a positive torque touch.
+
+    Returns:
+        Position [rad], forces [N], and 0 for found, 1 where no contact can carry the load, 2 where the matrix is not
+        positive definite or the search did not end; nan with 1 and 2. Differentiable in all arguments, to any order.
+    """
+    frozen = jax.lax.stop_gradient((influence, lever, gap, load))
+    edge, apart, able = _from_first_touch(*frozen[1:])
+    closed, ended = _carrying(frozen[0], frozen[1], apart, frozen[3])
+    result = jnp.where(~able, 1, jnp.where(ended, 0, 2))
+    position, forces = _solved(influence, lever, gap - lever * edge, load, closed)
+    good = result == 0
+    return jnp.where(good, edge + position, jnp.nan), jnp.where(good, forces, jnp.nan), result
+
+
+def _from_first_touch(
+    lever: Float[Array, " contact"], gap: Float[Array, " contact"], load: Scalar
+) -> tuple[Scalar, Float[Array, " contact"], Bool[Array, ""]]:
+    """Where the load closes the first contact, the gaps counted from there, and whether there is one: positions of
+    their own size would round away what a slight load moves."""
+    loaded = _loaded(lever, load)
+    able = loaded.any()
+    places = jnp.where(loaded, gap / jnp.where(loaded, jnp.abs(lever), 1.0), jnp.inf)
+    first = jnp.argmin(places)
+    edge = jnp.where(able, gap[first] / jnp.where(able, lever[first], 1.0), 0.0)
+    apart = gap - lever * edge
+    return edge, jnp.where((jnp.arange(lever.shape[0]) == first) & able, 0.0, apart), able
+
+
+def _loaded(lever: Float[Array, " contact"], load: Scalar) -> Bool[Array, " contact"]:
+    return jnp.where(load > 0, lever > 0, lever < 0)
+
+
+def _carrying(
+    influence: Float[Array, "contact contact"],
+    lever: Float[Array, " contact"],
+    gap: Float[Array, " contact"],
+    load: Scalar,
+) -> tuple[Bool[Array, " contact"], Bool[Array, ""]]:
+    """The set of contacts that carry, and whether it was found."""
+    size, loaded = lever.shape[0], _loaded(lever, load)
+    rounding = jnp.finfo(gap.dtype).eps * CLOSED
+    inverse = solve_triangular(jnp.linalg.cholesky(influence), jnp.eye(size, dtype=gap.dtype), lower=True)
+    # what is left of the matrix without this much of its diagonal is positive definite still
+    own = 0.5 / (inverse * inverse).sum()
+
+    def newton(closed: Array) -> tuple[Array, Array, Array]:
+        position, forces = _solved(influence, lever, gap, load, closed)
+        return position, forces, lever * position - gap - influence @ forces
+
+    def unfinished(state: tuple) -> Array:
+        *_, done, step = state
+        return ~done & (step < MOST_STEPS)
+
+    def advance(state: tuple) -> tuple:
+        closed, position, forces, overlap, _, step = state
+        ended, pressed, beyond = newton(closed)
+        reach = rounding * (jnp.abs(influence) @ jnp.abs(pressed) + jnp.abs(gap) + jnp.abs(lever * ended))
+        right = jnp.where(closed, pressed >= 0, beyond <= reach).all()
+        target = jnp.where(closed, own * pressed, beyond)  # of the springs of the diagonal part
+        turn, push, close = ended - position, pressed - forces, target - overlap
+        bend = influence @ push - own * push
+
+        def slope(share: Array) -> Array:
+            pressing = jnp.maximum(overlap + share * close, 0.0)
+            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - load * turn
+
+        def halve(_, ends: tuple) -> tuple:
+            low, high = ends
+            middle = 0.5 * (low + high)
+            falls = slope(middle) < 0
+            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
+
+        zero, one = jnp.zeros_like(load), jnp.ones_like(load)
+        best = jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1]
+        share = jnp.where((step < PLAIN_STEPS) | (slope(one) <= 0), one, best)
+        position, forces, overlap = position + share * turn, forces + share * push, overlap + share * close
+        # a whole step leaves contacts out that overlap by rounding alone: they would come and go
+        chosen = jnp.where(share == 1, jnp.where(closed, pressed > 0, beyond > reach), overlap > 0)
+        # something has to carry the load: else the first contact of its side
+        chosen = jnp.where((chosen & loaded).any(), chosen, chosen | (loaded & (gap == 0)))
+        return jnp.where(right, closed, chosen), position, forces, overlap, right, step + 1
+
+    begun = newton(loaded)
+    start = begun[0], begun[1], jnp.where(loaded, own * begun[1], begun[2])
+    closed, *_, done, _ = jax.lax.while_loop(unfinished, advance, (loaded, *start, jnp.asarray(False), 0))
+    return closed, done & jnp.isfinite(own)
+
+
+def _solved(
+    influence: Float[Array, "contact contact"],
+    lever: Float[Array, " contact"],
+    gap: Float[Array, " contact"],
+    load: Scalar,
+    closed: Bool[Array, " contact"],
+) -> tuple[Scalar, Float[Array, " contact"]]:
+    """Position and forces with a given set of closed contacts, differentiable in the others."""
+    both = closed[:, None] & closed[None, :]
+    matrix = jnp.where(both, influence, jnp.eye(closed.shape[0], dtype=influence.dtype))
+    factor = cho_factor(jax.lax.stop_gradient(matrix), lower=True)
+
+    def over(right: Array) -> Array:
+        return jax.lax.custom_linear_solve(
+            lambda x: matrix @ x, right, lambda _, b: cho_solve(factor, b), symmetric=True
+        )
+
+    arms = jnp.where(closed, lever, 0.0)
+    per_turn, at_rest = over(arms), over(jnp.where(closed, gap, 0.0))
+    steepness = arms @ per_turn
+    safe = jnp.where(steepness > 0, steepness, 1.0)
+    position = jnp.where(steepness > 0, (load + arms @ at_rest) / safe, 0.0)
+    return position, jnp.where(closed, per_turn * position - at_rest, 0.0)
