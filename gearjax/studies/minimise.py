@@ -35,6 +35,7 @@ DESCENT_SAMPLES, POLISH_SAMPLES = 10, 16  # per turn of the fastest error
 MOST_NUMBERS = 2**22  # samples times starts that are worked on at once
 MOST_STARTS = 256  # at once
 MOST_MOTIONS = 16  # starts at once of an objective with dynamic terms
+BLOCK = 64  # points whose objectives are worked out at once: their number depends on what was found, the program not
 JUDGED = 10  # best ends that are judged on all angles
 SMALLEST = 1e-12  # rad of TE: below, a temperature makes no sense
 
@@ -160,7 +161,7 @@ def minimise(
         _check(steps, polish_steps, temperatures)
         points = _starting_points(free, scene, starts, key)
         coarse = objective.coarse(scene, POLISH_SAMPLES).tabulated(scene, free)
-        sampled = values(coarse, scene, free, "sampled")
+        sampled = values(coarse, scene, free, "sampled", BLOCK)
         require_influence(coarse, scene, free, *free.box)
         begun = sampled(points)
         search = _Search(

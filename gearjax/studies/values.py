@@ -24,7 +24,7 @@ TRIED = 12  # points from which a number is tried for its influence
 Values = Callable[[np.ndarray], np.ndarray]
 
 
-def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard") -> Values:
+def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard", block: int | None = None) -> Values:
     """A function from points, shape (n, free), to objectives, shape (n,).
 
     Args:
@@ -32,15 +32,17 @@ def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard") -
         scene: the scene.
         free: the free numbers.
         kind: ``"hard"``, ``"refined"`` or ``"sampled"``: methods of the objective, the later the faster.
+        block: points of a block, where their number depends on what was found, so that the same program does for any;
+            without it the one of `BLOCKS` that suits each number best.
     """
     physics, dtype = objective.physics(scene, free), objective.theta.dtype
     at_once = _at_once(objective, physics)
 
     def evaluate(points: np.ndarray) -> np.ndarray:
-        block = min(BLOCKS, key=lambda size: -(-len(points) // size) * (size + CALL))  # the last one is filled up
-        batch = min(at_once, block)
+        size = block or min(BLOCKS, key=lambda size: -(-len(points) // size) * (size + CALL))  # the last is filled up
+        batch = min(at_once, size)
         return in_blocks(
-            lambda part: _block(objective, physics, free, jnp.asarray(part, dtype), kind, batch), block, points
+            lambda part: _block(objective, physics, free, jnp.asarray(part, dtype), kind, batch), size, points
         )
 
     return evaluate
