@@ -221,6 +221,7 @@ def one_by_one(scene, paths, levels, curve, metric):
         ),
     ],
 )
+@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # the search and what it is held against see the same ones
 def test_contacts_that_touch_either_flank_are_searched_exactly(name, torque, rng):
     """Numbers of every kind, random errors: what the bound leaves out was worse."""
 
@@ -252,6 +253,7 @@ def test_contacts_that_touch_either_flank_are_searched_exactly(name, torque, rng
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # the search and what it is held against see the same ones
 def test_single_pins_of_a_shipped_reducer_and_phases_of_both_discs():
     scene = gj.load(ROOT / "configs" / "rv_cycloidal" / "hu_2020.toml")
     theta = jnp.linspace(0.0, 6.2, 101)
