@@ -1,6 +1,9 @@
 """Tests run in float64, and refuse silent promotion of ranks and dtypes."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -22,10 +25,43 @@ AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
 PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 
+QUICK_COMPILER = "--xla_cpu_use_fusion_emitters=false"  # in half the time; programs are about as fast
+FOUND = "GEARJAX_TESTS_COMPILER"  # what the process that starts the workers found out, for them
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Short tests take longer to compile than to run: what LLVM spends most time on is left to the slow ones."""
-    if config.option.markexpr == "not slow":
-        jax.config.update("jax_disable_most_optimizations", True)
+    """Most tests take longer to compile than to run.
+
+    What LLVM spends most time on is left to those that are marked ``runs_long``, and the slow ones have the quicker
+    of XLA's compilers for kernels. Commands that tests start as processes of their own are compiled as a user's are,
+    and so is everything where ``XLA_FLAGS`` is set, to nothing too.
+    """
+    if "XLA_FLAGS" in os.environ or config.option.markexpr != "slow":
+        return
+    if FOUND not in os.environ:
+        os.environ[FOUND] = QUICK_COMPILER if _is_known(QUICK_COMPILER) else ""
+    os.environ["XLA_FLAGS"] = os.environ[FOUND]
+    jax.devices()  # reads the flags
+    del os.environ["XLA_FLAGS"]
+
+
+def _is_known(flags: str) -> bool:
+    """Whether this version of XLA knows its flags: one that it does not know ends a process at once."""
+    tried = [sys.executable, "-c", "import jax; jax.devices()"]
+    return not subprocess.run(tried, env=os.environ | {"XLA_FLAGS": flags}, capture_output=True, check=False).returncode
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    careful = "XLA_FLAGS" in os.environ or item.get_closest_marker("runs_long") is not None
+    jax.config.update("jax_disable_most_optimizations", not careful)
+
+
+LONGEST = ("test_tradeoff.py", "test_spectra.py", "test_rv_studies.py", "test_minimise.py", "test_tolerance_studies.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first, so that no worker is left with one at the end."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
 
 
 MOST_MAPS = 30_000
@@ -64,15 +100,6 @@ def scene() -> gj.Scene:
 def theta(scene) -> jax.Array:
     """Three seconds of input angles, 1 ms apart."""
     return scene.system.input_speed * jax.numpy.linspace(0.0, 3.0, 3001)
-
-
-@pytest.fixture
-def quickly_compiled():
-    """For slow tests whose programs run once: without most optimisations."""
-    before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.fixture

@@ -34,7 +34,6 @@ def test_a_few_of_the_attacks(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # the nine samples of a study that it lists
 def test_attacks(tmp_path, capsys):
     """Those that load also run, shortened to one analysis of nine samples: results, or one line."""

@@ -150,7 +150,6 @@ def test_the_command(capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_it_writes_runs_without_a_warning(kind, tmp_path, capsys):
     (tmp_path / "mine.toml").write_text(written(kind), encoding="utf-8")

@@ -12,7 +12,6 @@ import gearjax as gj
 from gearjax.units import arcmin, deg, mm, um
 from tests.rv import PLACES, angles, scene, system, with_errors
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")  # programs that run once
 FIRST = {"sun_teeth": 22, "planet_teeth": 60, "first_stage_module": 1.25 * mm}
 
 

@@ -26,7 +26,6 @@ from gearjax.systems import SYSTEMS
 from gearjax.units import arcmin, um
 from tests.conftest import ROOT
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")  # many programs that run once
 TORQUE = 20.0
 RUN = {
     "duration": "0.3 s",

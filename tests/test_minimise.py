@@ -232,6 +232,7 @@ def test_the_optimum_has_a_flat_direction(scene, angles):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("duration", "target"), [(15.8, 0.5843), (3.0, 0.2721)])
+@pytest.mark.runs_long
 def test_gradients_beat_the_grid_of_the_paper(scene, duration, target):
     theta = scene.system.input_speed * jnp.linspace(0.0, duration, round(duration * 1000) + 1)
     for seed in range(3):
@@ -244,6 +245,7 @@ def test_gradients_beat_the_grid_of_the_paper(scene, duration, target):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # both searches see the same angles, 15 a turn
+@pytest.mark.runs_long
 def test_static_peak_to_peak_is_at_least_as_good_as_the_grid(scene, angles):
     """All combinations of 10 degrees; gradients end lower than the best of them."""
     asked = {"where": PHASES, "theta": angles[::10], "torque": 100.0}
@@ -255,6 +257,7 @@ def test_static_peak_to_peak_is_at_least_as_good_as_the_grid(scene, angles):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_ten_thousand_starts_stay_within_memory(scene, angles):
     result = gj.minimise("no_load_amplitude", scene, where=PHASES, theta=angles, starts=10_000)
     assert result.within(0.01) >= 9000

@@ -28,6 +28,7 @@ def clear_tips(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_compensation_finds_what_the_study_found():
     theta = jnp.asarray(angles(39, 80))
     found = gj.compensate(
@@ -47,6 +48,7 @@ def test_compensation_finds_what_the_study_found():
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_compensation_of_the_swing_has_to_be_bounded_and_finds_the_valley_of_the_study():
     theta = jnp.asarray(angles(39, 80))
     with pytest.raises(gj.ParameterError, match="maximum_backlash"):
@@ -67,6 +69,7 @@ def test_compensation_of_the_swing_has_to_be_bounded_and_finds_the_valley_of_the
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_robust_compensation_holds_under_every_set_of_errors(rng):
     drawn = runpy.run_path(str(ROOT / "experiments" / "rv_compensation.py"))["drawn"]
     sets = [drawn(rng, 0.5) for _ in range(24)]

@@ -68,7 +68,6 @@ def test_what_accuracy_promises_holds_against_an_independent_reference(short, er
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quickly_compiled")
 def test_choices_of_geometry_are_told_with_their_cost(rv_text):
     text = rv_text.replace("samples = 801", "samples = 41").replace(', "dynamic"', "")
     rows = static_choices(loads(text))
