@@ -54,7 +54,7 @@ from peers import interleaved
 
 import gearjax as gj
 from gearjax import units
-from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.parameters import check_parameters, count, length, number
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
@@ -172,14 +172,15 @@ class SpurPair(AbstractSystem):
     def cycle(self) -> float:
         return 2 * math.pi * self.wheel_teeth / math.gcd(self.pinion_teeth, self.wheel_teeth)
 
-    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
-        return ContactFrame(jnp.reshape(-float(flank) * self.wheel_base_radius, (1, 1)), jnp.zeros((1,)))
+    def layout(self, request: Request) -> Layout:
+        return Layout.of_flanks(1, request.back)
 
-    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
-        return BodyView(self.pinion_teeth * theta, jnp.zeros((1,)), jnp.full((1,), float(flank)))
-
-    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
-        return jnp.reshape(self.pinion_teeth * theta, (1,))
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        side = jnp.asarray(self.layout(request).side, theta.dtype)
+        seen = BodyView(self.pinion_teeth * theta, jnp.zeros_like(side), side)
+        mesh = jnp.reshape(self.pinion_teeth * theta, (1,)) if request.mesh else None
+        jacobian = -side[:, None] * self.wheel_base_radius
+        return Pose(theta, jacobian, jnp.zeros_like(side), dict.fromkeys(request.bodies, seen), mesh)
 
 
 def input_speed(ratio: float) -> float:

@@ -46,10 +46,11 @@ from gearjax.config import load, loads
 from gearjax.contact import (
     AbstractContact,
     BodyView,
-    ContactFrame,
-    Flank,
     HardContact,
+    Layout,
+    Pose,
     QuadraticContact,
+    Request,
     Rim,
     SoftplusContact,
 )
@@ -72,7 +73,7 @@ from gearjax.studies import (
     minimise,
 )
 from gearjax.studies.compensate import Judged
-from gearjax.systems import AbstractSystem, DiscProfile, LineContacts, RVCycloidal, TwoKV
+from gearjax.systems import AbstractSystem, DiscProfile, RVCycloidal, TwoKV
 from gearjax.tolerance import (
     AbstractDistribution,
     Correlation,
@@ -116,7 +117,6 @@ __all__ = [
     "BodyView",
     "Compensation",
     "ConstantLoad",
-    "ContactFrame",
     "Correlation",
     "CumulativePitch",
     "DampingRatio",
@@ -131,7 +131,6 @@ __all__ = [
     "Extremes",
     "FewAngles",
     "FixedStep",
-    "Flank",
     "GearjaxError",
     "GridSearch",
     "HardContact",
@@ -143,7 +142,7 @@ __all__ = [
     "Iso286",
     "Iso1328RunOut",
     "Judged",
-    "LineContacts",
+    "Layout",
     "LocalSensitivity",
     "Lognormal",
     "LostMotion",
@@ -156,12 +155,14 @@ __all__ = [
     "Objective",
     "ParameterError",
     "Periodic",
+    "Pose",
     "Positions",
     "Published",
     "QuadraticContact",
     "QuasiStatic",
     "RVCycloidal",
     "Rayleigh",
+    "Request",
     "Rim",
     "Run",
     "RungeKutta4",

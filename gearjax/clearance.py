@@ -31,8 +31,7 @@ class Anchor(eqx.Module):
     """`ZeroAtStart` with the values at the start worked out, so that they are computed once.
 
     Args:
-        drive, back: gaps that the errors make at input angle zero, shape (contact,) [m].
+        gap: what the errors make of the gaps at input angle zero, shape (contact,) [m].
     """
 
-    drive: Float[Array, " contact"]
-    back: Float[Array, " contact"] | None
+    gap: Float[Array, " contact"]

@@ -13,13 +13,12 @@ import numpy as np
 from gearjax.checks import ParameterError, SceneError, check_name, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractCompliance, AbstractLineContact
-from gearjax.contact import AbstractContact, ContactFrame, ContactSet, Flank, HardContact, LineSprings
-from gearjax.contact.frame import Pose, Side, join
+from gearjax.contact import AbstractContact, ContactSet, HardContact, Layout, LineSprings, Pose, Request
 from gearjax.errors import AbstractError
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
 from gearjax.parameters import Named, is_numeric, strong
-from gearjax.systems import AbstractSystem, LineContacts
+from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Scalar
 
 _OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
@@ -142,23 +141,28 @@ class Scene(eqx.Module):
         frequency = getattr(self.load, "frequency", None)
         if isinstance(frequency, Named) and frequency.name not in self.system.orders:
             raise ParameterError("load.frequency", frequency.name, nearest(frequency.name, self.system.orders))
-        if self.system.two_sided:
+        if self.layout.sides_turn:
             for slot in ("backlash", "reference"):
                 if getattr(self, slot) is not None:
                     raise SceneError(
                         f"[{slot}] is not for a {self.system.kind}, whose contacts touch both flanks and count from "
                         "the ideal profile: its clearances come from its modification and errors"
                     )
-        if isinstance(self.compliance, AbstractLineContact) and not isinstance(self.system, LineContacts):
+        if isinstance(self.compliance, AbstractLineContact) and not self.system.has_radii:
             raise SceneError(
                 f'[compliance] kind = "{self.compliance.kind}" needs the radii of curvature of the flanks, which a '
                 f'{self.system.kind} does not offer: use "harmonic_stiffness"'
             )
 
     @property
+    def layout(self) -> Layout:
+        """Sides and pairs of its contacts."""
+        return self.system.layout(self._request("rigid"))
+
+    @property
     def has_back(self) -> bool:
         """Whether back flanks are modelled."""
-        return self.system.two_sided or self.backlash is not None
+        return self.layout.has_back
 
     @property
     def linear_compliance(self) -> AbstractCompliance:
@@ -185,13 +189,25 @@ class Scene(eqx.Module):
         if not self.errors or not isinstance(self.reference, ZeroAtStart):
             return self
         start = self.pose(jnp.zeros_like(self.system.input_speed))
-        back = None if start.back is None else self._errors(start.back)
-        return dataclasses.replace(self, reference=Anchor(self._errors(start.drive), back))
+        return dataclasses.replace(self, reference=Anchor(self._errors(start)))
 
-    def pose(self, theta: Scalar) -> Pose:
-        """What the system shows at an input angle [rad]: all that does not depend on the errors' own numbers."""
-        back = None if self.backlash is None else self._side(theta, Flank.BACK)
-        return Pose(theta, self._side(theta, Flank.DRIVE), back)
+    def _request(self, stiffness: Stiffness) -> Request:
+        line = isinstance(self.compliance, AbstractLineContact)
+        return Request(
+            back=self.backlash is not None,
+            bodies=tuple(dict.fromkeys(error.body for error in self.errors.values())),
+            mesh=stiffness == "varying" and not line,
+            radii=stiffness != "rigid" and line,
+        )
+
+    def pose(self, theta: Scalar, stiffness: Stiffness = "rigid") -> Pose:
+        """What the system shows at an input angle [rad]: all that does not depend on the errors' own numbers.
+
+        Args:
+            theta: input angle [rad].
+            stiffness: as for `contacts`.
+        """
+        return self.system.pose(theta, self._request(stiffness))
 
     def contacts(
         self, theta: Scalar | Pose, stiffness: Stiffness = "rigid", position: Scalar | None = None
@@ -203,18 +219,15 @@ class Scene(eqx.Module):
             stiffness: ``"rigid"`` for none, ``"mean"``, or ``"varying"`` with the mesh phase.
             position: of the output, where a scene of exact geometry is looked at; its ideal position without [rad].
         """
-        pose = theta if isinstance(theta, Pose) else self.pose(theta)
+        pose, layout = theta if isinstance(theta, Pose) else self.pose(theta, stiffness), self.layout
         if self.system.exact:
-            drive = self._displaced(pose.theta, jnp.zeros_like(pose.theta) if position is None else position)
+            place = jnp.zeros_like(pose.theta) if position is None else position
+            jacobian, gap = self._displaced(pose.theta, place)
         else:
-            drive = self._flank(pose.drive, Flank.DRIVE)
-        back = None if pose.back is None else self._flank(pose.back, Flank.BACK)
-        if back is not None and self.backlash is not None:
-            back = ContactFrame(back.jacobian, back.gap + self.backlash.initial)
-        springs = None if stiffness == "rigid" else self._stiffness(pose.theta, drive.gap.shape[0], stiffness)
-        return join(drive, back, springs, self.system.two_sided)
+            jacobian, gap = pose.jacobian, self._gaps(pose, layout)
+        return ContactSet(jacobian, gap, self._springs(pose, layout, stiffness), layout)
 
-    def _displaced(self, theta: Scalar, position: Scalar) -> ContactFrame:
+    def _displaced(self, theta: Scalar, position: Scalar) -> tuple[Float[Array, "contact 1"], Float[Array, " contact"]]:
         """Contacts of the displaced bodies, in a straight line about a position of the output [rad]."""
         by_body: dict[str, list[AbstractError]] = {}
         for error in self.errors.values():
@@ -223,36 +236,41 @@ class Scene(eqx.Module):
         gap, rate = jax.jvp(
             lambda at: self.system.displaced_gaps(theta, moved, at), (position,), (jnp.ones_like(position),)
         )
-        return ContactFrame(-rate[:, None], gap - rate * position)
+        return -rate[:, None], gap - rate * position
 
-    def _stiffness(self, theta: Scalar, pairs: int, stiffness: Stiffness) -> Float[Array, " pair"] | LineSprings:
+    def _springs(
+        self, pose: Pose, layout: Layout, stiffness: Stiffness
+    ) -> Float[Array, " contact"] | LineSprings | None:
+        """Springs of the contacts; the flanks of a pair are equally stiff."""
+        if stiffness == "rigid":
+            return None
         if self.compliance is None:
             raise SceneError("the scene has no compliance: list a [compliance] to find forces under torque")
         if isinstance(self.compliance, AbstractLineContact):
-            assert isinstance(self.system, LineContacts)
-            return self.compliance.springs(self.system.radii(theta))
+            radii = self.pose(pose.theta, stiffness).radii if pose.radii is None else pose.radii
+            assert radii is not None  # the system has them
+            return self.compliance.springs(radii)
         if stiffness == "mean":
-            return self.compliance.mean_stiffness(pairs)
-        return self.compliance.stiffness(self.system.mesh_angle(theta))
+            return layout.per_contact(self.compliance.mean_stiffness(layout.teeth))
+        angle = self.pose(pose.theta, stiffness).mesh_angle if pose.mesh_angle is None else pose.mesh_angle
+        assert angle is not None  # it was asked for
+        return layout.per_contact(self.compliance.stiffness(angle))
 
-    def _side(self, theta: Scalar, flank: Flank) -> Side:
-        bodies = dict.fromkeys(error.body for error in self.errors.values())
-        return Side(self.system.frame(theta, flank), {body: self.system.view(body, theta, flank) for body in bodies})
+    def _gaps(self, pose: Pose, layout: Layout) -> Float[Array, " contact"]:
+        """Gaps with errors, reference and backlash, to first order."""
+        gap = pose.gap
+        if self.errors:
+            gap = gap + self._errors(pose)
+            if isinstance(self.reference, Anchor):
+                gap = gap - self.reference.gap
+            elif self.reference is not None:
+                gap = gap - self._errors(self.pose(jnp.zeros_like(self.system.input_speed)))
+        if self.backlash is None:
+            return gap
+        return gap + jnp.where(np.array(layout.side) < 0, self.backlash.initial, 0.0)
 
-    def _flank(self, side: Side, flank: Flank) -> ContactFrame:
-        if not self.errors:
-            return side.frame
-        gap = side.frame.gap + self._errors(side)
-        if isinstance(self.reference, Anchor):
-            start = self.reference.drive if flank is Flank.DRIVE else self.reference.back
-            assert start is not None  # back flanks come with a backlash, and so does their start
-            gap = gap - start
-        elif self.reference is not None:
-            gap = gap - self._errors(self._side(jnp.zeros_like(self.system.input_speed), flank))
-        return ContactFrame(side.frame.jacobian, gap)
-
-    def _errors(self, side: Side) -> Float[Array, " contact"]:
-        gaps = [error.gap(side.views[error.body]) for error in self.errors.values()]
+    def _errors(self, pose: Pose) -> Float[Array, " contact"]:
+        gaps = [error.gap(pose.views[error.body]) for error in self.errors.values()]
         return jax.tree.reduce(jnp.add, gaps)
 
 
@@ -260,7 +278,8 @@ def _check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
     """Refuse an error of pins or teeth that its body does not have."""
 
     def gap(error: AbstractError) -> Array:
-        return error.gap(system.view(error.body, jnp.zeros_like(system.input_speed), Flank.DRIVE))
+        seen = system.pose(jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
+        return error.gap(seen.views[error.body])
 
     try:
         jax.eval_shape(gap, error)
@@ -275,7 +294,7 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         SceneError: naming the analysis and the sections to add.
     """
     missing = [slot for slot in slots if getattr(scene, slot) is None]
-    if scene.system.two_sided and "backlash" in missing:
+    if scene.layout.sides_turn and "backlash" in missing:
         missing.remove("backlash")  # its contacts touch both flanks
     if missing:
         listed = " and ".join(f"[{slot}]" for slot in missing)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize
 
-from gearjax.contact import ContactSet, HardContact
+from gearjax.contact import ContactSet, HardContact, Layout
 from gearjax.contact.coupled import coupled_balance
 from gearjax.contact.equilibrium import equilibrium
 
@@ -77,7 +77,8 @@ def test_without_coupling_it_is_the_closed_form(rng):
     for number in (2, 4, 40):
         matrix, lever, gap, load = problem("diagonal", number, rng)
         lever = -np.abs(lever)
-        contacts = ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(1 / np.diag(matrix)), number)
+        layout = Layout.of_flanks(number, back=False)
+        contacts = ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(1 / np.diag(matrix)), layout)
         known = equilibrium(contacts, jnp.asarray(load), HardContact())
         position, forces, _ = balance(matrix, lever, gap, load)
         assert float(position) == pytest.approx(float(known.position), rel=1e-12)

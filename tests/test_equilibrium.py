@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from gearjax.contact import (
     ContactSet,
     HardContact,
+    Layout,
     QuadraticContact,
     SoftplusContact,
     equilibrium,
@@ -27,7 +28,8 @@ def contact_set(drive, back=(), stiffness=9e7):
     gap = jnp.concatenate([-jnp.asarray(drive, float), jnp.asarray(back, float)])
     lever = jnp.concatenate([jnp.full(len(drive), -LEVER), jnp.full(len(back), LEVER)])
     springs = jnp.broadcast_to(jnp.asarray(stiffness, float), gap.shape)
-    return ContactSet(lever[:, None], gap, springs, len(drive))
+    sides, pairs = (1,) * len(drive) + (-1,) * len(back), (*range(len(drive)), *range(len(back)))
+    return ContactSet(lever[:, None], gap, springs, Layout(sides, pairs))
 
 
 def brute_force(contacts: ContactSet, load: float) -> float:
@@ -145,13 +147,13 @@ def test_too_many_pairs_for_the_smooth_form():
 
 
 def test_rigid_contacts_are_refused():
-    rigid = ContactSet(jnp.array([[-1.0]]), jnp.array([0.0]), None, 1)
+    rigid = ContactSet(jnp.array([[-1.0]]), jnp.array([0.0]), None, Layout.of_flanks(1, back=False))
     with pytest.raises(ValueError, match="rigid contacts"):
         equilibrium(rigid, jnp.asarray(-1.0), HardContact())
 
 
 def test_more_than_one_degree_of_freedom_is_refused():
-    wide = ContactSet(jnp.ones((2, 3)), jnp.zeros(2), jnp.ones(2), 2)
+    wide = ContactSet(jnp.ones((2, 3)), jnp.zeros(2), jnp.ones(2), Layout.of_flanks(2, back=False))
     with pytest.raises(ValueError, match="one degree of freedom"):
         equilibrium(wide, jnp.asarray(-1.0), HardContact())
 
@@ -168,13 +170,13 @@ def test_contacts_written_out_rest_where_contact_sets_do(pairs, torque, has_back
     contacts = contact_set(drive, back, springs * (2 if has_back else 1))
     touch = list(contacts.gap / contacts.lever)
     strength = list(contacts.stiffness * contacts.lever**2)
-    found = hard_rest(touch, strength, len(drive), jnp.asarray(-torque))
+    found = hard_rest(touch, strength, contacts.layout.side, jnp.asarray(-torque))
     rest = equilibrium(contacts, jnp.asarray(-torque), HardContact())
     if int(rest.result):
         assert np.isnan(found)
     elif torque:  # at rest without a load the driving flanks touch, here and there
         np.testing.assert_allclose(found, rest.position, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(
-        [edge for edge in hard_edges(touch, len(drive)) if edge is not None],
+        [edge for edge in hard_edges(touch, contacts.layout.side) if edge is not None],
         [edge for edge in first_contact(contacts, HardContact()) if edge is not None],
     )

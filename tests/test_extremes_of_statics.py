@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.contact import ContactSet, HardContact, LineSprings, equilibrium
+from gearjax.contact import ContactSet, HardContact, Layout, LineSprings, equilibrium
 from gearjax.units import um
 from tests.rv import HERTZ, LINEAR, scene, with_errors
 
@@ -61,33 +61,35 @@ def check(contacts: ContactSet, load: float, relative: float):
     assert balance == pytest.approx(load, rel=0, abs=1e-12 * max(carried, abs(load)))
 
 
-def random_contacts(rng: np.random.Generator, two_sided: bool, pairs: int, back: bool) -> ContactSet:
-    if two_sided:
+def random_contacts(rng: np.random.Generator, sides_turn: bool, pairs: int, back: bool) -> ContactSet:
+    if sides_turn:
         lever = 0.06 * np.sin(rng.uniform(0, 2 * np.pi, pairs))
         gap = rng.uniform(0, 3e-5, pairs)
-        return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.full((pairs,), 1.6e8), pairs, True)
+        springs, layout = np.full(pairs, 1.6e8), Layout.either(pairs)
+        return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(springs), layout)
+    layout = Layout.of_flanks(pairs, back)
     lever = np.concatenate([np.full(pairs, -0.06), np.full(pairs if back else 0, 0.06)])
     gap = rng.uniform(-2e-5, 2e-5, lever.size) + 4e-5 * (lever > 0)
     springs = rng.uniform(0.5e8, 2e8, pairs)
     springs = np.concatenate([springs, springs]) if back else springs
-    return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(springs), pairs)
+    return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(springs), layout)
 
 
-@pytest.mark.parametrize("two_sided", [False, True])
-def test_equilibria_are_exact_to_rounding(two_sided, rng):
+@pytest.mark.parametrize("sides_turn", [False, True])
+def test_equilibria_are_exact_to_rounding(sides_turn, rng):
     for torque in TORQUES:
-        check(random_contacts(rng, two_sided, 12 if two_sided else 3, back=True), -torque, 1e-9)
+        check(random_contacts(rng, sides_turn, 12 if sides_turn else 3, back=True), -torque, 1e-9)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("two_sided", [False, True])
-def test_many_equilibria_are_exact_to_rounding(two_sided):
+@pytest.mark.parametrize("sides_turn", [False, True])
+def test_many_equilibria_are_exact_to_rounding(sides_turn):
     for seed in range(24):
         rng = np.random.default_rng(seed)
-        contacts = random_contacts(rng, two_sided, (1, 2, 5, 12)[seed % 4] + 6 * two_sided, back=True)
+        contacts = random_contacts(rng, sides_turn, (1, 2, 5, 12)[seed % 4] + 6 * sides_turn, back=True)
         for sign in (1.0, -1.0):
             for torque in (*TORQUES, float(10 ** rng.uniform(-14, 7))):
-                if two_sided and not bool((sign * contacts.lever < -0.002).any()):
+                if sides_turn and not bool((sign * contacts.lever < -0.002).any()):
                     continue
                 check(contacts, -sign * torque, 1e-9)
 
@@ -130,7 +132,7 @@ def test_derivatives_hold_at_hardly_any_torque():
 
 def test_a_line_contact_takes_the_smallest_force():
     springs = LineSprings(jnp.full((1,), 2.5e-10), jnp.full((1,), 15.0))
-    contacts = ContactSet(jnp.asarray([[-0.06]]), jnp.asarray([3e-5]), springs, 1)
+    contacts = ContactSet(jnp.asarray([[-0.06]]), jnp.asarray([3e-5]), springs, Layout.of_flanks(1, back=False))
     found = equilibrium(contacts, jnp.asarray(-1e-12), HardContact())
     assert float(found.forces[0]) == pytest.approx(1e-12 / 0.06, rel=1e-9)
 

@@ -1,6 +1,7 @@
 """Imports point downwards only."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -93,3 +94,14 @@ def test_an_upward_import_is_found():
 def test_the_library_never_touches_jax_config():
     touching = {room(path) for path in FILES if "config.update" in path.read_text(encoding="utf-8")}
     assert touching == {"cli"}
+
+
+ORDERS = re.compile(r"two_sided|\[:\s*pairs\]|pairs \+ \w|\bpairs:\]|ContactFrame|\bFlank\b")
+
+
+def test_only_a_layout_knows_the_order_of_contacts():
+    """Which contact is of which side and pair stands in `gearjax.contact.Layout`, and nowhere else."""
+    assert ORDERS.search("touch[: contacts.pairs + i]")
+    assert ORDERS.search("if system.two_sided:")
+    for path in FILES:
+        assert ORDERS.search(path.read_text(encoding="utf-8")) is None, path

@@ -13,7 +13,7 @@ import pytest
 
 import gearjax as gj
 from gearjax import plot, results, units
-from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.parameters import check_parameters, count, length, number
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
@@ -44,16 +44,18 @@ class SpurPair(AbstractSystem):
     def cycle(self) -> float:
         return 2 * math.pi * self.wheel_teeth / math.gcd(self.pinion_teeth, self.wheel_teeth)
 
-    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
-        return ContactFrame(jnp.reshape(-float(flank) * self.wheel_base_radius, (1, 1)), jnp.zeros((1,)))
+    def layout(self, request: Request) -> Layout:
+        return Layout.of_flanks(1, request.back)
 
-    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        side = jnp.asarray(self.layout(request).side, theta.dtype)
+        views = {body: self.view(body, theta, side) for body in request.bodies}
+        mesh = jnp.reshape(self.pinion_teeth * theta, (1,)) if request.mesh else None
+        return Pose(theta, -side[:, None] * self.wheel_base_radius, jnp.zeros_like(side), views, mesh)
+
+    def view(self, body: str, theta: Scalar, side: Float[Array, " contact"]) -> BodyView:
         order = 1.0 if body == "pinion" else -self.pinion_teeth / self.wheel_teeth
-        influence = jnp.full((1,), -float(flank) * (1.0 if body == "pinion" else -1.0))
-        return BodyView(order * theta, jnp.reshape(float(flank) * self.pressure_angle, (1,)), influence)
-
-    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
-        return jnp.reshape(self.pinion_teeth * theta, (1,))
+        return BodyView(order * theta, side * self.pressure_angle, -side if body == "pinion" else side)
 
 
 CONFIG = """

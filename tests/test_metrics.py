@@ -134,7 +134,8 @@ def test_the_line_at_half_the_sampling_rate():
 
 def test_load_sharing_factor():
     forces = jnp.array([[100.0, 0.0, 0.0, 0.0], [50.0, 50.0, 0.0, 0.0], [0.0, 0.0, 30.0, 10.0], [0.0, 0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(load_sharing_factor(forces, 2, 2), [2.0, 1.0, 1.5, np.nan])
+    carried = gj.Layout.of_flanks(2, back=True).per_pair(forces)
+    np.testing.assert_allclose(load_sharing_factor(carried, 2), [2.0, 1.0, 1.5, np.nan])
 
 
 def test_load_sharing_without_torque_is_refused(scene, theta):

@@ -86,7 +86,7 @@ class Nameless(SpurPair):
     [
         (Taken, r'Taken\.kind = "two_kv": is the kind of gearjax\.systems\.two_kv\.TwoKV already'),
         (Nameless, r'Nameless\.kind = "my gears": must be a name of letters'),
-        (gj.AbstractSystem, "is abstract: it lacks .*frame"),
+        (gj.AbstractSystem, "is abstract: it lacks .*layout, orders, pose"),
         (gj.Scene, "must be a class that is a subclass of one of AbstractSystem"),
         ("two_kv", 'register = "two_kv": must be a class'),
     ],

@@ -323,7 +323,7 @@ def test_pressure_is_that_of_hertz():
     te = gj.transmission_error(one, theta, 431.0)
     pressure = gj.contact_pressure(one, te)
     pin = int(jnp.argmax(te.forces[0]))
-    radii = one.system.radii(theta[0])
+    radii = one.system.pose(theta[0], gj.Request(radii=True)).radii
     relative = 1 / (1 / (3 * mm) + float(radii.curvature[pin]))
     modulus = 2.06e11 / (2 * (1 - 0.09))
     expected = np.sqrt(float(te.forces[0, pin]) * modulus / (np.pi * 11 * mm * relative))

@@ -310,7 +310,7 @@ def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str,
         motion = _fitted(equation, ts, settle, start, method)
     else:
         motion = _integrated(equation, ts, settle, start, method)
-    if equation.two_sided:
+    if equation.layout.sides_turn:
         able = jax.vmap(equation.carriers)(ts)
         motion = dataclasses.replace(motion, carriers=able)
     lost = ~(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.velocity).all())
@@ -341,8 +341,8 @@ def _integrated(
     forces = jax.vmap(equation.forces)(ts, te)
     velocity = states[:, 1] * (scale * equation.frequency)
     failed = jnp.where(there, failed, 4)
-    whole, pairs = jnp.zeros_like(scale), equation.pairs
-    return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, whole, pairs)
+    whole = jnp.zeros_like(scale)
+    return Motion(ts, te, velocity, forces, highest * scale, lowest * scale, settle, failed, whole, equation.layout)
 
 
 def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
@@ -389,5 +389,5 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
         settle,
         failed,
         found.defect * scale,
-        equation.pairs,
+        equation.layout,
     )

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.analysis.tables import depends
-from gearjax.contact import ContactSet, equilibrium
-from gearjax.contact.frame import Pose
+from gearjax.contact import ContactSet, Layout, equilibrium
+from gearjax.contact.pose import Pose
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -55,9 +55,8 @@ class Equation(eqx.Module):
         scale: position per scaled position [rad].
         inertia: moment of inertia on the output's axis; constant, as a body's is, where levers turn too [kg m2].
         mass: the same on the line of action, that the damping counts with [kg].
-        pairs: number of driving contacts.
         levers_turn: whether the levers change over time.
-        two_sided: whether the sign of its lever tells which flank a contact is.
+        layout: sides and pairs of the contacts.
     """
 
     scene: Scene
@@ -66,9 +65,8 @@ class Equation(eqx.Module):
     scale: Scalar
     inertia: Scalar
     mass: Scalar
-    pairs: int = eqx.field(static=True)
     levers_turn: bool = eqx.field(static=True)
-    two_sided: bool = eqx.field(static=True)
+    layout: Layout = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "Equation":
@@ -76,13 +74,13 @@ class Equation(eqx.Module):
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
         contacts = scene.contacts(start)
-        arm = contacts.lever[: contacts.pairs]
+        arm = contacts.lever[contacts.layout.flanks[0]]
         stiffness = (arm * arm).sum() * scene.linear_compliance.peak_stiffness()
         inertia = scene.inertia.moment(arm)
         frequency = jnp.sqrt(stiffness / inertia)
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
-        return cls(scene, torque, frequency, scale, inertia, mass, contacts.pairs, turn, contacts.two_sided)
+        return cls(scene, torque, frequency, scale, inertia, mass, turn, contacts.layout)
 
     def load(self, time: Scalar) -> Scalar:
         """Load torque [N m]."""
@@ -134,19 +132,21 @@ class Equation(eqx.Module):
     def acceleration(self, now: Excitation, position: Scalar, velocity: Scalar) -> Scalar:
         """Acceleration of the output's deviation [rad/s2]."""
         scene, gaps = self.scene, now.gaps
-        pairs = self.pairs
         overlap = gaps.lever * position - gaps.gap
         moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
         if scene.damping is not None and gaps.gap_rate is not None:
-            coefficient = scene.damping.coefficient(scene.linear_compliance.mean_stiffness(pairs), self.mass)
+            stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
+            coefficient = scene.damping.coefficient(stiffness, self.mass)
             speed = gaps.lever * velocity - gaps.gap_rate
             if gaps.lever_rate is not None:
                 speed = speed + gaps.lever_rate * position
             engaged = scene.contact.closed(overlap)
-            if overlap.shape[0] > pairs:  # one damper per pair, while either of its flanks is in contact
-                engaged = 1.0 - (1.0 - engaged[:pairs]) * (1.0 - engaged[pairs:])
+            first, *others = self.layout.flanks
+            closed, engaged = engaged, engaged[first]
+            for flank in others:  # one damper per pair, while any of its flanks is in contact
+                engaged = 1.0 - (1.0 - engaged) * (1.0 - closed[flank])
             engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged
-            moment = moment - (gaps.lever[:pairs] * coefficient * engaged * speed[:pairs]).sum()
+            moment = moment - (gaps.lever[first] * coefficient * engaged * speed[first]).sum()
         return moment / self.inertia
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:
@@ -160,7 +160,7 @@ class Equation(eqx.Module):
 
     def equilibrium(self, lever: Array, gap: Array, stiffness: Array, load: Scalar) -> Scalar:
         """Position where the contacts balance a load [rad]; arguments as for `following`."""
-        contacts = ContactSet(lever[:, None], gap, stiffness, self.pairs, self.two_sided)
+        contacts = ContactSet(lever[:, None], gap, stiffness, self.layout)
         return equilibrium(contacts, -load, self.scene.contact).position
 
     def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:
@@ -216,7 +216,7 @@ def fastest_rate(equation: Equation) -> Scalar:
     if scene.damping is not None:
         mass = equation.mass
         rates.append(
-            scene.damping.coefficient(scene.linear_compliance.mean_stiffness(equation.pairs), mass).sum() / mass
+            scene.damping.coefficient(scene.linear_compliance.mean_stiffness(equation.layout.teeth), mass).sum() / mass
         )
     return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
 
@@ -232,7 +232,7 @@ def slowest_decay(equation: Equation) -> Scalar:
     if scene.damping is None or scene.inertia is None or scene.compliance is None:
         return jnp.zeros((), scene.dtype)
     mass = equation.mass
-    stiffness = scene.linear_compliance.mean_stiffness(equation.pairs)
+    stiffness = scene.linear_compliance.mean_stiffness(equation.layout.teeth)
     decay = 0.5 * scene.damping.coefficient(stiffness, mass).min() / mass
     overdamped = decay > jnp.sqrt(stiffness.min() / mass)
     return jnp.where(overdamped, stiffness.min() / mass / jnp.maximum(2 * decay, 1e-30), decay)

@@ -224,7 +224,7 @@ def begin(
     found = jnp.asarray(True)
     if state is None:
         _, fast = now
-        stiffness = jnp.tile(fast.stiffness, gaps.gap.shape[0] // equation.pairs)
+        stiffness = equation.layout.per_contact(fast.stiffness)
         state = equation.following(gaps, stiffness, fast.load) * equation.per_step(oscillator.step)
         found, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     first, second = (oscillator.state(slow, fast, state[0]) for slow, fast in (now, later))

@@ -283,7 +283,7 @@ def deviation(record: Float[Array, "... n"]) -> Float[Array, "..."]:
 
 
 def load_sharing_factor(
-    forces: Float[Array, "... n contact"], carriers: Int[Array, "... n"] | int, pairs: int
+    carried: Float[Array, "... n pair"], carriers: Int[Array, "... n"] | int
 ) -> Float[Array, "... n"]:
     """Load of the most loaded pair over the mean load of those that could carry, 1 (even) to their number (one carries
     all), shape (n,).
@@ -291,11 +291,9 @@ def load_sharing_factor(
     The mesh load factor ``K_gamma`` of ISO 6336-1 for planet wheels, at each sample; nan without load.
 
     Args:
-        forces: compression of each contact, driving flanks first, shape (n, contact) [N].
+        carried: force of each pair, shape (n, pair) [N].
         carriers: number of pairs that could carry, shape (n,) or one for all.
-        pairs: number of driving contacts.
     """
-    carried = forces.reshape(*forces.shape[:-1], -1, pairs).sum(axis=-2)
     total = carried.sum(axis=-1)
     loaded = total > 0
     able = jnp.asarray(carriers, carried.dtype)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax.analysis.metrics import load_sharing_factor, root
+from gearjax.contact import Layout
 from gearjax.typing import Array, Float, Int, Scalar
 
 
@@ -14,12 +15,12 @@ class Motion(eqx.Module):
         ts: sample times, shape (n,) [s].
         te: transmission error, positive when the output leads, shape (n,) [rad].
         velocity: its rate, shape (n,) [rad/s].
-        forces: elastic force of each contact, driving flanks first, shape (n, contact) [N].
+        forces: elastic force of each contact, shape (n, contact) [N].
         highest, lowest: extremes of te over the steps up to each sample from the one before, shape (n,) [rad].
         settle: time that the metrics leave out [s].
         result: 0 good, else a key of `gearjax.analysis.dynamics.FAULTS`.
         defect: how far windows of time were apart where they meet, 0 without windows [rad].
-        pairs: number of driving contacts.
+        layout: sides and pairs of the contacts.
         carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` where all could.
     """
 
@@ -32,7 +33,7 @@ class Motion(eqx.Module):
     settle: Scalar
     result: Int[Array, ""]
     defect: Scalar
-    pairs: int = eqx.field(static=True)
+    layout: Layout = eqx.field(static=True)
     carriers: Int[Array, " n"] | None = None
 
     @property
@@ -88,7 +89,8 @@ class Motion(eqx.Module):
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
         """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
-        return load_sharing_factor(self.forces, self.pairs if self.carriers is None else self.carriers, self.pairs)
+        carriers = self.layout.teeth if self.carriers is None else self.carriers
+        return load_sharing_factor(self.layout.per_pair(self.forces), carriers)
 
 
 def _pick(values: Float[Array, "... n"], index: Int[Array, "..."]) -> Float[Array, "..."]:

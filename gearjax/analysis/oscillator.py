@@ -10,6 +10,7 @@ import numpy as np
 from gearjax.analysis.equation import Equation, Moment
 from gearjax.analysis.fitted import State
 from gearjax.contact import HardContact
+from gearjax.contact.layout import Place
 from gearjax.typing import Array, Float, Scalar
 
 FEW = 8  # pairs that are written out
@@ -65,31 +66,33 @@ class Oscillator(eqx.Module):
     def slow(self, moment: Moment) -> Slow:
         """Slow numbers of the step at a moment."""
         scene, now, scale = self.equation.scene, self.equation.gaps(moment), self.equation.scale
-        pairs, inertia = self.equation.pairs, self.equation.inertia
-        arm = now.lever[:pairs]
+        layout, inertia = self.equation.layout, self.equation.inertia
+        first = layout.flanks[0]
+        arm = now.lever[first]
         inverse = self.step * self.step / (inertia * scale * scale)
-        damping = drag = jnp.zeros((pairs,), now.gap.dtype)
+        damping = drag = jnp.zeros((layout.teeth,), now.gap.dtype)
         turning = None
         if scene.damping is not None:
             assert now.gap_rate is not None
-            mean = scene.linear_compliance.mean_stiffness(pairs)
+            mean = scene.linear_compliance.mean_stiffness(layout.teeth)
             coefficient = scene.damping.coefficient(mean, self.equation.mass) * arm
             damping = 0.5 * self.step * coefficient * arm / inertia
-            drag = inverse * scale * coefficient * now.gap_rate[:pairs]
+            drag = inverse * scale * coefficient * now.gap_rate[first]
             if now.lever_rate is not None:
-                turning = -inverse * scale * scale * coefficient * now.lever_rate[:pairs]
+                turning = -inverse * scale * scale * coefficient * now.lever_rate[first]
         return Slow(now.lever * scale, now.gap, inverse, damping, jnp.exp(-damping), drag, turning)
 
     def state(self, slow: Slow, fast: Fast, position: Array) -> State:
         """The oscillator of the contacts that are closed at a position."""
-        scene, pairs = self.equation.scene, len(fast.stiffness)
+        scene, layout = self.equation.scene, self.equation.layout
         hard = isinstance(scene.contact, HardContact)
         nothing = jnp.zeros_like(position)
         force, stiffness, drag, damping, decay = [], [], [], [], []
-        for pair in list(range(pairs)) if pairs <= FEW else [slice(0, pairs)]:
+        together: list[tuple[Place, tuple[Place, ...]]] = [(slice(0, layout.teeth), layout.flanks)]
+        for pair, flanks in enumerate(layout.members) if layout.teeth <= FEW else together:
             engaged = None
-            for flank in range(0, len(slow.gap), pairs):
-                lever, gap = _part(slow.lever, pair, flank), _part(slow.gap, pair, flank)
+            for flank in flanks:
+                lever, gap = _part(slow.lever, flank), _part(slow.gap, flank)
                 overlap = lever * position - gap
                 spring = lever * (slow.inverse * _part(fast.stiffness, pair))
                 # hard contacts by selection: a batch takes half the time of products with zeros and ones
@@ -123,8 +126,8 @@ class Oscillator(eqx.Module):
 
     def _springs(self, slow: Slow, fast: Fast) -> tuple[Array, Array, Array]:
         """Lever per scaled position, gap and stiffness of each contact."""
-        flanks = len(slow.gap) // len(fast.stiffness)
-        lever, gap, stiffness = (jnp.stack(part) for part in (slow.lever, slow.gap, tuple(fast.stiffness) * flanks))
+        springs = tuple(fast.stiffness[pair] for pair in self.equation.layout.pair)
+        lever, gap, stiffness = (jnp.stack(part) for part in (slow.lever, slow.gap, springs))
         return lever, gap, stiffness
 
     def forces(self, slow: Slow, fast: Fast, position: Array) -> Float[Array, " contact"]:
@@ -133,9 +136,12 @@ class Oscillator(eqx.Module):
         return stiffness * self.equation.scene.contact.penetration(lever * position - gap)
 
 
-def _part(numbers: Numbers, pair: int | slice, first: int = 0) -> Array:
-    """Numbers of one pair or of all, counted from a first one."""
-    place = pair + first if isinstance(pair, int) else slice(pair.start + first, pair.stop + first)
+def _part(numbers: Numbers, place: Place) -> Array:
+    """Numbers at one place, or at several together."""
+    if not isinstance(numbers, tuple):
+        return numbers[place]
+    if isinstance(place, np.ndarray):
+        return jnp.stack([numbers[index] for index in place])
     part = numbers[place]
     return jnp.stack(part) if isinstance(part, tuple) else part
 
@@ -172,7 +178,7 @@ class Harmonics(NamedTuple):
     @classmethod
     def of(cls, equation: Equation) -> "Harmonics":
         """The series of a scene, from as many samples of a mesh period as it has terms."""
-        compliance, pairs = equation.scene.linear_compliance, equation.pairs
+        compliance, pairs = equation.scene.linear_compliance, equation.layout.teeth
         number = 2 * compliance.harmonics + 1
         angles = 2 * np.pi * np.arange(number) / number
         dtype = equation.scene.dtype
@@ -194,8 +200,10 @@ class Harmonics(NamedTuple):
 
 def mesh_phases(equation: Equation, time: Scalar) -> Float[Array, " pair"]:
     """Mesh phase of each pair at a time [s]."""
-    system = equation.scene.system
-    return system.mesh_angle(system.input_speed * time)
+    scene = equation.scene
+    angle = scene.pose(scene.system.input_speed * time, "varying").mesh_angle
+    assert angle is not None  # it was asked for
+    return angle
 
 
 def mesh_rate(equation: Equation) -> Scalar:

@@ -9,8 +9,7 @@ from gearjax import arguments
 from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor, warn_of_few_angles
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import SceneError, is_concrete
-from gearjax.contact import Equilibrium
-from gearjax.contact.frame import Pose
+from gearjax.contact import Equilibrium, Layout, Pose
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
@@ -23,10 +22,10 @@ class TransmissionError(eqx.Module):
     Args:
         theta: input angles, shape (n,) [rad].
         te: transmission error, shape (n,) [rad].
-        forces: compression of each contact, driving flanks first, shape (n, contact) [N]; ``None`` without torque.
+        forces: compression of each contact, shape (n, contact) [N]; ``None`` without torque.
         result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), shape (n,).
         extremes: highest and lowest value over the span of theta, between samples too [rad].
-        pairs: number of driving contacts; of contacts that touch either flank, of all.
+        layout: sides and pairs of the contacts.
         fastest_order: turns of what the curve follows fastest per turn of the input.
         carriers: number of pairs that could carry the torque, shape (n,); of contacts that touch either flank those
             on the loaded side. ``None`` without torque.
@@ -39,7 +38,7 @@ class TransmissionError(eqx.Module):
     forces: Float[Array, "n contact"] | None
     result: Int[Array, " n"]
     extremes: Extremes
-    pairs: int = eqx.field(static=True)
+    layout: Layout = eqx.field(static=True)
     fastest_order: float = eqx.field(static=True)
     carriers: Int[Array, " n"] | None = None
     interference: Interference | None = None
@@ -78,7 +77,7 @@ class TransmissionError(eqx.Module):
         """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
         if self.forces is None or self.carriers is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
-        return load_sharing_factor(self.forces, self.carriers, self.pairs)
+        return load_sharing_factor(self.layout.per_pair(self.forces), self.carriers)
 
 
 class Backlash(eqx.Module):
@@ -252,13 +251,13 @@ def play(scene: Scene, angle: Scalar | Pose) -> Scalar:
 @eqx.filter_jit
 def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> TransmissionError:
     scene = scene.anchored()
-    pairs, fastest = jax.eval_shape(scene.contacts, theta[0]).pairs, scene.system.fastest_order
+    layout, fastest = scene.layout, scene.system.fastest_order
     if torque is None:
         te = jax.vmap(no_load, in_axes=(None, 0))(scene, theta)
         found = extremes(no_load, scene, theta, te)
         overlap = _clash(scene, theta) if scene.has_back else None
         result = jnp.zeros(theta.shape, int) if overlap is None else overlap.result
-        return TransmissionError(theta, te, None, result, found, pairs, fastest, None, overlap)
+        return TransmissionError(theta, te, None, result, found, layout, fastest, None, overlap)
 
     def at(angle: Scalar, torque: Array) -> Scalar:
         """Torque at an angle, between its samples too."""
@@ -273,7 +272,7 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
 
     rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
     found = extremes(under, (scene, torque), theta, rests.position)
-    return TransmissionError(theta, rests.position, rests.forces, rests.result, found, pairs, fastest, able)
+    return TransmissionError(theta, rests.position, rests.forces, rests.result, found, layout, fastest, able)
 
 
 @eqx.filter_jit

@@ -9,9 +9,9 @@ from gearjax.analysis.quasi_static import TransmissionError, angles_of, backlash
 from gearjax.analysis.resting import rest
 from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.compliance import AbstractLineContact
+from gearjax.contact import Request
 from gearjax.scene import Scene, require
-from gearjax.systems import LineContacts
-from gearjax.typing import Array, ArrayLike, Float
+from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 LOST_MOTION_SHARE = 0.03  # of the rated torque, as in catalogues of precision reducers
 
@@ -147,12 +147,17 @@ def pressures(
 ) -> Float[Array, "n contact"]:
     """Hertz pressure in each contact under given forces [Pa], as `contact_pressure`."""
     law = law if law is not None or not isinstance(scene.compliance, AbstractLineContact) else scene.compliance
-    if law is None or not isinstance(scene.system, LineContacts):
+    if law is None or not scene.system.has_radii:
         raise SceneError(
             "pressure needs line contacts of known radii, and their material: give law=HertzLineContact(...)"
         )
-    system = scene.system
-    return jax.vmap(lambda angle, forces: law.pressure(system.radii(angle), forces))(theta, forces)
+
+    def at(angle: Scalar, forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        radii = scene.system.pose(angle, Request(radii=True)).radii
+        assert radii is not None  # the system has them
+        return law.pressure(radii, forces)
+
+    return jax.vmap(at)(theta, forces)
 
 
 @eqx.filter_jit

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.contact.frame import ContactSet
+from gearjax.contact.contacts import ContactSet
 from gearjax.contact.laws import AbstractContact, HardContact
 from gearjax.contact.line import LineSprings
 from gearjax.contact.search import search
@@ -46,19 +46,20 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
     ``min_i(gap_i / J_i)`` over back contacts (eq. 9), ``None`` without back flanks.
     """
     scale = _scale(contacts)
-    if contacts.two_sided:
+    layout = contacts.layout
+    if layout.sides_turn:
         sides = (facing(contacts.lever, contacts.gap, sign, 1 / scale) for sign in (1.0, -1.0))
         lower, upper = (law.maximum(side * scale) / scale for side in sides)
         return lower, -upper
     touch = contacts.gap / contacts.lever
-    lower = law.maximum(touch[: contacts.pairs] * scale) / scale
-    if not contacts.has_back:
+    lower = law.maximum(touch[layout.on(1)] * scale) / scale
+    if not layout.has_back:
         return lower, None
-    return lower, -law.maximum(-touch[contacts.pairs :] * scale) / scale
+    return lower, -law.maximum(-touch[layout.on(-1)] * scale) / scale
 
 
 def facing(lever: Array, gap: Array, sign: float | Array, per_lever: Array) -> Array:
-    """Positions at which two-sided contacts of one side touch, those of the other side far away [rad].
+    """Positions at which the contacts on one side touch, as their levers tell, those of the other side far away [rad].
 
     Args:
         lever, gap: of the contacts, arrays of any one shape [m/rad], [m].
@@ -77,8 +78,8 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
     equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
     maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
-    show a slightly negative force). Two-sided contacts, and springs that are not linear, are searched for their
-    balance; there a smooth law makes the forces smooth.
+    show a slightly negative force). Contacts whose levers tell their side, and springs that are not linear, are
+    searched for their balance; there a smooth law makes the forces smooth.
 
     Args:
         contacts: candidate contacts, with a stiffness.
@@ -90,7 +91,7 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     """
     if contacts.stiffness is None:
         raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
-    if contacts.two_sided or isinstance(contacts.stiffness, LineSprings):
+    if contacts.layout.sides_turn or isinstance(contacts.stiffness, LineSprings):
         side = jnp.where(load > 0, -1.0, 1.0).astype(contacts.gap.dtype)
         touch = facing(contacts.lever, contacts.gap, side, 1 / _scale(contacts))
         first = jnp.argmax(touch)
@@ -154,32 +155,33 @@ def _first_loaded(touch: Array, driving: Array, load: Scalar) -> Array:
     return on_side & (jnp.arange(touch.shape[0]) == jnp.argmax(place))
 
 
-def hard_edges(touch: Sequence[Array], pairs: int) -> tuple[Array, Array | None]:
+def hard_edges(touch: Sequence[Array], side: Sequence[int]) -> tuple[Array, Array | None]:
     """Edges of the play by the hard law, as `first_contact`, with one array for each contact.
 
     Args:
-        touch: position at which each contact touches, driving contacts first, arrays of any one shape [rad].
-        pairs: number of driving contacts.
+        touch: position at which each contact touches, arrays of any one shape [rad].
+        side: of each contact, 1 for driving flanks and -1 for back flanks.
     """
-    lower = functools.reduce(lambda one, other: jnp.where(one >= other, one, other), touch[:pairs])
-    if len(touch) == pairs:
+    driving, back = ([at for at, on in zip(touch, side, strict=True) if on == which] for which in (1, -1))
+    lower = functools.reduce(lambda one, other: jnp.where(one >= other, one, other), driving)
+    if not back:
         return lower, None
-    return lower, functools.reduce(lambda one, other: jnp.where(one <= other, one, other), touch[pairs:])
+    return lower, functools.reduce(lambda one, other: jnp.where(one <= other, one, other), back)
 
 
-def hard_rest(touch: Sequence[Array], strength: Sequence[Array], pairs: int, load: Scalar) -> Array:
+def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[int], load: Scalar) -> Array:
     """Position of the equilibrium by the hard law, as `equilibrium`, with one array for each contact.
 
     Args:
-        touch: position at which each contact touches, driving contacts first, arrays of any one shape [rad].
+        touch: position at which each contact touches, arrays of any one shape [rad].
         strength: stiffness of each on the output [N m/rad].
-        pairs: number of driving contacts.
+        side: of each contact, 1 for driving flanks and -1 for back flanks.
         load: generalised force on the output [N m].
 
     Returns:
         The position [rad], nan where no contact can carry the load.
     """
-    signs = [-1.0 if index < pairs else 1.0 for index in range(len(touch))]
+    signs = [-float(on) for on in side]
     origin = touch[0]  # positions count from it: they are small beside their distance from zero
     apart = [place - origin for place in touch]
     pull, total = jnp.zeros_like(origin), jnp.zeros_like(origin)
@@ -211,17 +213,16 @@ def _smooth(
     """The sum of forces is ``min over S max over R`` of the linear springs S (driving) and R (back) held closed,
     so its root is the ``max over S min over R`` of their roots (reference form for two pairs:
     ``max(D1 - q, D2 - q, (D1 + D2 - q) / 2)``)."""
-    if contacts.pairs > MAX_SMOOTH_PAIRS:
+    layout, dtype = contacts.layout, contacts.gap.dtype
+    if layout.teeth > MAX_SMOOTH_PAIRS:
         raise ValueError(
-            f"the smooth equilibrium is for at most {MAX_SMOOTH_PAIRS} pairs, this scene has {contacts.pairs}: "
+            f"the smooth equilibrium is for at most {MAX_SMOOTH_PAIRS} pairs, this scene has {layout.teeth}: "
             'use contact "hard"'
         )
-    pairs, dtype = contacts.pairs, contacts.gap.dtype
-    drive = _subsets(pairs)
-    back = _subsets(contacts.gap.shape[0] - pairs)
-    members = jnp.asarray(  # (drive subset, back subset, contact)
-        [[np.concatenate([s, r]) for r in back] for s in drive], dtype=dtype
-    )
+    drive, back = (_subsets(layout.side.count(side)) for side in (1, -1))
+    held = np.zeros((len(drive), len(back), len(layout.side)))  # (drive subset, back subset, contact)
+    held[:, :, layout.on(1)], held[:, :, layout.on(-1)] = drive[:, None, :], back[None, :, :]
+    members = jnp.asarray(held, dtype=dtype)
     lever, scale = contacts.lever, _scale(contacts)
     touch = contacts.gap / lever
     origin = touch[0]

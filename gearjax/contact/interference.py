@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact.frame import ContactSet
+from gearjax.contact.contacts import ContactSet
 from gearjax.typing import Array, Int, Scalar
 
 MOST_STEPS = 60

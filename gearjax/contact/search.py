@@ -10,7 +10,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact.frame import ContactSet
+from gearjax.contact.contacts import ContactSet
 from gearjax.contact.laws import AbstractContact
 from gearjax.contact.line import LineSprings
 from gearjax.typing import Array, Bool, Float, Scalar

@@ -58,7 +58,8 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
             _waterfall(ax, time, forces, case.title)
             continue
         for contact in range(forces.shape[1]):
-            pair, back = contact % case.result.pairs + 1, contact >= case.result.pairs
+            layout = case.result.layout
+            pair, back = layout.pair[contact] + 1, layout.side[contact] < 0
             if back and not forces[:, contact].any():
                 continue
             ax.plot(

@@ -176,7 +176,7 @@ def _kinds(section: ToleranceSection) -> set[str]:
     varies = any(path.startswith("system.") for path in paths)
     if not isinstance(scene.contact, HardContact) or varies:
         return found | {"other"}
-    if not scene.system.two_sided:
+    if not scene.layout.sides_turn:
         return found | {"quick"}
     linear = all(m.analysis != "static" for m in still) or isinstance(scene.compliance, AbstractCompliance)
     return found | {"balances" if linear and _places(section) is not None else "other"}

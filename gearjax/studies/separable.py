@@ -49,11 +49,10 @@ class Tables(NamedTuple):
 
 def is_separable(scene: Scene, free: Free) -> bool:
     """Whether every free number belongs to an error of its own, and the same contacts drive at all times: which of
-    two-sided contacts do changes with the input angle."""
+    contacts whose levers tell their side do changes with the input angle."""
     owners = [tuple(path.split(".")[:2]) for path in free.paths]
-    return (
-        not scene.system.two_sided and all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
-    )
+    apart = all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
+    return apart and not scene.layout.sides_turn
 
 
 @eqx.filter_jit
@@ -63,7 +62,7 @@ def tables(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Arr
     def each(scene: Scene) -> Float[Array, "time pair"]:
         def at(angle):
             contacts = scene.contacts(angle)
-            return (contacts.gap / contacts.lever)[: contacts.pairs]
+            return (contacts.gap / contacts.lever)[contacts.layout.on(1)]
 
         return jax.vmap(at)(theta)
 

@@ -1,9 +1,9 @@
 """Gear sets. Each turns the input angle into candidate contacts; none knows how they are solved."""
 
-from gearjax.systems.base import AbstractSystem, DiscProfile, LineContacts
+from gearjax.systems.base import AbstractSystem, DiscProfile
 from gearjax.systems.rv_cycloidal import RVCycloidal
 from gearjax.systems.two_kv import TwoKV
 
 SYSTEMS: tuple[type[AbstractSystem], ...] = (TwoKV, RVCycloidal)
 
-__all__ = ["SYSTEMS", "AbstractSystem", "DiscProfile", "LineContacts", "RVCycloidal", "TwoKV"]
+__all__ = ["SYSTEMS", "AbstractSystem", "DiscProfile", "RVCycloidal", "TwoKV"]

@@ -6,19 +6,9 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
 
-from gearjax.contact import BodyView, ContactFrame, Flank, Moved, Movements
+from gearjax.contact import Layout, Moved, Movements, Pose, Request
 from gearjax.geometry.cycloid import Cycloid
-from gearjax.geometry.line_contact import Radii
 from gearjax.typing import Array, Float, Scalar
-
-
-@runtime_checkable
-class LineContacts(Protocol):
-    """What a gear set offers besides where its contacts are line contacts of known radii."""
-
-    def radii(self, theta: Scalar) -> Radii:
-        """Radii where the contacts are at an input angle [rad]."""
-        ...
 
 
 @runtime_checkable
@@ -39,8 +29,8 @@ class AbstractSystem(eqx.Module):
     """
 
     kind: eqx.AbstractClassVar[str]
-    two_sided: ClassVar[bool] = False
-    """Whether its contacts touch either flank, told by the sign of their lever, and count from the ideal profile."""
+    has_radii: ClassVar[bool] = False
+    """Whether its contacts are line contacts whose radii of curvature it shows."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
 
@@ -79,12 +69,17 @@ class AbstractSystem(eqx.Module):
         """Input angle after which the errors of the bodies repeat [rad]."""
 
     @abc.abstractmethod
-    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
-        """Contacts of one flank at an input angle [rad], for ideal bodies."""
+    def layout(self, request: Request) -> Layout:
+        """Sides and pairs of the contacts. Where the sign of a lever tells the side, gaps count from the ideal profile,
+        and no back flanks are asked for."""
 
     @abc.abstractmethod
-    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
-        """How a displacement fixed on a body is seen from the lines of action of one flank."""
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        """Contacts of ideal bodies at an input angle [rad], in the order of the layout, and what else is asked for.
+
+        Raises:
+            ParameterError: a body is asked for that the system does not have.
+        """
 
     @property
     def exact(self) -> bool:
@@ -115,7 +110,3 @@ class AbstractSystem(eqx.Module):
             NotImplementedError: the system works to first order only.
         """
         raise NotImplementedError(f"{self.kind} has no exact geometry")
-
-    @abc.abstractmethod
-    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
-        """Mesh phase of the pairs, ``2 pi`` per tooth, shape (contact,) [rad]."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
-from gearjax.contact import BodyView, ContactFrame, Flank, Moved, Movements, Rim
+from gearjax.contact import BodyView, Layout, Moved, Movements, Pose, Request, Rim
 from gearjax.geometry import base_radius
 from gearjax.geometry.cycloid import Cycloid, Touch, curvature, gap, largest_offset, pin_distance, touch
 from gearjax.geometry.line_contact import Radii
@@ -60,7 +60,7 @@ class RVCycloidal(AbstractSystem):
     """
 
     kind: ClassVar[str] = "rv_cycloidal"
-    two_sided: ClassVar[bool] = True
+    has_radii: ClassVar[bool] = True
 
     pins: int = count(at_least=3, at_most=1000, example=40)
     pin_circle: Number = length(at_least=1e-6, at_most=100.0, example="76 mm")
@@ -190,10 +190,21 @@ class RVCycloidal(AbstractSystem):
     def exact(self) -> bool:
         return self.clearance == "exact"
 
-    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
+    def layout(self, request: Request) -> Layout:
+        return Layout.either(self.discs * self.pins)
+
+    def pose(self, theta: Scalar, request: Request) -> Pose:
         profile, angles = self.profile, self._angles(theta)
         at = touch(profile.short_width, angles)
-        return ContactFrame((self.lever_radius * at.lever)[:, None], self._thinned(gap(profile, angles), at))
+        views = {body: self._view(body, theta, at) for body in request.bodies}
+        mesh, radii = None, None
+        if request.mesh:
+            mesh = jnp.broadcast_to(self.orders["mesh"] * theta, angles.shape)
+        if request.radii:
+            curved = curvature(profile, angles)
+            radii = Radii(jnp.broadcast_to(self.pin_radius, curved.shape), curved)
+        jacobian = (self.lever_radius * at.lever)[:, None]
+        return Pose(theta, jacobian, self._thinned(gap(profile, angles), at), views, mesh, radii)
 
     def _thinned(self, open_by: Array, at: Touch) -> Array:
         """Gaps with that of the thickness modification [m]."""
@@ -242,10 +253,10 @@ class RVCycloidal(AbstractSystem):
         open_by = self._thinned(open_by, touch(self.profile.short_width, self._angles(theta)))
         return open_by + ring.gap + disc.gap
 
-    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
+    def _view(self, body: str, theta: Scalar, at: Touch) -> BodyView:
+        """How a displacement fixed on a body is seen from the lines of action."""
         self._check_body(body)
         profile = self.profile
-        at = touch(profile.short_width, self._angles(theta))
         direction = jnp.arctan2(at.along_throw, at.lever)  # sine and cosine of the normal, seen from the throw
         ones, still = jnp.ones_like(direction), jnp.zeros_like(theta)
         short = profile.short_width
@@ -281,14 +292,6 @@ class RVCycloidal(AbstractSystem):
     def _place_on_disc(self, theta: Scalar) -> Float[Array, " contact"]:
         """Angle of each contact on its disc [rad]."""
         return jnp.tile(self._pins(theta.dtype), self.discs) + self._each(self._crank(theta)) / self.profile.teeth
-
-    def radii(self, theta: Scalar) -> Radii:
-        """Radii of the line contacts, shape (contact,) [m], [1/m]."""
-        curved = curvature(self.profile, self._angles(theta))
-        return Radii(jnp.broadcast_to(self.pin_radius, curved.shape), curved)
-
-    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
-        return jnp.broadcast_to(self.orders["mesh"] * theta, (self.discs * self.pins,))
 
 
 def _rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:

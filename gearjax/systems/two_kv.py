@@ -5,14 +5,15 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
-from gearjax.contact import BodyView, ContactFrame, Flank
+from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.geometry import FewTeethDifference, base_radius, internal_centre_distance
 from gearjax.parameters import Named, angle, check_parameters, count, length, number
 from gearjax.systems.base import AbstractSystem
-from gearjax.typing import Array, Float, Number, Scalar
+from gearjax.typing import Number, Scalar
 
 
 class TwoKV(AbstractSystem):
@@ -112,22 +113,26 @@ class TwoKV(AbstractSystem):
     def cycle(self) -> float:
         return 2 * math.pi * float(self.train.ratio * self.train.cycle)
 
-    def frame(self, theta: Scalar, flank: Flank) -> ContactFrame:
-        column = jnp.broadcast_to(-float(flank) * self.radius, (self.planets, 1))
-        return ContactFrame(jacobian=column, gap=jnp.zeros((self.planets,), column.dtype))
+    def layout(self, request: Request) -> Layout:
+        return Layout.of_flanks(self.planets, request.back)
 
-    def view(self, body: str, theta: Scalar, flank: Flank) -> BodyView:
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        layout, radius = self.layout(request), self.radius
+        jacobian = jnp.asarray(-np.array(layout.side), radius.dtype)[:, None] * radius
+        views = {body: self._view(body, theta, layout) for body in request.bodies}
+        mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (self.planets,)) if request.mesh else None
+        return Pose(theta, jacobian, jnp.zeros((len(layout.side),), jacobian.dtype), views, mesh)
+
+    def _view(self, body: str, theta: Scalar, layout: Layout) -> BodyView:
+        """How a displacement fixed on a body is seen from the lines of action."""
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
         order = self.orders["crank" if body == "output_wheel" else "planet"]
-        line = -float(flank) * self.working_pressure_angle
-        if body.startswith("planet_"):
-            own = jnp.arange(self.planets) == int(body.removeprefix("planet_")) - 1
-            place, share = jnp.broadcast_to(line, (self.planets,)), own.astype(line.dtype)
-        else:
-            place = line - jnp.arange(self.planets, dtype=line.dtype) * (2 * math.pi / self.planets)
-            share = jnp.ones((self.planets,), line.dtype)
-        return BodyView(order * theta, place, -float(flank) * share)
-
-    def mesh_angle(self, theta: Scalar) -> Float[Array, " contact"]:
-        return jnp.broadcast_to(self.orders["mesh"] * theta, (self.planets,))
+        side, planet = np.array(layout.side), np.array(layout.pair)
+        dtype = self.working_pressure_angle.dtype
+        place = jnp.asarray(-side, dtype) * self.working_pressure_angle
+        if not body.startswith("planet_"):
+            place = place - jnp.asarray(planet * (2 * math.pi / self.planets), dtype)
+            return BodyView(order * theta, place, jnp.asarray(-side, dtype))
+        own = planet == int(body.removeprefix("planet_")) - 1
+        return BodyView(order * theta, place, jnp.asarray(-side * own, dtype))

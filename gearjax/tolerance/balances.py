@@ -57,7 +57,7 @@ class Balances(eqx.Module):
 
         few = jax.tree.map(lambda leaf: leaf[:EXAMPLES], examples)
         gaps = AffineGaps.of(gap, poses, jax.vmap(lambda scene: _flat(scene, varied))(few))
-        return None if gaps is None else cls(poses.drive.frame.jacobian[..., 0], gaps, varied)
+        return None if gaps is None else cls(poses.jacobian[..., 0], gaps, varied)
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis of one gear set [rad], all angles side by side."""

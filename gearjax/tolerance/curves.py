@@ -25,7 +25,7 @@ import numpy as np
 from gearjax.analysis.metrics import top
 from gearjax.contact import HardContact
 from gearjax.contact.equilibrium import hard_edges, hard_rest
-from gearjax.contact.frame import Pose
+from gearjax.contact.pose import Pose
 from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -47,7 +47,7 @@ class Curves(eqx.Module):
         checks: of the angles that are looked at besides, shape (check, angle).
         allowed: how far a gear set may be off there [rad].
         series: the same as polynomials of the place near each sample in spacings, shape (n, term, angle).
-        pairs: number of driving contacts.
+        side: of each contact, 1 for driving flanks and -1 for back flanks.
         stiffness: ``"rigid"``, or ``"mean"`` where torques are looked at.
     """
 
@@ -56,7 +56,7 @@ class Curves(eqx.Module):
     checks: Float[Array, "check angle"] | None
     allowed: float = eqx.field(static=True)
     series: Float[Array, "n term angle"] | None
-    pairs: int = eqx.field(static=True)
+    side: tuple[int, ...] = eqx.field(static=True)
     stiffness: Stiffness = eqx.field(static=True)
 
     @classmethod
@@ -70,8 +70,8 @@ class Curves(eqx.Module):
             fixed_system: whether no number of the system varies.
         """
         first = jax.tree.map(lambda leaf: leaf[0], examples)
-        pairs = jax.eval_shape(first.contacts, theta[0]).pairs
-        everywhere = cls(_poses(first, theta), None, None, 0.0, None, pairs, stiffness)
+        side = first.layout.side
+        everywhere = cls(_poses(first, theta), None, None, 0.0, None, side, stiffness)
         if not fixed_system or not isinstance(first.contact, HardContact) or len(theta) < 3:
             return everywhere
         between = np.interp(np.arange(FINE * (len(theta) - 1) + 1) / FINE, np.arange(len(theta)), np.asarray(theta))
@@ -97,7 +97,7 @@ class Curves(eqx.Module):
         besides = np.linspace(0, len(theta) - 1, CHECKS + 2).round().astype(int)[1:-1]
         poses = _poses(first, theta[np.concatenate([chosen, besides])])
         allowed = 100 * accuracy * largest
-        return cls(poses, weights, weights[besides], allowed, series, pairs, stiffness)
+        return cls(poses, weights, weights[besides], allowed, series, side, stiffness)
 
     def touches(self, scene: Scene) -> "Touches":
         """Where the contacts of one gear set touch, in all angles."""
@@ -105,7 +105,7 @@ class Curves(eqx.Module):
         columns = [touch[:, i] for i in range(touch.shape[1])]
         if self.weights is None:
             strengths = None if strength is None else [strength[:, i] for i in range(touch.shape[1])]
-            return Touches(columns, strengths, self.pairs)
+            return Touches(columns, strengths, self.side)
         assert self.checks is not None
         number = self.weights.shape[1]
         strengths = None if strength is None else [strength[0, i] for i in range(touch.shape[1])]
@@ -113,7 +113,7 @@ class Curves(eqx.Module):
         alike = (jnp.abs(jnp.stack(besides)) <= self.allowed).all()
         columns = [column[:number] for column in columns]
         spread = [_weighted(self.weights, column) for column in columns]
-        return Touches(spread, strengths, self.pairs, None if self.series is None else (self.series, columns), alike)
+        return Touches(spread, strengths, self.side, None if self.series is None else (self.series, columns), alike)
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis of one gear set, at the samples [rad]."""
@@ -141,14 +141,14 @@ class Touches(eqx.Module):
     Args:
         position: position of the output at which each contact touches, shape (n,) each [rad].
         strength: stiffness on the output, shape (n,) or () each [N m/rad].
-        pairs: number of driving contacts; they come first.
+        side: of each contact, 1 for driving flanks and -1 for back flanks.
         closer: weights of closer angles, and what they weigh for each contact; ``None`` where there are none.
         alike: whether the gear set is like the examples, so that its curves are right; ``None`` where all is seen.
     """
 
     position: Sequence[Float[Array, " n"]]
     strength: Sequence[Array] | None
-    pairs: int = eqx.field(static=True)
+    side: tuple[int, ...] = eqx.field(static=True)
     closer: tuple[Array, Sequence[Array]] | None = None
     alike: Array | None = None
 
@@ -160,7 +160,7 @@ class Touches(eqx.Module):
         terms = jnp.einsum("mta,ca->cmt", series[samples], jnp.stack(columns))
         powers = jnp.asarray(np.vander(OFFSETS, TERMS, increasing=True).T, series.dtype)
         spread = jnp.matmul(terms, powers).reshape(len(columns), -1)
-        return Touches(list(spread), self.strength, self.pairs)
+        return Touches(list(spread), self.strength, self.side)
 
     def highest(self, curve: Callable[["Touches"], Float[Array, " n"]], values: Float[Array, " n"]) -> Scalar:
         """Highest value of a curve, between its samples too where polynomials are known.
@@ -185,18 +185,18 @@ class Touches(eqx.Module):
 
     def no_load(self) -> Float[Array, " n"]:
         """No-load TE, shape (n,) [rad]."""
-        return hard_edges(self.position, self.pairs)[0]
+        return hard_edges(self.position, self.side)[0]
 
     def backlash(self) -> Float[Array, " n"]:
         """Backlash, shape (n,) [rad]."""
-        lower, upper = hard_edges(self.position, self.pairs)
+        lower, upper = hard_edges(self.position, self.side)
         assert upper is not None  # the measure requires a backlash
         return upper - lower
 
     def static(self, torque: Scalar) -> Float[Array, " n"]:
         """Static TE under a torque [N m], shape (n,) [rad]; nan where no flank can carry it."""
         assert self.strength is not None  # the measure requires a compliance
-        return hard_rest(self.position, self.strength, self.pairs, -torque)
+        return hard_rest(self.position, self.strength, self.side, -torque)
 
 
 @eqx.filter_jit

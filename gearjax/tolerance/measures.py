@@ -167,7 +167,7 @@ class Measures:
         if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
             examples = jnp.asarray(tolerances.examples, scene.dtype)
             population = jax.vmap(lambda row: self.free.set(self.physics, row))(examples)
-            quick = self._balances if scene.system.two_sided else self._touches
+            quick = self._balances if scene.layout.sides_turn else self._touches
             self.curves = quick(population, analyses)
         self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 

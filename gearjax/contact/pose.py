@@ -1,18 +1,6 @@
-"""The hand-over types between a gear set and its analyses.
+"""What a system shows at one input angle: levers and gaps of ideal bodies, and how errors of its bodies are seen."""
 
-A contact is a one-sided spring. The displacement ``q`` of the output from its ideal position [rad] closes it by
-
-    overlap = J q - gap(theta)                                               [m]
-
-Driving flanks hold the output against a positive torque, so their ``J`` is negative (the overlap grows when the
-output falls back); the ``J`` of a back flank is positive. Driving contacts come first, back contacts follow in
-the same order, so that contact ``i`` and contact ``pairs + i`` are the two flanks of pair ``i``.
-
-Pins of a cycloidal disc touch one flank after the other as the disc goes around: their contacts are two-sided, the
-sign of ``J`` tells which flank it is, and there are no others.
-"""
-
-import enum
+import dataclasses
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -20,27 +8,45 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact.line import LineSprings
-from gearjax.typing import Array, Float, Int, Scalar
+from gearjax.geometry.line_contact import Radii
+from gearjax.typing import Array, Float, Scalar
 
 
-class Flank(enum.IntEnum):
-    """Side of a tooth; the value is the sign of the torque that loads it."""
-
-    DRIVE = 1
-    BACK = -1
-
-
-class ContactFrame(eqx.Module):
-    """Where the contacts of one flank are at one input angle, for ideal bodies.
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """What a scene asks a system for; what it does not list is not computed.
 
     Args:
-        jacobian: change of overlap per change of the output's position, shape (contact, dof) [m/rad].
-        gap: ideal gap, shape (contact,) [m].
+        back: whether back flanks are modelled.
+        bodies: those that carry errors.
+        mesh: whether the mesh phase counts.
+        radii: whether the radii of curvature count.
     """
 
+    back: bool = False
+    bodies: tuple[str, ...] = ()
+    mesh: bool = False
+    radii: bool = False
+
+
+class Pose(eqx.Module):
+    """What a system shows at one input angle. It does not depend on the errors: many assemblies share it.
+
+    Args:
+        theta: input angle [rad].
+        jacobian: change of overlap per change of the output's position, shape (contact, dof) [m/rad].
+        gap: of ideal bodies, shape (contact,) [m].
+        views: how errors of the bodies are seen that were asked for.
+        mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` where not asked for.
+        radii: of the line contacts, shape (contact,); ``None`` where not asked for.
+    """
+
+    theta: Scalar
     jacobian: Float[Array, "contact dof"]
     gap: Float[Array, " contact"]
+    views: dict[str, "BodyView"] = eqx.field(default_factory=dict)
+    mesh_angle: Float[Array, " pair"] | None = None
+    radii: Radii | None = None
 
 
 class Rim(eqx.Module):
@@ -82,7 +88,7 @@ class Rim(eqx.Module):
 
 
 class BodyView(eqx.Module):
-    """How a displacement fixed on one body is seen from the lines of action of one flank.
+    """How a displacement fixed on one body is seen from the contacts' lines of action.
 
     A displacement of size ``e`` at the phase ``p`` changes the gaps by ``influence * e * sin(angle + p)``.
 
@@ -174,84 +180,3 @@ def _blind(view: BodyView) -> BodyView:
     if rim is not None:
         rim = eqx.tree_at(lambda rim: (rim.outward, rim.around), rim, (nothing, nothing))
     return eqx.tree_at(lambda view: (view.influence, view.rim), view, (nothing, rim), is_leaf=lambda x: x is None)
-
-
-class Side(eqx.Module):
-    """What a system shows of one flank: contacts of ideal bodies, and the views of the bodies that carry errors."""
-
-    frame: ContactFrame
-    views: dict[str, BodyView]
-
-
-class Pose(eqx.Module):
-    """What a system shows at one input angle. It does not depend on the errors: many assemblies share it.
-
-    Args:
-        theta: input angle [rad].
-        drive, back: both flanks; ``back`` is ``None`` where no back flanks are modelled.
-    """
-
-    theta: Scalar
-    drive: Side
-    back: Side | None
-
-
-class ContactSet(eqx.Module):
-    """All candidate contacts of a scene at one input angle, errors included.
-
-    Args:
-        jacobian: shape (contact, dof) [m/rad].
-        gap: shape (contact,) [m].
-        stiffness: shape (contact,) [N/m], or the law of elastic line contacts; ``None`` for rigid teeth.
-        pairs: number of driving contacts; they come first. All contacts where they are two-sided.
-        two_sided: whether the sign of its lever tells which flank a contact is.
-    """
-
-    jacobian: Float[Array, "contact dof"]
-    gap: Float[Array, " contact"]
-    stiffness: Float[Array, " contact"] | LineSprings | None
-    pairs: int = eqx.field(static=True)
-    two_sided: bool = eqx.field(static=True, default=False)
-
-    @property
-    def lever(self) -> Float[Array, " contact"]:
-        """The single column of the Jacobian [m/rad]."""
-        if self.jacobian.shape[1] != 1:
-            raise ValueError(f"this solver is for one degree of freedom, the contacts have {self.jacobian.shape[1]}")
-        return self.jacobian[:, 0]
-
-    @property
-    def linear(self) -> Float[Array, " contact"] | None:
-        """Stiffness of linear springs, shape (contact,) [N/m]; ``None`` for rigid teeth."""
-        if isinstance(self.stiffness, LineSprings):
-            raise ValueError("this solver is for linear springs, the contacts are line contacts")
-        return self.stiffness
-
-    @property
-    def has_back(self) -> bool:
-        """Whether back flanks are modelled."""
-        return self.two_sided or self.gap.shape[0] > self.pairs
-
-    def carriers(self, load: Scalar) -> Int[Array, ""]:
-        """Number of pairs that could carry a generalised force [N m]; two-sided contacts: those on its side."""
-        if not self.two_sided:
-            return jnp.asarray(self.pairs)
-        return jnp.where(load > 0, self.lever > 0, self.lever < 0).sum()
-
-
-def join(
-    drive: ContactFrame,
-    back: ContactFrame | None,
-    stiffness: Float[Array, " pair"] | LineSprings | None,
-    two_sided: bool = False,
-) -> ContactSet:
-    """Contacts of both flanks as one set; the two flanks of a pair are equally stiff."""
-    pairs = drive.gap.shape[0]
-    if back is None:
-        return ContactSet(drive.jacobian, drive.gap, stiffness, pairs, two_sided)
-    return ContactSet(
-        jnp.concatenate([drive.jacobian, back.jacobian]),
-        jnp.concatenate([drive.gap, back.gap]),
-        jax.tree.map(lambda each: jnp.concatenate([each, each]), stiffness),
-        pairs,
-    )

@@ -1,0 +1,105 @@
+"""What is known of contacts without their numbers: their sides, and the pairs of teeth that they are flanks of."""
+
+import dataclasses
+from collections.abc import Sequence
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.typing import Array
+
+Place = int | slice | np.ndarray
+"""Of one contact or of several; a slice where they follow each other, which costs nothing."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Sides and pairs of contacts, which decide what a program looks like.
+
+    Args:
+        side: of each contact: 1 for a driving flank, which holds the output against a positive torque, -1 for a back
+            flank, 0 where the sign of its lever tells, for all contacts or for none.
+        pair: of each contact, the pair of teeth whose flank it is, counted from 0: its flanks share one stiffness and
+            one damper. Every pair has as many contacts as any other.
+
+    Raises:
+        ValueError: sides and pairs of contacts that cannot be.
+    """
+
+    side: tuple[int, ...]
+    pair: tuple[int, ...]
+
+    def __post_init__(self):
+        if len(self.side) != len(self.pair) or not self.side:
+            raise ValueError(f"{len(self.side)} sides and {len(self.pair)} pairs: give one of each per contact")
+        if not (set(self.side) == {0} or set(self.side) <= {1, -1}):
+            raise ValueError(f"sides are 1 (driving) or -1 (back), or 0 for all, not {sorted(set(self.side))}")
+        counts = np.bincount(self.pair)
+        if counts.min() != counts.max():
+            raise ValueError(f"pairs have {counts.min()} to {counts.max()} contacts: every pair needs as many")
+
+    @classmethod
+    def of_flanks(cls, number: int, back: bool) -> "Layout":
+        """Driving flanks of a number of pairs, and where asked for their back flanks, in the same order."""
+        sides = (1, -1) if back else (1,)
+        return cls(tuple(side for side in sides for _ in range(number)), tuple(range(number)) * len(sides))
+
+    @classmethod
+    def either(cls, number: int) -> "Layout":
+        """Contacts that touch one flank or the other, as the sign of their lever tells; each is a pair of its own."""
+        return cls((0,) * number, tuple(range(number)))
+
+    @property
+    def sides_turn(self) -> bool:
+        """Whether the sign of its lever tells what side a contact is on."""
+        return self.side[0] == 0
+
+    @property
+    def has_back(self) -> bool:
+        """Whether something holds the output against a negative torque."""
+        return self.sides_turn or -1 in self.side
+
+    @property
+    def teeth(self) -> int:
+        """Number of pairs of teeth."""
+        return max(self.pair) + 1
+
+    @cached_property
+    def flanks(self) -> tuple[Place, ...]:
+        """The contacts in rows with one of each pair, in the order of the pairs: the first flanks, the second ones."""
+        order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)
+        return tuple(_place(row) for row in order.T)
+
+    @cached_property
+    def members(self) -> tuple[tuple[int, ...], ...]:
+        """Contacts of each pair."""
+        found: list[tuple[int, ...]] = [()] * self.teeth
+        for contact, pair in enumerate(self.pair):
+            found[pair] += (contact,)
+        return tuple(found)
+
+    def on(self, side: int) -> Place:
+        """The contacts of one side, 1 or -1, of contacts whose sides are known."""
+        return _place(np.flatnonzero(np.asarray(self.side) == side))
+
+    def per_contact(self, of_pairs: Array) -> Array:
+        """Numbers of each pair at each of its contacts, along the first axis."""
+        repeats = len(self.pair) // self.teeth
+        if self.pair == tuple(range(self.teeth)) * repeats:  # a copy, which compiles to less than a choice of places
+            return of_pairs if repeats == 1 else jnp.concatenate([of_pairs] * repeats)
+        return of_pairs[np.asarray(self.pair)]
+
+    def per_pair(self, of_contacts: Array) -> Array:
+        """Sums over the contacts of each pair, along the last axis."""
+        first, *others = (of_contacts[..., row] for row in self.flanks)
+        return sum(others, first)
+
+
+def _place(indices: np.ndarray | Sequence[int]) -> Place:
+    """Indices as a slice where they follow each other."""
+    indices = np.asarray(indices)
+    begin = int(indices[0]) if len(indices) else 0
+    if (indices == np.arange(begin, begin + len(indices))).all():
+        return slice(begin, begin + len(indices))
+    return indices
