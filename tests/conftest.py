@@ -29,14 +29,14 @@ QUICK_COMPILER = "--xla_cpu_use_fusion_emitters=false"  # in half the time; prog
 FOUND = "GEARJAX_TESTS_COMPILER"  # what the process that starts the workers found out, for them
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure() -> None:
     """Most tests take longer to compile than to run.
 
-    What LLVM spends most time on is left to those that are marked ``runs_long``, and the slow ones have the quicker
-    of XLA's compilers for kernels. Commands that tests start as processes of their own are compiled as a user's are,
-    and so is everything where ``XLA_FLAGS`` is set, to nothing too.
+    They have the quicker of XLA's compilers for kernels, and what LLVM spends most time on is left to those that are
+    marked ``runs_long``. Commands that tests start as processes of their own are compiled as a user's are, and so is
+    everything where ``XLA_FLAGS`` is set, to nothing too.
     """
-    if "XLA_FLAGS" in os.environ or config.option.markexpr != "slow":
+    if "XLA_FLAGS" in os.environ:
         return
     if FOUND not in os.environ:
         os.environ[FOUND] = QUICK_COMPILER if _is_known(QUICK_COMPILER) else ""
