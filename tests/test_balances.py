@@ -51,6 +51,7 @@ def one_by_one(population: gj.Tolerances, theta, values) -> list[float]:
     return [float(x) for x in (jnp.ptp(te), back.mean(), slight.mean(), play.lower.mean(), play.backlash.min())]
 
 
+@pytest.mark.slow
 def test_samples_are_the_analyses_one_by_one(population, quick):
     assert isinstance(quick.curves, Balances)
     rows = population.examples[:3]

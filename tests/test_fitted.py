@@ -209,6 +209,7 @@ def test_gradients_of_statistics(scene, windows):
     np.testing.assert_allclose(forward, central, rtol=0, atol=1e-6 * float(abs(central).max()))
 
 
+@pytest.mark.slow
 def test_gradients_of_what_drives_the_teeth(scene):
     """With respect to the speed, which moves everything, and to the stiffness and its harmonics alone."""
     ts = np.linspace(0.0, 0.05, 26)

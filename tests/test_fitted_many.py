@@ -94,6 +94,7 @@ def test_contacts_that_open_and_close():
     assert errors[2] < errors[1] / 6
 
 
+@pytest.mark.slow
 def test_gradients_under_vmap_and_jit():
     def end(stiffness):
         return solve(0.1, 100, DAMPING, contact=stiffness, swing=0.3)[0].sum()

@@ -31,6 +31,7 @@ def angles(scene):
 SLOW = ("peak_to_peak", "backlash")
 
 
+@pytest.mark.slow
 def test_pieces_hold_the_highest_sample_however_few_there_are():
     """One sample for each pin: slopes tell of turning points far below the top alone."""
     one = gj.load(ROOT / "configs" / "rv_cycloidal" / "hu_2020_phases.toml")
