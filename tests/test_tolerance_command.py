@@ -70,6 +70,7 @@ def test_json_is_what_it_promises(config, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_the_example_answers_everything(tmp_path, capsys):
     text = CONFIG.read_text(encoding="utf-8").replace("samples = 20000", "samples = 500").replace("= 1024 ", "= 64 ")
     config = tmp_path / "whole.toml"

@@ -111,6 +111,7 @@ def test_allocation_of_a_single_tolerance_is_the_quantile(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_allocation_buys_the_cheap_tolerance(population, angles):
     measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
     costs = dict(zip(AMPLITUDES, (((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 100.0),)), strict=True))
@@ -148,6 +149,7 @@ def test_matched_assembly_finds_what_a_long_search_finds(population, angles):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_matched_assembly_of_rv_reducers_finds_what_a_long_search_finds():
     """Their pins pass too quickly for a search over few angles alone: it goes on over all."""
     scene = rv.scene(with_errors=True)
@@ -196,6 +198,7 @@ def test_a_tolerance_of_a_size_narrows_to_none(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_allocation_stays_within_tables_and_keeps_what_is_good(population, angles):
     measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
     table = dict.fromkeys(AMPLITUDES, ((0.8, 3.0), (1.0, 1.0)))
