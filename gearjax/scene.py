@@ -247,12 +247,14 @@ class Scene(eqx.Module):
         if self.compliance is None:
             raise SceneError("the scene has no compliance: list a [compliance] to find forces under torque")
         if isinstance(self.compliance, AbstractLineContact):
-            radii = self.pose(pose.theta, stiffness).radii if pose.radii is None else pose.radii
+            radii = self.system.pose(pose.theta, Request(radii=True)).radii if pose.radii is None else pose.radii
             assert radii is not None  # the system has them
             return self.compliance.springs(radii)
         if stiffness == "mean":
             return layout.per_contact(self.compliance.mean_stiffness(layout.teeth))
-        angle = self.pose(pose.theta, stiffness).mesh_angle if pose.mesh_angle is None else pose.mesh_angle
+        angle = (
+            self.system.pose(pose.theta, Request(mesh=True)).mesh_angle if pose.mesh_angle is None else pose.mesh_angle
+        )
         assert angle is not None  # it was asked for
         return layout.per_contact(self.compliance.stiffness(angle))
 

@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.analysis.tables import depends
-from gearjax.contact import ContactSet, Layout, equilibrium
-from gearjax.contact.pose import Pose
+from gearjax.contact import ContactSet, Layout, Pose, equilibrium
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -140,9 +139,9 @@ class Equation(eqx.Module):
             speed = gaps.lever * velocity - gaps.gap_rate
             if gaps.lever_rate is not None:
                 speed = speed + gaps.lever_rate * position
-            engaged = scene.contact.closed(overlap)
+            closed = scene.contact.closed(overlap)
             first, *others = self.layout.flanks
-            closed, engaged = engaged, engaged[first]
+            engaged = closed[first]
             for flank in others:  # one damper per pair, while any of its flanks is in contact
                 engaged = 1.0 - (1.0 - engaged) * (1.0 - closed[flank])
             engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged

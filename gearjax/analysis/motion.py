@@ -15,7 +15,7 @@ class Motion(eqx.Module):
         ts: sample times, shape (n,) [s].
         te: transmission error, positive when the output leads, shape (n,) [rad].
         velocity: its rate, shape (n,) [rad/s].
-        forces: elastic force of each contact, shape (n, contact) [N].
+        forces: elastic force of each contact in the order of the layout, shape (n, contact) [N].
         highest, lowest: extremes of te over the steps up to each sample from the one before, shape (n,) [rad].
         settle: time that the metrics leave out [s].
         result: 0 good, else a key of `gearjax.analysis.dynamics.FAULTS`.

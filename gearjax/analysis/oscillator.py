@@ -9,7 +9,7 @@ import numpy as np
 
 from gearjax.analysis.equation import Equation, Moment
 from gearjax.analysis.fitted import State
-from gearjax.contact import HardContact
+from gearjax.contact import HardContact, Request
 from gearjax.contact.layout import Place
 from gearjax.typing import Array, Float, Scalar
 
@@ -200,8 +200,8 @@ class Harmonics(NamedTuple):
 
 def mesh_phases(equation: Equation, time: Scalar) -> Float[Array, " pair"]:
     """Mesh phase of each pair at a time [s]."""
-    scene = equation.scene
-    angle = scene.pose(scene.system.input_speed * time, "varying").mesh_angle
+    system = equation.scene.system
+    angle = system.pose(system.input_speed * time, Request(mesh=True)).mesh_angle
     assert angle is not None  # it was asked for
     return angle
 

@@ -22,7 +22,7 @@ class TransmissionError(eqx.Module):
     Args:
         theta: input angles, shape (n,) [rad].
         te: transmission error, shape (n,) [rad].
-        forces: compression of each contact, shape (n, contact) [N]; ``None`` without torque.
+        forces: compression of each contact in the order of the layout, shape (n, contact) [N]; ``None`` without torque.
         result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), shape (n,).
         extremes: highest and lowest value over the span of theta, between samples too [rad].
         layout: sides and pairs of the contacts.

@@ -12,8 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact import ContactSet, Equilibrium, Overlap, equilibrium, first_contact, least_overlap
-from gearjax.contact.pose import Pose
+from gearjax.contact import ContactSet, Equilibrium, Overlap, Pose, equilibrium, first_contact, least_overlap
 from gearjax.contact.search import spring_forces
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar

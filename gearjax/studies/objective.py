@@ -28,8 +28,7 @@ from gearjax.analysis.quasi_static import Backlash, TransmissionError, no_load, 
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
 from gearjax.arguments import numbers, one_positive, torque
 from gearjax.checks import ParameterError, is_concrete, nearest
-from gearjax.contact import QuadraticContact
-from gearjax.contact.pose import Pose
+from gearjax.contact import Pose, QuadraticContact
 from gearjax.parameters import as_leaf
 from gearjax.scene import ANALYSES, NEEDS, Scene, require
 from gearjax.studies.select import Free

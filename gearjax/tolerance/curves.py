@@ -23,9 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.metrics import top
-from gearjax.contact import HardContact
+from gearjax.contact import HardContact, Pose
 from gearjax.contact.equilibrium import hard_edges, hard_rest
-from gearjax.contact.pose import Pose
 from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array, Float, Int, Scalar
 
