@@ -100,6 +100,7 @@ from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
 from gearjax.tolerance.statistics import Estimate
 from gearjax.tolerance.variance import Sensitivities, sensitivities
+from gearjax.xla import xla_options
 
 __version__ = "0.1.0"
 
@@ -214,4 +215,5 @@ __all__ = [
     "total_pitch_tolerance",
     "transmission_error",
     "units",
+    "xla_options",
 ]

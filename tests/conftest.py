@@ -2,8 +2,6 @@
 
 import dataclasses
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -12,6 +10,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.reproduce import two_kv
+from gearjax.xla import QUICK_COMPILER, is_known
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_enable_compilation_cache", False)
@@ -25,7 +24,6 @@ AMPLITUDES = [f"errors.{body}.amplitude" for body in BODIES]
 PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 
-QUICK_COMPILER = "--xla_cpu_use_fusion_emitters=false"  # in half the time; programs take 1 to 1.4 times as long
 FOUND = "GEARJAX_TESTS_COMPILER"  # what the process that starts the workers found out, for them
 
 
@@ -39,16 +37,19 @@ def pytest_configure() -> None:
     if "XLA_FLAGS" in os.environ:
         return
     if FOUND not in os.environ:
-        os.environ[FOUND] = QUICK_COMPILER if _is_known(QUICK_COMPILER) else ""
+        os.environ[FOUND] = QUICK_COMPILER if is_known(QUICK_COMPILER) else ""
     os.environ["XLA_FLAGS"] = os.environ[FOUND]
     jax.devices()  # reads the flags
     del os.environ["XLA_FLAGS"]
 
 
-def _is_known(flags: str) -> bool:
-    """Whether this version of XLA knows its flags: one that it does not know ends a process at once."""
-    tried = [sys.executable, "-c", "import jax; jax.devices()"]
-    return not subprocess.run(tried, env=os.environ | {"XLA_FLAGS": flags}, capture_output=True, check=False).returncode
+MOST_WORKERS = 4  # each takes up to 3 GB
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """A worker for each core that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, MOST_WORKERS)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

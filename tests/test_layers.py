@@ -15,6 +15,7 @@ LAYERS = {
     "checks": 0,
     "files": 0,
     "memory": 0,
+    "xla": 0,
     "timing": 0,
     "progress": 0,
     "parameters": 0,

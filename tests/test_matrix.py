@@ -250,6 +250,7 @@ OF_NO_GEAR_SET = {
     "register",
     "single_pitch_tolerance",
     "total_pitch_tolerance",
+    "xla_options",
 }
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("contact_pressure", "two_kv", ""): "line contacts",

@@ -2,40 +2,17 @@
 
 import atexit
 import gc
-import hashlib
-import os
-import platform
 import sys
-from pathlib import Path
 
 import jax
 import typer
 
 from gearjax.checks import GearjaxError
 from gearjax.cli import new as _new  # noqa: F401  (adds its command)
-from gearjax.cli import stopping
+from gearjax.cli import programs, stopping
 from gearjax.cli.commands import app
 
-__all__ = ["app", "keep_programs", "main"]
-
-
-def keep_programs() -> None:
-    """Keep compiled programs between runs, apart for each kind of processor, unless JAX was told where to."""
-    told = jax.config.values
-    if told["jax_compilation_cache_dir"] is not None or not told["jax_enable_compilation_cache"]:
-        return
-    try:
-        processor = [line for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines() if "flags" in line]
-    except OSError:
-        processor = [platform.processor()]
-    kind = hashlib.sha256("".join([platform.machine(), *processor[:1]]).encode()).hexdigest()[:12]
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gearjax" / kind
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+__all__ = ["app", "main"]
 
 
 def _collect_seldom() -> None:
@@ -54,11 +31,11 @@ def main(arguments: list[str] | None = None) -> None:
     if arguments is None:
         stopping.listen()
     jax.config.update("jax_enable_x64", True)
-    keep_programs()
+    folder, given = programs.kept_in(), sys.argv[1:] if arguments is None else arguments
     if arguments is None:
+        programs.set_options(folder, runs_long=given[:1] == ["tolerance"])
         _collect_seldom()
     try:
-        given = sys.argv[1:] if arguments is None else arguments
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
         if not given and not code:
             code = 2  # nothing was asked for; the help tells what could be

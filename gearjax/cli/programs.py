@@ -1,0 +1,63 @@
+"""How programs are compiled for the command line, and where they are kept."""
+
+import contextlib
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+import jax
+import jaxlib.version
+
+from gearjax.checks import GearjaxError
+from gearjax.files import write_file
+from gearjax.xla import chosen, known_options
+
+
+def kept_in() -> Path | None:
+    """Keep compiled programs between runs, unless JAX was told where to or not to.
+
+    Returns:
+        The folder, one for each kind of processor; ``None`` where nothing of ours is kept.
+    """
+    told = jax.config.values
+    if told["jax_compilation_cache_dir"] is not None or not told["jax_enable_compilation_cache"]:
+        return None
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gearjax" / _processor()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+    return folder
+
+
+def _processor() -> str:
+    try:
+        processor = [line for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines() if "flags" in line]
+    except OSError:
+        processor = [platform.processor()]
+    return hashlib.sha256("".join([platform.machine(), *processor[:1]]).encode()).hexdigest()[:12]
+
+
+def set_options(folder: Path | None, *, runs_long: bool) -> None:
+    """Set XLA's options before it starts, unless the user did, or the shell only asks how a word goes on.
+
+    Args:
+        folder: where to keep what this version of XLA knows: to find it out takes a second or two.
+        runs_long: whether the command runs longer than it compiles.
+    """
+    if "XLA_FLAGS" in os.environ or "_GEARJAX_COMPLETE" in os.environ:
+        return
+    file = folder / f"options-{jaxlib.version.__version__}.txt" if folder is not None else None
+    try:
+        known = file.read_text(encoding="utf-8") if file is not None else None
+    except OSError:
+        known = None
+    if known is None:
+        known = known_options()
+        if file is not None:
+            with contextlib.suppress(GearjaxError):  # another command may have written it just now
+                write_file(file, known)
+    os.environ["XLA_FLAGS"] = chosen(known, quick_compiler=not runs_long)
