@@ -37,6 +37,7 @@ from gearjax.checks import GearjaxError, ParameterError, SceneError
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
     AbstractCompliance,
+    AbstractCoupledCompliance,
     AbstractLineContact,
     HarmonicStiffness,
     HertzLineContact,
@@ -73,6 +74,7 @@ from gearjax.studies import (
     minimise,
 )
 from gearjax.studies.compensate import Judged
+from gearjax.supports import Support
 from gearjax.systems import AbstractSystem, DiscProfile, RVCycloidal, TwoKV
 from gearjax.tolerance import (
     AbstractDistribution,
@@ -107,6 +109,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AbstractCompliance",
     "AbstractContact",
+    "AbstractCoupledCompliance",
     "AbstractDistribution",
     "AbstractError",
     "AbstractLineContact",
@@ -175,6 +178,7 @@ __all__ = [
     "SoftplusContact",
     "Spectrum",
     "Study",
+    "Support",
     "Sweep",
     "Term",
     "Tolerances",

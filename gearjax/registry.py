@@ -6,7 +6,7 @@ from importlib import metadata
 from typing import Any, TypeVar
 
 from gearjax.checks import GearjaxError, ParameterError
-from gearjax.compliance import COMPLIANCES, AbstractCompliance, AbstractLineContact
+from gearjax.compliance import COMPLIANCES, AbstractCompliance, AbstractCoupledCompliance, AbstractLineContact
 from gearjax.errors import ERRORS, AbstractError
 from gearjax.systems import SYSTEMS, AbstractSystem
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 GROUPS: dict[str, tuple[type, ...]] = {
     "gearjax.systems": (AbstractSystem,),
     "gearjax.errors": (AbstractError,),
-    "gearjax.compliances": (AbstractCompliance, AbstractLineContact),
+    "gearjax.compliances": (AbstractCompliance, AbstractLineContact, AbstractCoupledCompliance),
 }
 """Groups of entry points that plug-ins are read from, and what they hold."""
 
@@ -34,7 +34,8 @@ def register(part: T) -> T:
     ``gearjax.compliances``.
 
     Args:
-        part: a final subclass of `AbstractSystem`, `AbstractError`, `AbstractCompliance` or `AbstractLineContact`.
+        part: a final subclass of `AbstractSystem`, `AbstractError`, `AbstractCompliance`, `AbstractLineContact` or
+            `AbstractCoupledCompliance`.
 
     Returns:
         The same class.

@@ -10,14 +10,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, SceneError, check_name, nearest
+from gearjax.checks import ParameterError, SceneError, check_name, is_concrete, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
-from gearjax.compliance import AbstractCompliance, AbstractLineContact
-from gearjax.contact import AbstractContact, ContactSet, HardContact, Layout, LineSprings, Pose, Request
+from gearjax.compliance import AbstractCompliance, AbstractCoupledCompliance, AbstractLineContact
+from gearjax.contact import (
+    AbstractContact,
+    ContactSet,
+    CoupledSprings,
+    HardContact,
+    Layout,
+    LinearSprings,
+    Pose,
+    Request,
+    Springs,
+)
 from gearjax.errors import AbstractError
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
 from gearjax.parameters import Named, is_numeric, strong
+from gearjax.supports import Support
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Scalar
 
@@ -108,6 +119,7 @@ class Scene(eqx.Module):
         load: how the load torque runs in time.
         contact: contact law.
         inertia, damping: for the dynamic transmission error.
+        supports: of bodies that give way under the forces of the contacts, by body; others are held rigidly.
         run: what the configuration asked for; not part of the physics.
 
     Raises:
@@ -120,11 +132,12 @@ class Scene(eqx.Module):
     errors: Mapping[str, AbstractError] = eqx.field(default_factory=dict)
     reference: ZeroAtStart | Anchor | None = None
     backlash: InitialBacklash | None = None
-    compliance: AbstractCompliance | AbstractLineContact | None = None
+    compliance: AbstractCompliance | AbstractLineContact | AbstractCoupledCompliance | None = None
     load: AbstractLoad | None = None
     contact: AbstractContact = HardContact()
     inertia: EquivalentMass | MomentOfInertia | None = None
     damping: DampingRatio | None = None
+    supports: Mapping[str, Support] = eqx.field(default_factory=dict)
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
@@ -154,6 +167,18 @@ class Scene(eqx.Module):
                 f'{self.system.kind} does not offer: use "harmonic_stiffness"'
             )
 
+        _check_supports(self)
+        _check_coupled(self)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """What moves: the output, then the bodies that have supports, each in the directions that are listed."""
+        return ("output", *self._supported)
+
+    @property
+    def _supported(self) -> tuple[str, ...]:
+        return tuple(f"{body}.{way}" for body, support in self.supports.items() for way in support.directions)
+
     @property
     def layout(self) -> Layout:
         """Sides and pairs of its contacts."""
@@ -163,6 +188,11 @@ class Scene(eqx.Module):
     def has_back(self) -> bool:
         """Whether back flanks are modelled."""
         return self.layout.has_back
+
+    @property
+    def springs_apart(self) -> bool:
+        """Whether its springs are linear and one by one, and the output alone moves."""
+        return isinstance(self.compliance, AbstractCompliance) and not self.supports
 
     @property
     def linear_compliance(self) -> AbstractCompliance:
@@ -178,10 +208,12 @@ class Scene(eqx.Module):
     def physics(self, *slots: str) -> "Scene":
         """What the program of an analysis depends on, and nothing else.
 
-        That is the system, its errors, reference and contact law, and the named optional slots; every number is an
-        array of a definite dtype.
+        That is the system, its errors, reference and contact law, and the named optional slots, supports with the
+        compliance; every number is an array of a definite dtype.
         """
-        unused = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
+        unused: dict = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
+        if "compliance" not in slots:  # without forces nothing gives way
+            unused["supports"] = {}
         return jax.tree.map(strong, dataclasses.replace(self, **unused))
 
     def anchored(self) -> "Scene":
@@ -198,6 +230,7 @@ class Scene(eqx.Module):
             bodies=tuple(dict.fromkeys(error.body for error in self.errors.values())),
             mesh=stiffness == "varying" and not line,
             radii=stiffness != "rigid" and line,
+            coordinates=self._supported if stiffness != "rigid" else (),
         )
 
     def pose(self, theta: Scalar, stiffness: Stiffness = "rigid") -> Pose:
@@ -225,7 +258,12 @@ class Scene(eqx.Module):
             jacobian, gap = self._displaced(pose.theta, place)
         else:
             jacobian, gap = pose.jacobian, self._gaps(pose, layout)
-        return ContactSet(jacobian, gap, self._springs(pose, layout, stiffness), layout)
+        if stiffness == "rigid" or not self.supports:
+            return ContactSet(jacobian[:, :1], gap, self._springs(pose, layout, stiffness), layout)
+        if jacobian.shape[1] == 1:  # of a pose that was asked for rigid contacts
+            jacobian = self.system.pose(pose.theta, Request(self.has_back, coordinates=self._supported)).jacobian
+        listed = [getattr(support, way) for support in self.supports.values() for way in support.directions]
+        return ContactSet(jacobian, gap, self._springs(pose, layout, stiffness), layout, jnp.diag(jnp.stack(listed)))
 
     def _displaced(self, theta: Scalar, position: Scalar) -> tuple[Float[Array, "contact 1"], Float[Array, " contact"]]:
         """Contacts of the displaced bodies, in a straight line about a position of the output [rad]."""
@@ -238,9 +276,7 @@ class Scene(eqx.Module):
         )
         return -rate[:, None], gap - rate * position
 
-    def _springs(
-        self, pose: Pose, layout: Layout, stiffness: Stiffness
-    ) -> Float[Array, " contact"] | LineSprings | None:
+    def _springs(self, pose: Pose, layout: Layout, stiffness: Stiffness) -> Springs | None:
         """Springs of the contacts; the flanks of a pair are equally stiff."""
         if stiffness == "rigid":
             return None
@@ -250,13 +286,15 @@ class Scene(eqx.Module):
             radii = self.system.pose(pose.theta, Request(radii=True)).radii if pose.radii is None else pose.radii
             assert radii is not None  # the system has them
             return self.compliance.springs(radii)
+        if isinstance(self.compliance, AbstractCoupledCompliance):
+            return CoupledSprings(self.compliance.influence(layout))
         if stiffness == "mean":
-            return layout.per_contact(self.compliance.mean_stiffness(layout.teeth))
+            return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
         angle = (
             self.system.pose(pose.theta, Request(mesh=True)).mesh_angle if pose.mesh_angle is None else pose.mesh_angle
         )
         assert angle is not None  # it was asked for
-        return layout.per_contact(self.compliance.stiffness(angle))
+        return LinearSprings(layout.per_contact(self.compliance.stiffness(angle)))
 
     def _gaps(self, pose: Pose, layout: Layout) -> Float[Array, " contact"]:
         """Gaps with errors, reference and backlash, to first order."""
@@ -289,6 +327,41 @@ def _check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
         raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
 
 
+def _check_supports(scene: Scene) -> None:
+    """Refuse supports that the gear set has no place for."""
+    offered = scene.system.coordinates
+    for body, support in scene.supports.items():
+        if not offered:
+            raise SceneError(f"[supports.{body}] is not for a {scene.system.kind}: its bodies have no coordinates")
+        if body not in offered:
+            raise ParameterError("supports", body, nearest(body, offered))
+        for way in support.directions:
+            if way not in offered[body]:
+                raise ParameterError(f"supports.{body}.{way}", getattr(support, way), nearest(way, offered[body]))
+    if scene.supports and scene.system.exact:
+        raise SceneError('[supports] and clearance = "exact" do not go together yet: use clearance = "linear"')
+
+
+def _check_coupled(scene: Scene) -> None:
+    """Refuse a coupled compliance that has no equilibrium, or that a smooth contact law is asked for."""
+    compliance = scene.compliance
+    if not isinstance(compliance, AbstractCoupledCompliance):
+        return
+    if not isinstance(scene.contact, HardContact):
+        raise SceneError(f'[compliance] kind = "{compliance.kind}" couples the contacts: use contact "hard"')
+    if not is_concrete(compliance):
+        return
+    with jax.ensure_compile_time_eval():  # while something else is traced
+        influence, number = np.asarray(compliance.influence(scene.layout)), len(scene.layout.side)
+    if influence.shape != (number, number):
+        raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
+    if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):
+        raise SceneError("[compliance]: its matrix is not symmetric")
+    smallest = float(np.linalg.eigvalsh(influence)[0])
+    if not smallest > 0:
+        raise SceneError(f"[compliance]: its matrix is not positive definite (smallest eigenvalue {smallest:.3g} m/N)")
+
+
 def require(scene: Scene, what: str, *slots: str) -> None:
     """Refuse an analysis whose slots the scene does not list, by name.
 
@@ -301,8 +374,16 @@ def require(scene: Scene, what: str, *slots: str) -> None:
     if missing:
         listed = " and ".join(f"[{slot}]" for slot in missing)
         raise SceneError(f'"{what}" needs {listed}, which this scene does not list')
-    if "inertia" in slots and isinstance(scene.compliance, AbstractLineContact):
+    if "inertia" not in slots:
+        return
+    if isinstance(scene.compliance, AbstractLineContact):
         raise SceneError(
             f'"{what}" needs springs in proportion, such as [compliance] kind = "harmonic_stiffness": the force of '
             f"{scene.compliance.kind} is not"
+        )
+    if isinstance(scene.compliance, AbstractCoupledCompliance):
+        raise SceneError(f'"{what}" needs springs one by one: {scene.compliance.kind} couples the contacts')
+    if scene.supports:
+        raise SceneError(
+            f'"{what}" is for a scene whose output alone moves: leave out [supports.{next(iter(scene.supports))}]'
         )

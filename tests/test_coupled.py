@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize
 
-from gearjax.contact import ContactSet, HardContact, Layout
+from gearjax.contact import ContactSet, HardContact, Layout, LinearSprings
 from gearjax.contact.coupled import coupled_balance
 from gearjax.contact.equilibrium import equilibrium
 
@@ -78,7 +78,9 @@ def test_without_coupling_it_is_the_closed_form(rng):
         matrix, lever, gap, load = problem("diagonal", number, rng)
         lever = -np.abs(lever)
         layout = Layout.of_flanks(number, back=False)
-        contacts = ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(1 / np.diag(matrix)), layout)
+        contacts = ContactSet(
+            jnp.asarray(lever[:, None]), jnp.asarray(gap), LinearSprings(jnp.asarray(1 / np.diag(matrix))), layout
+        )
         known = equilibrium(contacts, jnp.asarray(load), HardContact())
         position, forces, _ = balance(matrix, lever, gap, load)
         assert float(position) == pytest.approx(float(known.position), rel=1e-12)

@@ -13,6 +13,7 @@ from gearjax.contact import (
     ContactSet,
     HardContact,
     Layout,
+    LinearSprings,
     QuadraticContact,
     SoftplusContact,
     equilibrium,
@@ -29,12 +30,12 @@ def contact_set(drive, back=(), stiffness=9e7):
     lever = jnp.concatenate([jnp.full(len(drive), -LEVER), jnp.full(len(back), LEVER)])
     springs = jnp.broadcast_to(jnp.asarray(stiffness, float), gap.shape)
     sides, pairs = (1,) * len(drive) + (-1,) * len(back), (*range(len(drive)), *range(len(back)))
-    return ContactSet(lever[:, None], gap, springs, Layout(sides, pairs))
+    return ContactSet(lever[:, None], gap, LinearSprings(springs), Layout(sides, pairs))
 
 
 def brute_force(contacts: ContactSet, load: float) -> float:
     """Try every set of active contacts; the right one closes exactly its own members."""
-    lever, gap, springs = (np.asarray(x) for x in (contacts.lever, contacts.gap, contacts.stiffness))
+    lever, gap, springs = (np.asarray(x) for x in (contacts.lever, contacts.gap, contacts.linear))
     for active in itertools.product((False, True), repeat=len(gap)):
         on = np.array(active)
         if not on.any():
@@ -153,7 +154,7 @@ def test_rigid_contacts_are_refused():
 
 
 def test_more_than_one_degree_of_freedom_is_refused():
-    wide = ContactSet(jnp.ones((2, 3)), jnp.zeros(2), jnp.ones(2), Layout.of_flanks(2, back=False))
+    wide = ContactSet(jnp.ones((2, 3)), jnp.zeros(2), LinearSprings(jnp.ones(2)), Layout.of_flanks(2, back=False))
     with pytest.raises(ValueError, match="one degree of freedom"):
         equilibrium(wide, jnp.asarray(-1.0), HardContact())
 
@@ -169,7 +170,7 @@ def test_contacts_written_out_rest_where_contact_sets_do(pairs, torque, has_back
     back = [10e-6 - rise for rise in drive] if has_back else []
     contacts = contact_set(drive, back, springs * (2 if has_back else 1))
     touch = list(contacts.gap / contacts.lever)
-    strength = list(contacts.stiffness * contacts.lever**2)
+    strength = list(contacts.linear * contacts.lever**2)
     found = hard_rest(touch, strength, contacts.layout.side, jnp.asarray(-torque))
     rest = equilibrium(contacts, jnp.asarray(-torque), HardContact())
     if int(rest.result):

@@ -213,7 +213,7 @@ def test_the_exact_equilibrium_balances_on_the_turned_levers():
     te = gj.transmission_error(one, jnp.asarray([0.7, 1.9]), 784.0)
     for angle, position, forces in zip((0.7, 1.9), te.te, te.forces, strict=True):
         contacts = one.contacts(jnp.asarray(angle), "mean", position)
-        pressed = contacts.stiffness * jnp.maximum(contacts.lever * position - contacts.gap, 0.0)
+        pressed = contacts.linear * jnp.maximum(contacts.lever * position - contacts.gap, 0.0)
         np.testing.assert_allclose(forces, pressed, rtol=1e-9, atol=1e-6)
         assert float((contacts.lever * forces).sum()) == pytest.approx(-784.0, rel=1e-9)
 

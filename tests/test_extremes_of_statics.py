@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.contact import ContactSet, HardContact, Layout, LineSprings, equilibrium
+from gearjax.contact import ContactSet, HardContact, Layout, LinearSprings, LineSprings, equilibrium
 from gearjax.units import um
 from tests.rv import HERTZ, LINEAR, scene, with_errors
 
@@ -50,11 +50,11 @@ solve = eqx.filter_jit(lambda contacts, load: equilibrium(contacts, load, HardCo
 
 def check(contacts: ContactSet, load: float, relative: float):
     found = solve(contacts, jnp.asarray(load))
-    position, forces = exact_equilibrium(contacts.lever, contacts.gap, contacts.stiffness, load)
+    position, forces = exact_equilibrium(contacts.lever, contacts.gap, contacts.linear, load)
     assert int(found.result) == 0
     assert float(found.position) == pytest.approx(float(position), rel=1e-12, abs=1e-18)
     # a force is as exact as the gaps are: rounding of them, times the stiffness
-    rounding = float(jnp.max(contacts.stiffness) * jnp.max(jnp.abs(contacts.gap))) * 1e-15
+    rounding = float(jnp.max(contacts.linear) * jnp.max(jnp.abs(contacts.gap))) * 1e-15
     np.testing.assert_allclose(found.forces, [float(f) for f in forces], rtol=relative, atol=rounding)
     carried = max(abs(float(arm)) * float(f) for arm, f in zip(contacts.lever, forces, strict=True))
     balance = float((contacts.lever * found.forces).sum())
@@ -66,13 +66,13 @@ def random_contacts(rng: np.random.Generator, sides_turn: bool, pairs: int, back
         lever = 0.06 * np.sin(rng.uniform(0, 2 * np.pi, pairs))
         gap = rng.uniform(0, 3e-5, pairs)
         springs, layout = np.full(pairs, 1.6e8), Layout.either(pairs)
-        return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(springs), layout)
+        return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), LinearSprings(jnp.asarray(springs)), layout)
     layout = Layout.of_flanks(pairs, back)
     lever = np.concatenate([np.full(pairs, -0.06), np.full(pairs if back else 0, 0.06)])
     gap = rng.uniform(-2e-5, 2e-5, lever.size) + 4e-5 * (lever > 0)
     springs = rng.uniform(0.5e8, 2e8, pairs)
     springs = np.concatenate([springs, springs]) if back else springs
-    return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), jnp.asarray(springs), layout)
+    return ContactSet(jnp.asarray(lever[:, None]), jnp.asarray(gap), LinearSprings(jnp.asarray(springs)), layout)
 
 
 @pytest.mark.parametrize("sides_turn", [False, True])

@@ -26,6 +26,7 @@ LAYERS = {
     "compliance": 1,
     "load": 1,
     "inertia": 1,
+    "supports": 1,
     "clearance": 1,
     "registry": 2,
     "scene": 2,

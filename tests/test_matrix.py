@@ -274,12 +274,16 @@ def is_finite(found: Any) -> bool:
 
 
 def check(name: str, call: Callable[[Case], Any], gear_set: str, *kinds: str) -> None:
-    words = refusal(name, gear_set, kinds[0] if len(kinds) == 1 else "")
+    judge(call, Case(gear_set, *kinds), refusal(name, gear_set, kinds[0] if len(kinds) == 1 else ""))
+
+
+def judge(call: Callable[[Case], Any], case: Case, words: str | None) -> None:
+    """Finite numbers, or the words of a refusal in one line."""
     if words is None:
-        assert is_finite(call(Case(gear_set, *kinds)))
+        assert is_finite(call(case))
         return
     with pytest.raises(gj.GearjaxError) as caught:
-        call(Case(gear_set, *kinds))
+        call(case)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -319,6 +323,23 @@ def test_functions_of_a_scene(name, gear_set):
 )
 def test_functions_of_numbers(name, kind, gear_set):
     check(name, OF_NUMBERS[name], gear_set, kind)
+
+
+IN_MOTION = ("growth_rate", "harmonic_balance", "shooting", "simulate", "speed_sweep")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gear_set", GEAR_SETS)
+@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
+@pytest.mark.parametrize("name", [*OF_A_SCENE, *OF_NUMBERS])
+def test_functions_on_supports(name, gear_set):
+    """Bodies that give way: still an answer, or a refusal that names the section."""
+    case = Case(gear_set, "amplitude")
+    bodies = case.scene.system.coordinates
+    assert bodies
+    case.scene = dataclasses.replace(case.scene, supports={body: gj.Support(x=2e8, y=3e8) for body in bodies})
+    words = "leave out [supports." if name in IN_MOTION else refusal(name, gear_set, "amplitude")
+    judge((OF_A_SCENE | OF_NUMBERS)[name], case, words)
 
 
 COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {

@@ -85,7 +85,7 @@ def test_the_linear_law_is_solved_exactly():
 
 
 def test_an_approach_is_inverted_to_rounding():
-    springs = scene(compliance=HERTZ).contacts(jnp.asarray(0.3), "mean").stiffness
+    springs = scene(compliance=HERTZ).contacts(jnp.asarray(0.3), "mean").springs
     for force in (1e-3, 1.0, 1e3, 1e5):
         forces = jnp.full((80,), force)
         np.testing.assert_allclose(springs.force(springs.approach(forces)), forces, rtol=1e-10)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.analysis.tables import depends
-from gearjax.contact import ContactSet, Layout, Pose, equilibrium
+from gearjax.contact import ContactSet, Layout, LinearSprings, Pose, equilibrium
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -159,7 +159,7 @@ class Equation(eqx.Module):
 
     def equilibrium(self, lever: Array, gap: Array, stiffness: Array, load: Scalar) -> Scalar:
         """Position where the contacts balance a load [rad]; arguments as for `following`."""
-        contacts = ContactSet(lever[:, None], gap, stiffness, self.layout)
+        contacts = ContactSet(lever[:, None], gap, LinearSprings(stiffness), self.layout)
         return equilibrium(contacts, -load, self.scene.contact).position
 
     def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:

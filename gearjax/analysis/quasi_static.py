@@ -23,7 +23,8 @@ class TransmissionError(eqx.Module):
         theta: input angles, shape (n,) [rad].
         te: transmission error, shape (n,) [rad].
         forces: compression of each contact in the order of the layout, shape (n, contact) [N]; ``None`` without torque.
-        result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), shape (n,).
+        result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), 3 the search for
+            the equilibrium did not end, shape (n,).
         extremes: highest and lowest value over the span of theta, between samples too [rad].
         layout: sides and pairs of the contacts.
         fastest_order: turns of what the curve follows fastest per turn of the input.
@@ -31,6 +32,8 @@ class TransmissionError(eqx.Module):
             on the loaded side. ``None`` without torque.
         interference: of rigid bodies, where back flanks are modelled; ``None`` under torque, which elastic bodies
             carry in spite of it (`gearjax.interference` tells it for every scene).
+        moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any, or torque.
+        coordinates: names of what moves: the output, then those displacements.
     """
 
     theta: Float[Array, " n"]
@@ -42,6 +45,14 @@ class TransmissionError(eqx.Module):
     fastest_order: float = eqx.field(static=True)
     carriers: Int[Array, " n"] | None = None
     interference: Interference | None = None
+    moved: Float[Array, "n support"] | None = None
+    coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
+
+    @property
+    def q(self) -> Float[Array, "... n coordinate"]:
+        """Displacements from the ideal motion in each of the coordinates, the output's first [rad], then [m]."""
+        te = self.te[..., None]
+        return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
     @property
     def peak_to_peak(self) -> Float[Array, "..."]:
@@ -272,7 +283,8 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
 
     rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
     found = extremes(under, (scene, torque), theta, rests.position)
-    return TransmissionError(theta, rests.position, rests.forces, rests.result, found, layout, fastest, able)
+    record = rests.position, rests.forces, rests.result
+    return TransmissionError(theta, *record, found, layout, fastest, able, None, rests.moved, scene.coordinates)
 
 
 @eqx.filter_jit

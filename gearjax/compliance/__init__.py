@@ -1,6 +1,6 @@
 """Compliance of the teeth: stiffness of each pair, or the law of its line contact."""
 
-from gearjax.compliance.base import AbstractCompliance
+from gearjax.compliance.base import AbstractCompliance, AbstractCoupledCompliance
 from gearjax.compliance.harmonic import HarmonicStiffness
 from gearjax.compliance.line_contact import LINE_CONTACTS, AbstractLineContact, HertzLineContact, HuLineContact
 
@@ -9,6 +9,7 @@ COMPLIANCES: tuple[type[AbstractCompliance | AbstractLineContact], ...] = (Harmo
 __all__ = [
     "COMPLIANCES",
     "AbstractCompliance",
+    "AbstractCoupledCompliance",
     "AbstractLineContact",
     "HarmonicStiffness",
     "HertzLineContact",

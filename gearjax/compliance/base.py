@@ -4,6 +4,7 @@ import abc
 
 import equinox as eqx
 
+from gearjax.contact import Layout
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -28,3 +29,17 @@ class AbstractCompliance(eqx.Module):
     @abc.abstractmethod
     def peak_stiffness(self) -> Scalar:
         """A bound from above on the stiffness of a pair [N/m]."""
+
+
+class AbstractCoupledCompliance(eqx.Module):
+    """Compliance of contacts that move each other: teeth of one body. ``kind`` is its name in a configuration."""
+
+    kind: eqx.AbstractClassVar[str]
+
+    @abc.abstractmethod
+    def influence(self, layout: Layout) -> Float[Array, "contact contact"]:
+        """Approach of each contact per force on each, symmetric and positive definite, shape (contact, contact) [m/N].
+
+        Args:
+            layout: of the contacts.
+        """

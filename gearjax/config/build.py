@@ -19,6 +19,7 @@ from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.scene import Scene
+from gearjax.supports import Support
 
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
@@ -33,6 +34,7 @@ _SECTIONS = (
     "compliance",
     "inertia",
     "damping",
+    "supports",
     "load",
     "contact",
     "run",
@@ -134,10 +136,8 @@ def _scene(tables: dict[str, Any]) -> Scene:
         raise GearjaxError('no [system]: a configuration needs one, such as kind = "two_kv"')
     system = _one_of("system", tables["system"], kinds("gearjax.systems"))
     errors = {}
-    for name, table in tables.get("errors", {}).items():
+    for name, table in _tables("errors", tables).items():
         check_name("errors", name)
-        if not isinstance(table, dict):
-            raise ParameterError(f"errors.{name}", table, f"must be a section: [errors.{name}]")
         errors[name] = _one_of(f"errors.{name}", table, kinds("gearjax.errors"))
     parts: dict[str, Any] = {}
     for section, known in (("compliance", kinds("gearjax.compliances")), ("load", LOADS), ("contact", CONTACTS)):
@@ -147,6 +147,10 @@ def _scene(tables: dict[str, Any]) -> Scene:
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):
         if section in tables:
             parts[section] = _part(section, tables[section], part)
+    if "supports" in tables:
+        parts["supports"] = {
+            name: _part(f"supports.{name}", table, Support) for name, table in _tables("supports", tables).items()
+        }
     if "reference" in tables:
         parts["reference"] = _reference(tables["reference"])
     scene = Scene(system, errors, **parts)
@@ -154,6 +158,15 @@ def _scene(tables: dict[str, Any]) -> Scene:
     if "run" in tables:
         scene = dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
     return scene
+
+
+def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The sections of a section, such as ``[errors.NAME]``."""
+    found = tables.get(section, {})
+    for name, table in found.items():
+        if not isinstance(table, dict):
+            raise ParameterError(f"{section}.{name}", table, f"must be a section: [{section}.{name}]")
+    return found
 
 
 def loads_optimise(text: str) -> tuple[Scene, OptimiseSection]:

@@ -30,6 +30,7 @@ from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.scene import NEEDS, Published, Run, Scene, require
 from gearjax.studies.select import numbers
+from gearjax.supports import Support
 from gearjax.tolerance import DISTRIBUTIONS, Empirical
 from gearjax.units import LENGTH
 
@@ -102,6 +103,7 @@ def template(kind: str) -> str:
     text += _reference(text)
     for slot, parts in _slots():
         text += _slot(text, slot, parts)
+    text += _supports(text, scene)
     text += _run(loads(text))
     for section in (_optimise, _tolerance):
         text += _if_it_loads(text, section(loads(text)))
@@ -258,6 +260,22 @@ def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
             prose = "".join(map(_prose, summary(part) + told(part, words, words)))
             found += f"\n{prose}{INSTEAD}\n{_commented(section)}"
     return found
+
+
+def _supports(text: str, scene: Scene) -> str:
+    """The section of a support, commented out, for the first body that may have one."""
+    offered = scene.system.coordinates
+    if not offered:
+        return ""
+    body = next(iter(offered))
+    section = "".join(
+        [f"[supports.{body}]\n", *(f"{way} = {example(declared(Support)[way])}\n" for way in offered[body])]
+    )
+    if _fault(text + section):
+        return ""
+    words = {name: limits(parameter) for name, parameter in declared(Support).items()}
+    says = [f"Supports, [supports.BODY] each. Bodies: {', '.join(offered)}.", *summary(Support)]
+    return f"\n{''.join(map(_prose, says + told(Support, words, words)))}{_commented(section)}"
 
 
 def _run(scene: Scene) -> str:

@@ -5,17 +5,19 @@ from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
 from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
 from gearjax.contact.layout import Layout
-from gearjax.contact.line import LineSprings
 from gearjax.contact.pose import BodyView, Moved, Movements, Pose, Request, Rim
+from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs
 
 __all__ = [
     "AbstractContact",
     "BodyView",
     "ContactSet",
+    "CoupledSprings",
     "Equilibrium",
     "HardContact",
     "Layout",
     "LineSprings",
+    "LinearSprings",
     "Moved",
     "Movements",
     "Overlap",
@@ -24,6 +26,7 @@ __all__ = [
     "Request",
     "Rim",
     "SoftplusContact",
+    "Springs",
     "equilibrium",
     "first_contact",
     "least_overlap",

@@ -1,6 +1,7 @@
 """Candidate contacts of a scene at one input angle, errors and compliance included.
 
-A contact is a one-sided spring. The displacement ``q`` of the output from its ideal position [rad] closes it by
+A contact is a one-sided spring. The displacements ``q`` of the output from its ideal position [rad], and of the bodies
+that have supports from theirs [m], close it by
 
     overlap = J q - gap(theta)                                               [m]
 
@@ -13,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax.contact.layout import Layout
-from gearjax.contact.line import LineSprings
+from gearjax.contact.springs import LinearSprings, Springs
 from gearjax.typing import Array, Float, Int, Scalar
 
 
@@ -21,16 +22,20 @@ class ContactSet(eqx.Module):
     """All candidate contacts of a scene at one input angle, errors included.
 
     Args:
-        jacobian: shape (contact, dof) [m/rad].
+        jacobian: shape (contact, coordinate); the output's column first [m/rad], then those of bodies that have
+            supports [-].
         gap: shape (contact,) [m].
-        stiffness: shape (contact,) [N/m], or the law of elastic line contacts; ``None`` for rigid teeth.
+        springs: of the contacts; ``None`` for rigid teeth.
         layout: sides of the contacts, and pairs that they are flanks of.
+        supports: stiffness of the coordinates after the first, shape (support, support) [N/m]; ``None`` where the
+            output alone moves.
     """
 
-    jacobian: Float[Array, "contact dof"]
+    jacobian: Float[Array, "contact coordinate"]
     gap: Float[Array, " contact"]
-    stiffness: Float[Array, " contact"] | LineSprings | None
+    springs: Springs | None
     layout: Layout = eqx.field(static=True)
+    supports: Float[Array, "support support"] | None = None
 
     @property
     def lever(self) -> Float[Array, " contact"]:
@@ -42,9 +47,11 @@ class ContactSet(eqx.Module):
     @property
     def linear(self) -> Float[Array, " contact"] | None:
         """Stiffness of linear springs, shape (contact,) [N/m]; ``None`` for rigid teeth."""
-        if isinstance(self.stiffness, LineSprings):
-            raise ValueError("this solver is for linear springs, the contacts are line contacts")
-        return self.stiffness
+        if self.springs is None:
+            return None
+        if not isinstance(self.springs, LinearSprings):
+            raise ValueError(f"this solver is for linear springs, the contacts have {type(self.springs).__name__}")
+        return self.springs.stiffness
 
     def carriers(self, load: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry a generalised force [N m]; where levers tell the side, those on its side."""

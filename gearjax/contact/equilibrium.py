@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.contact.contacts import ContactSet
+from gearjax.contact.coupled import coupled_balance
 from gearjax.contact.laws import AbstractContact, HardContact
-from gearjax.contact.line import LineSprings
 from gearjax.contact.search import search
+from gearjax.contact.springs import CoupledSprings, LinearSprings
+from gearjax.contact.supported import moved_by, supported, with_supports
 from gearjax.typing import Array, Float, Int, Scalar
 
 MAX_SMOOTH_PAIRS = 5  # the smooth equilibrium looks at every subset of each flank
@@ -31,12 +33,14 @@ class Equilibrium(eqx.Module):
     Args:
         position: displacement of the output from its ideal position [rad], nan where there is none.
         forces: compression of each contact, shape (contact,) [N].
-        result: 0 found; 1 no flank can carry the torque.
+        result: 0 found; 1 no flank can carry the torque; 3 the search did not end.
+        moved: displacements of the bodies that have supports, shape (support,) [m]; ``None`` without supports.
     """
 
     position: Scalar
     forces: Float[Array, " contact"]
     result: Int[Array, ""]
+    moved: Float[Array, " support"] | None = None
 
 
 def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, Scalar | None]:
@@ -79,7 +83,9 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
     maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
     show a slightly negative force). Contacts whose levers tell their side, and springs that are not linear, are
-    searched for their balance; there a smooth law makes the forces smooth.
+    searched for their balance; there a smooth law makes the forces smooth. So are contacts between bodies that have
+    supports, in all their coordinates at once (`supported`), and springs that a matrix couples (`coupled_balance`), by
+    the hard law.
 
     Args:
         contacts: candidate contacts, with a stiffness.
@@ -89,22 +95,42 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     Returns:
         Position, forces and result code. At zero load the driving flanks touch.
     """
-    if contacts.stiffness is None:
+    springs = contacts.springs
+    if springs is None:
         raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
-    if contacts.layout.sides_turn or isinstance(contacts.stiffness, LineSprings):
-        side = jnp.where(load > 0, -1.0, 1.0).astype(contacts.gap.dtype)
-        touch = facing(contacts.lever, contacts.gap, side, 1 / _scale(contacts))
-        first = jnp.argmax(touch)
-        edge = side * touch[first]
-        # counted from where the first contact touches, so that the forces of a tiny torque are not lost in rounding
-        apart = contacts.gap - contacts.lever * edge
-        apart = jnp.where((jnp.arange(touch.shape[0]) == first) & (jnp.abs(edge) < FAR), 0.0, apart)
-        counted = eqx.tree_at(lambda c: c.gap, contacts, apart)
+    if isinstance(springs, CoupledSprings):
+        return _coupled(contacts, springs, load)
+    if contacts.supports is None and not contacts.layout.sides_turn and isinstance(springs, LinearSprings):
+        if isinstance(law, HardContact):
+            return _hard(contacts, springs.stiffness, load)
+        return _smooth(contacts, springs.stiffness, load, law)
+    edge, counted = _from_first_touch(contacts, load)
+    if contacts.supports is None:
         position, forces, found = search(counted, load, law)
         return Equilibrium(edge + position, forces, jnp.where(found, 0, 1))
-    if isinstance(law, HardContact):
-        return _hard(contacts, contacts.stiffness, load)
-    return _smooth(contacts, contacts.stiffness, load, law)
+    place, forces, result = supported(counted, load, law)
+    return Equilibrium(edge + place[0], forces, result, place[1:])
+
+
+def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Scalar, ContactSet]:
+    """Where a load closes the first contact [rad], and the contacts counted from there, so that the forces of a tiny
+    torque are not lost in rounding."""
+    lever = contacts.jacobian[:, 0]
+    side = jnp.where(load > 0, -1.0, 1.0).astype(contacts.gap.dtype)
+    touch = facing(lever, contacts.gap, side, 1 / jnp.mean(jnp.abs(lever)))
+    first = jnp.argmax(touch)
+    edge = side * touch[first]
+    apart = contacts.gap - lever * edge
+    apart = jnp.where((jnp.arange(touch.shape[0]) == first) & (jnp.abs(edge) < FAR), 0.0, apart)
+    return edge, eqx.tree_at(lambda c: c.gap, contacts, apart)
+
+
+def _coupled(contacts: ContactSet, springs: CoupledSprings, load: Scalar) -> Equilibrium:
+    """Springs coupled by a matrix, which what the supports give way by adds to."""
+    influence = with_supports(contacts, springs.influence)
+    position, forces, code = coupled_balance(influence, contacts.jacobian[:, 0], contacts.gap, load)
+    moved = None if contacts.supports is None else moved_by(contacts, forces)
+    return Equilibrium(position, forces, jnp.where(code == 2, 3, code), moved)
 
 
 def _scale(contacts: ContactSet) -> Scalar:

@@ -21,12 +21,14 @@ class Request:
         bodies: those that carry errors.
         mesh: whether the mesh phase counts.
         radii: whether the radii of curvature count.
+        coordinates: of the bodies that have supports, such as ``disc_1.x``.
     """
 
     back: bool = False
     bodies: tuple[str, ...] = ()
     mesh: bool = False
     radii: bool = False
+    coordinates: tuple[str, ...] = ()
 
 
 class Pose(eqx.Module):
@@ -34,7 +36,8 @@ class Pose(eqx.Module):
 
     Args:
         theta: input angle [rad].
-        jacobian: change of overlap per change of the output's position, shape (contact, dof) [m/rad].
+        jacobian: change of overlap per change of the output's position [m/rad], and in further columns per displacement
+            in each coordinate that was asked for [-], shape (contact, coordinate).
         gap: of ideal bodies, shape (contact,) [m].
         views: how errors of the bodies are seen that were asked for.
         mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` where not asked for.
@@ -42,7 +45,7 @@ class Pose(eqx.Module):
     """
 
     theta: Scalar
-    jacobian: Float[Array, "contact dof"]
+    jacobian: Float[Array, "contact coordinate"]
     gap: Float[Array, " contact"]
     views: dict[str, "BodyView"] = eqx.field(default_factory=dict)
     mesh_angle: Float[Array, " pair"] | None = None

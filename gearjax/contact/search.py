@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.laws import AbstractContact
-from gearjax.contact.line import LineSprings
+from gearjax.contact.springs import CoupledSprings
 from gearjax.typing import Array, Bool, Float, Scalar
 
 MOST_STEPS = 200
@@ -25,11 +25,10 @@ TYPICAL = 1e-6  # m, penetration at which springs that are not linear are called
 
 def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array], Array]:
     """Forces of the contacts as a function of their overlap, shape (contact,) both."""
-    springs = contacts.stiffness
-    if isinstance(springs, LineSprings):
-        return lambda overlap: springs.force(law.penetration(overlap))
+    springs = contacts.springs
     assert springs is not None
-    return lambda overlap: springs * law.penetration(overlap)
+    assert not isinstance(springs, CoupledSprings)  # the force of each hangs on the others
+    return lambda overlap: springs.force(law.penetration(overlap))
 
 
 def newton(

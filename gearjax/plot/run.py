@@ -12,7 +12,7 @@ from gearjax.plot.cycloid import stage_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
 from gearjax.systems import RVCycloidal
-from gearjax.units import arcmin
+from gearjax.units import arcmin, um
 
 MOST_LINES = 12
 
@@ -66,6 +66,23 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
                 *thin(time, forces[:, contact]), label=f"pair {pair}{', back flank' if back else ''}", linewidth=1.0
             )
         finish(ax, case.title, y="contact force [N]")
+    return figure
+
+
+def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
+    """Displacement of each body on its support over time, one row per loaded case; ``None`` without supports."""
+    shown = [
+        (case, case.result)
+        for case in cases
+        if isinstance(case.result, TransmissionError) and case.result.moved is not None
+    ]
+    if not shown:
+        return None
+    figure, axes = new_figure(len(shown), height=2.6)
+    for ax, (case, result) in zip(axes, shown, strict=True):
+        for name, moved in zip(result.coordinates[1:], np.asarray(result.moved).T, strict=True):
+            ax.plot(*thin(required_run(scene).times, moved / um), label=name, linewidth=1.0)
+        finish(ax, f"Bodies on their supports, {case.title}", y="displacement [um]")
     return figure
 
 
@@ -137,6 +154,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "transmission_error.png": error_figure(scene, cases),
         "contact_forces.png": force_figure(scene, cases),
         "order_spectrum.png": spectrum_figure(scene, cases),
+        "support_displacements.png": moved_figure(scene, cases),
     }
     for case in cases:
         result = case.result

@@ -167,7 +167,10 @@ def _computed(scene: Scene, run: Run, analysis: str, torque: float, ts: Array, s
     if analysis == "static":
         result = transmission_error(scene, theta, torque_history(scene, ts, torque))
         if bool((result.result != 0).any()):
-            raise SceneError(f"static at {torque:g} N*m: no flank of this scene can carry the torque")
+            words = "no flank of this scene can carry the torque"
+            if not bool((result.result == 1).any()):
+                words = "the equilibrium was not found, a value of the scene is too extreme"
+            raise SceneError(f"static at {torque:g} N*m: {words}")
         return _case(scene, run, analysis, torque, result)
     motion = simulate(scene, ts, torque, start=run.start, settle=run.settle, stepper=stepper)
     return _case(scene, run, analysis, torque, motion)
@@ -214,7 +217,7 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
     run = required_run(scene)
     time = run.times
     theta = time * float(scene.system.input_speed)
-    coordinates = {
+    coordinates: dict[str, tuple] = {
         "time": ("time", time, {"units": "s", "long_name": "time"}),
         "theta": ("time", theta, {"units": "rad", "long_name": "input angle"}),
     }
@@ -229,6 +232,10 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
         if forces is not None:
             label = {"units": "N", "long_name": f"contact forces, {case.title}, driving flanks first"}
             variables[f"{name}_force"] = (("time", "contact"), np.asarray(forces), label)
+        if isinstance(case.result, TransmissionError) and case.result.moved is not None:
+            label = {"units": "m", "long_name": f"displacements of bodies on their supports, {case.title}"}
+            variables[f"{name}_moved"] = (("time", "coordinate"), np.asarray(case.result.moved), label)
+            coordinates["coordinate"] = ("coordinate", list(case.result.coordinates[1:]), {})
         if isinstance(case.result, Backlash):
             for edge in ("lower", "upper"):
                 label = {"units": "rad", "long_name": f"{edge} edge of the backlash"}

@@ -15,7 +15,6 @@ import jax
 
 from gearjax.analysis.dynamics import suitable_step
 from gearjax.checks import ParameterError, place
-from gearjax.compliance import AbstractCompliance
 from gearjax.config import ToleranceSection
 from gearjax.contact import HardContact
 from gearjax.memory import GIB, fitting, free_memory, size_words
@@ -176,9 +175,9 @@ def _kinds(section: ToleranceSection) -> set[str]:
     varies = any(path.startswith("system.") for path in paths)
     if not isinstance(scene.contact, HardContact) or varies:
         return found | {"other"}
+    linear = all(m.analysis != "static" for m in still) or scene.springs_apart
     if not scene.layout.sides_turn:
-        return found | {"quick"}
-    linear = all(m.analysis != "static" for m in still) or isinstance(scene.compliance, AbstractCompliance)
+        return found | {"quick" if linear else "other"}
     return found | {"balances" if linear and _places(section) is not None else "other"}
 
 

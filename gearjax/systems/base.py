@@ -40,6 +40,11 @@ class AbstractSystem(eqx.Module):
         """Names of the bodies that errors may be placed on."""
 
     @property
+    def coordinates(self) -> Mapping[str, tuple[str, ...]]:
+        """Bodies that may have supports, with the directions of each: ``x`` along its crank's throw, ``y`` across."""
+        return {}
+
+    @property
     @abc.abstractmethod
     def orders(self) -> Mapping[str, float]:
         """Named frequencies, in cycles per turn of the input; ``output`` and ``mesh`` are always there."""

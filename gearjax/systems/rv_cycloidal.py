@@ -38,6 +38,8 @@ class RVCycloidal(AbstractSystem):
     ``pin_ring``: fixed, phase counted from the first pin. ``sun``, ``planet``: of the first stage, counted from its
     line of action; a run-out whose sine is positive turns the cranks ahead.
 
+    A disc may have a support on its cranks: x along the throw, y across it, ahead.
+
     Args:
         pins: number of pins.
         pin_circle: radius of the circle of pin centres, r_p [m].
@@ -132,6 +134,10 @@ class RVCycloidal(AbstractSystem):
         return *(f"disc_{i + 1}" for i in range(self.discs)), "throw", "pin_ring", *first
 
     @property
+    def coordinates(self) -> Mapping[str, tuple[str, ...]]:
+        return {f"disc_{i + 1}": ("x", "y") for i in range(self.discs)}
+
+    @property
     def orders(self) -> Mapping[str, float]:
         crank = (self.pins - 1) / self.ratio
         # "pin" next to "mesh": steps and blocks resolve the fastest of all orders but the mesh
@@ -204,6 +210,9 @@ class RVCycloidal(AbstractSystem):
             curved = curvature(profile, angles)
             radii = Radii(jnp.broadcast_to(self.pin_radius, curved.shape), curved)
         jacobian = (self.lever_radius * at.lever)[:, None]
+        if request.coordinates:
+            moving = [self._moving(coordinate, at) for coordinate in request.coordinates]
+            jacobian = jnp.stack([jacobian[:, 0], *moving], axis=1)
         return Pose(theta, jacobian, self._thinned(gap(profile, angles), at), views, mesh, radii)
 
     def _thinned(self, open_by: Array, at: Touch) -> Array:
@@ -252,6 +261,11 @@ class RVCycloidal(AbstractSystem):
         open_by = pin_distance(self.profile, seen, self._angles(theta)) + self.isometric_modification
         open_by = self._thinned(open_by, touch(self.profile.short_width, self._angles(theta)))
         return open_by + ring.gap + disc.gap
+
+    def _moving(self, coordinate: str, at: Touch) -> Float[Array, " contact"]:
+        """Change of overlap per displacement of a disc [-]."""
+        body, _, direction = coordinate.partition(".")
+        return -self._share(body, at.lever.dtype) * (at.along_throw if direction == "x" else at.lever)
 
     def _view(self, body: str, theta: Scalar, at: Touch) -> BodyView:
         """How a displacement fixed on a body is seen from the lines of action."""

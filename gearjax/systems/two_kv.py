@@ -13,7 +13,7 @@ from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.geometry import FewTeethDifference, base_radius, internal_centre_distance
 from gearjax.parameters import Named, angle, check_parameters, count, length, number
 from gearjax.systems.base import AbstractSystem
-from gearjax.typing import Number, Scalar
+from gearjax.typing import Array, Float, Number, Scalar
 
 
 class TwoKV(AbstractSystem):
@@ -24,6 +24,8 @@ class TwoKV(AbstractSystem):
     ``(i - 1) / planets`` of a turn later than pair 1 does; the phase of a planet wheel is counted from its own line.
     Seen from the line, planet wheels and revolution turn ``z_r / (z_r - z_p)`` times per turn of the output and
     the output wheel ``z_p / (z_r - z_p)`` times (26 and 25 for 50 and 52 teeth; Wang et al. 2020, eqs. 1-4).
+
+    A planet wheel may have a support on its crank: x along the throw, towards the mesh, y across it, ahead.
 
     Args:
         sun_teeth, first_stage_planet_teeth: tooth numbers of the first stage.
@@ -95,6 +97,10 @@ class TwoKV(AbstractSystem):
         return *(f"planet_{i + 1}" for i in range(self.planets)), "revolution", "output_wheel"
 
     @property
+    def coordinates(self) -> Mapping[str, tuple[str, ...]]:
+        return {f"planet_{i + 1}": ("x", "y") for i in range(self.planets)}
+
+    @property
     def orders(self) -> Mapping[str, float]:
         train = self.train
         per_output_turn = {
@@ -119,6 +125,9 @@ class TwoKV(AbstractSystem):
     def pose(self, theta: Scalar, request: Request) -> Pose:
         layout, radius = self.layout(request), self.radius
         jacobian = jnp.asarray(-np.array(layout.side), radius.dtype)[:, None] * radius
+        if request.coordinates:
+            moving = [self._moving(coordinate, layout) for coordinate in request.coordinates]
+            jacobian = jnp.stack([jacobian[:, 0], *moving], axis=1)
         views = {body: self._view(body, theta, layout) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (self.planets,)) if request.mesh else None
         return Pose(theta, jacobian, jnp.zeros((len(layout.side),), jacobian.dtype), views, mesh)
@@ -136,3 +145,12 @@ class TwoKV(AbstractSystem):
             return BodyView(order * theta, place, jnp.asarray(-side, dtype))
         own = planet == int(body.removeprefix("planet_")) - 1
         return BodyView(order * theta, place, jnp.asarray(-side * own, dtype))
+
+    def _moving(self, coordinate: str, layout: Layout) -> Float[Array, " contact"]:
+        """Change of overlap per displacement of a planet wheel [-]."""
+        body, _, direction = coordinate.partition(".")
+        side = np.array(layout.side)
+        own = np.array(layout.pair) == int(body.removeprefix("planet_")) - 1
+        if direction == "x":
+            return jnp.asarray(1.0 * own, self.module.dtype) * jnp.sin(self.working_pressure_angle)
+        return jnp.asarray(1.0 * side * own, self.module.dtype) * jnp.cos(self.working_pressure_angle)

@@ -14,7 +14,6 @@ from gearjax.analysis.dynamics import FAULTS, suitable_step
 from gearjax.analysis.metrics import deviation, top
 from gearjax.arguments import one_number, torque
 from gearjax.checks import ParameterError, nearest
-from gearjax.compliance import AbstractCompliance
 from gearjax.contact import HardContact
 from gearjax.scene import ANALYSES, METRICS, NEEDS, Scene, require
 from gearjax.studies.objective import SLOTS
@@ -172,7 +171,9 @@ class Measures:
         self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 
     def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
-        """Curves of contacts that touch on one side."""
+        """Curves of contacts that touch on one side, where they come quickly: with springs one by one."""
+        if "static" in analyses and not population.springs_apart:
+            return None
         stiffness = "mean" if "static" in analyses else "rigid"
         curves = Curves.of(population, self.theta, stiffness, not self._system_varies)
         if self.extremes == "between":
@@ -181,7 +182,7 @@ class Measures:
 
     def _balances(self, population: Scene, analyses: set[str]) -> Balances | None:
         """Curves of two-sided contacts, where they come quickly: with linear springs."""
-        linear = "static" not in analyses or isinstance(population.compliance, AbstractCompliance)
+        linear = "static" not in analyses or population.springs_apart
         if self._system_varies or not linear or population.system.exact:
             return None
         varied = [path.split(".")[1] for path in self.free.paths if path.startswith("errors.")]

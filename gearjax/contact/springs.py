@@ -1,4 +1,4 @@
-"""Elastic line contacts: the force of an approach, where both grow together but not in proportion."""
+"""Springs of the contacts by type: one by one in proportion, one by one as line contacts, coupled by a matrix."""
 
 import equinox as eqx
 import jax
@@ -9,6 +9,31 @@ from gearjax.typing import Array, Float
 STEPS = 6  # of Newton's method, from a start within a few per cent
 LAST = 1.5  # level less the logarithm of the force up to which the formula is gone by
 SHALLOWEST = 1e-26  # m, below which an approach counts as none
+
+
+class LinearSprings(eqx.Module):
+    """Springs one by one, whose force is in proportion to the approach.
+
+    Args:
+        stiffness: shape (contact,) [N/m].
+    """
+
+    stiffness: Float[Array, " contact"]
+
+    def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Force of an approach [N]."""
+        return self.stiffness * penetration
+
+
+class CoupledSprings(eqx.Module):
+    """Springs where a force on one contact moves the others too: teeth of one body, slices of one face.
+
+    Args:
+        influence: approach of each contact per force on each, symmetric and positive definite, shape (contact, contact)
+            [m/N].
+    """
+
+    influence: Float[Array, "contact contact"]
 
 
 class LineSprings(eqx.Module):
@@ -46,3 +71,6 @@ class LineSprings(eqx.Module):
         x = x - (x + jnp.log(self.level - x) - target) / (1.0 - 1.0 / (level - x))
         straight = end + (penetration - furthest) / ((LAST - 1.0) * self.slope)
         return jnp.where(beyond, straight, jnp.where(touching, jnp.exp(x), 0.0))
+
+
+Springs = LinearSprings | LineSprings | CoupledSprings

@@ -1,0 +1,137 @@
+"""Equilibrium of contacts between bodies that give way at their supports: several coordinates at once.
+
+The output's position and the displacements ``q`` of the bodies solve
+
+    K q + J^T f(J q - gap) = Q
+
+with the stiffness ``K`` of the supports, none for the output. The left side is the slope of a convex function, the
+energy of the supports and the springs: Newton's method on it, going no further than it falls, ends at its only minimum.
+Memory grows with the number of contacts. Where springs are coupled by a matrix, what the supports give way by is a part
+of it instead: ``S + J_s K_s^-1 J_s^T``.
+
+The search does not take part in derivatives: one more step of Newton's method from its end carries them.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+
+from gearjax.contact.contacts import ContactSet
+from gearjax.contact.laws import AbstractContact
+from gearjax.contact.search import ACCURACY, TYPICAL, spring_forces
+from gearjax.typing import Array, Float, Int, Scalar
+
+MOST_STEPS = 100
+HALVINGS = 50  # of the length of a step
+ENOUGH = 0.5  # of the slope along a step, that is left at its end where the whole step is taken
+SLIGHTLY = 1e-9  # of all loaded contacts, that count in a step: without any the output would not be held
+
+
+def with_supports(contacts: ContactSet, influence: Float[Array, "contact contact"]) -> Float[Array, "contact contact"]:
+    """What forces on the contacts make them approach, supports included [m/N]."""
+    if contacts.supports is None:
+        return influence
+    moving = contacts.jacobian[:, 1:]
+    return influence + moving @ cho_solve(cho_factor(contacts.supports, lower=True), moving.T)
+
+
+def moved_by(contacts: ContactSet, forces: Float[Array, " contact"]) -> Float[Array, " support"]:
+    """Displacements of the bodies under forces of the contacts [m]."""
+    assert contacts.supports is not None
+    return -cho_solve(cho_factor(contacts.supports, lower=True), contacts.jacobian[:, 1:].T @ forces)
+
+
+def supported(
+    contacts: ContactSet, load: Scalar, law: AbstractContact
+) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"], Int[Array, ""]]:
+    """Displacements where the contacts and supports balance a load, the forces, and a result code.
+
+    Args:
+        contacts: with supports, and springs one by one; their gaps count from where the load closes the first contact,
+            and so does the output's position.
+        load: generalised force on the output [N m].
+        law: contact law.
+
+    Returns:
+        Displacements, the output's first [rad], then those of the bodies [m]; forces [N]; 0 for found, 1 where no
+        contact can carry the load, 3 where the search did not end; nan and zeros with 1 and 3.
+    """
+    frozen, weight = jax.lax.stop_gradient((contacts, load))
+    unloaded = weight == 0
+    weight = jnp.where(unloaded, -1.0, weight)
+    lever = frozen.jacobian[:, 0]
+    loaded = jnp.where(weight > 0, lever > 0, lever < 0)
+    able = loaded.any()
+    typical = jnp.full_like(frozen.gap, TYPICAL)
+    stiffness = jax.jvp(spring_forces(frozen, law), (typical,), (jnp.ones_like(typical),))[1]
+    whole = _bending(frozen, jnp.where(loaded, stiffness, 0.0))
+    scale = jnp.sqrt(jnp.where(able, jnp.diagonal(whole), 1.0))
+    pull = jnp.zeros_like(scale).at[0].set(weight)
+    closed = pull + frozen.jacobian.T @ jnp.where(loaded, stiffness * frozen.gap, 0.0)
+    start = _solve(whole, closed, scale)
+    place, ended = _search(frozen, weight, law, jnp.where(able, start, 0.0), whole, scale)
+    excess, stiffness = _excess(contacts, load, law, place)
+    step = _solve(_bending(frozen, jax.lax.stop_gradient(stiffness)) + SLIGHTLY**2 * whole, excess, scale)
+    place = jnp.where(unloaded, 0.0, place - step)
+    forces = spring_forces(contacts, law)(contacts.jacobian @ place - contacts.gap)
+    good = able & (ended | unloaded)
+    result = jnp.where(able, jnp.where(good, 0, 3), 1)
+    return jnp.where(good, place, jnp.nan), jnp.where(good & ~unloaded, forces, 0.0), result
+
+
+def _search(
+    contacts: ContactSet, load: Scalar, law: AbstractContact, start: Array, whole: Array, scale: Array
+) -> tuple[Array, Array]:
+    """Displacements at the minimum, and whether they were found."""
+    accuracy = float(jnp.finfo(start.dtype).eps) ** ACCURACY
+
+    def unfinished(state: tuple) -> Array:
+        _, done, step = state
+        return ~done & (step < MOST_STEPS)
+
+    def advance(state: tuple) -> tuple:
+        place, _, step = state
+        excess, stiffness = _excess(contacts, load, law, place)
+        way = -_solve(_bending(contacts, stiffness) + SLIGHTLY * whole, excess, scale)
+
+        def slope(share: Scalar) -> Scalar:
+            return way @ _excess(contacts, load, law, place + share * way)[0]
+
+        def halve(_, ends: tuple) -> tuple:
+            low, high = ends
+            middle = 0.5 * (low + high)
+            falls = slope(middle) < 0
+            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
+
+        zero, one = jnp.zeros_like(load), jnp.ones_like(load)
+        far = slope(one) > ENOUGH * jnp.abs(way @ excess)
+        share = jax.lax.cond(far, lambda: jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1], lambda: one)
+        small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
+        return place + share * way, small, step + 1
+
+    place, done, _ = jax.lax.while_loop(unfinished, advance, (start, ~jnp.isfinite(start).all(), 0))
+    return place, done & jnp.isfinite(place).all()
+
+
+def _excess(
+    contacts: ContactSet, load: Scalar, law: AbstractContact, place: Float[Array, " coordinate"]
+) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
+    """What supports and contacts carry beyond the load, and the stiffness of each contact there."""
+    overlap = contacts.jacobian @ place - contacts.gap
+    forces, stiffness = jax.jvp(spring_forces(contacts, law), (overlap,), (jnp.ones_like(overlap),))
+    carried = contacts.jacobian.T @ forces
+    assert contacts.supports is not None
+    return jnp.concatenate([carried[:1] - load, carried[1:] + contacts.supports @ place[1:]]), stiffness
+
+
+def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float[Array, "coordinate coordinate"]:
+    """Slope of `_excess` along the coordinates."""
+    found = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
+    assert contacts.supports is not None
+    return found.at[1:, 1:].add(contacts.supports)
+
+
+def _solve(matrix: Array, right: Array, scale: Array) -> Array:
+    """Solution of a positive definite system, whose coordinates are brought to one size first."""
+    level = matrix / (scale[:, None] * scale[None, :])
+    return cho_solve(cho_factor(level, lower=True), right / scale) / scale
