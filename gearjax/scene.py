@@ -307,7 +307,8 @@ class Scene(eqx.Module):
                 gap = gap - self._errors(self.pose(jnp.zeros_like(self.system.input_speed)))
         if self.backlash is None:
             return gap
-        return gap + jnp.where(np.array(layout.side) < 0, self.backlash.initial, 0.0)
+        # a concatenation is a kernel of its own: gaps are worked out once, not again for every use (up to four times)
+        return layout.joined(gap[layout.on(1)], gap[layout.on(-1)] + self.backlash.initial)
 
     def _errors(self, pose: Pose) -> Float[Array, " contact"]:
         gaps = [error.gap(pose.views[error.body]) for error in self.errors.values()]

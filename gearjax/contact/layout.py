@@ -83,6 +83,12 @@ class Layout:
         """The contacts of one side, 1 or -1, of contacts whose sides are known."""
         return _place(np.flatnonzero(np.asarray(self.side) == side))
 
+    def joined(self, driving: Array, back: Array) -> Array:
+        """Numbers of the driving and of the back flanks in the order of the contacts, along the first axis."""
+        together = jnp.concatenate([driving, back])
+        order = np.argsort(np.argsort(-np.asarray(self.side), kind="stable"))
+        return together if (order == np.arange(len(order))).all() else together[order]
+
     def per_contact(self, of_pairs: Array) -> Array:
         """Numbers of each pair at each of its contacts, along the first axis."""
         repeats = len(self.pair) // self.teeth
