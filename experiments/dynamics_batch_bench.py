@@ -29,14 +29,12 @@ from peers import compiled_c, interleaved, pointer, reducer
 
 import gearjax as gj
 from gearjax.analysis.equation import Equation
+from gearjax.xla import LOOPS, WIDE
 
 CONFIG = Path(__file__).parents[1] / "configs" / "two_kv" / "wang_2020.toml"
 BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
 TORQUE, SPACING, EACH, SAMPLES = 100.0, 1e-3, 16, 76
-XLA = (
-    "--xla_cpu_prefer_vector_width=512 "  # of processors with AVX-512
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000"  # loops as one kernel each
-)
+XLA = f"{WIDE} {LOOPS}"
 STEPS = EACH * (SAMPLES - 1)
 
 C = r"""

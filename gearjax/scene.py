@@ -261,7 +261,8 @@ class Scene(eqx.Module):
         if stiffness == "rigid" or not self.supports:
             return ContactSet(jacobian[:, :1], gap, self._springs(pose, layout, stiffness), layout)
         if jacobian.shape[1] == 1:  # of a pose that was asked for rigid contacts
-            jacobian = self.system.pose(pose.theta, Request(self.has_back, coordinates=self._supported)).jacobian
+            request = Request(self.backlash is not None, coordinates=self._supported)
+            jacobian = self.system.pose(pose.theta, request).jacobian
         listed = [getattr(support, way) for support in self.supports.values() for way in support.directions]
         return ContactSet(jacobian, gap, self._springs(pose, layout, stiffness), layout, jnp.diag(jnp.stack(listed)))
 
