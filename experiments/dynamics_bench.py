@@ -31,8 +31,8 @@ from peers import compiled_c, interleaved, pointer, reducer
 from scipy.integrate import solve_ivp
 
 import gearjax as gj
-from gearjax.analysis import dynamics
-from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis import choice, dynamics
+from gearjax.analysis.choice import suitable_step
 
 SCENE = gj.load(Path(__file__).parents[1] / "configs" / "two_kv" / "wang_2020.toml")
 PHYSICS = SCENE.physics("backlash", "compliance", "load", "inertia", "damping")
@@ -164,7 +164,7 @@ def scaled_rate(t, y, g, p):
 
 def solve(ts, torque, stepper):
     """From a scene to its transmission error at the samples, with the method of a stepper."""
-    method = dynamics._method(SCENE, ts, jnp.asarray(torque), stepper, dynamics._limits(PHYSICS))
+    method = choice.method_of(SCENE, ts, jnp.asarray(torque), stepper, choice.limits_of(PHYSICS))
     return lambda scene: dynamics._simulate(scene, ts, jnp.asarray(torque), jnp.zeros(()), "equilibrium", method).te
 
 

@@ -5,7 +5,7 @@ from gearjax.analysis import (
     AdaptiveStep,
     Backlash,
     ExponentialFit,
-    ExponentialFitMany,
+    ExponentialParabola,
     FewAngles,
     FixedStep,
     Interference,
@@ -56,11 +56,12 @@ from gearjax.contact import (
     SoftplusContact,
 )
 from gearjax.errors import AbstractError, CumulativePitch, Eccentricity, Positions, Sizes
-from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad, ConstantLoad, SinusoidalLoad
 from gearjax.registry import register
 from gearjax.results.profile import export_profile
-from gearjax.scene import Published, Run, Scene
+from gearjax.run import Published, Run
+from gearjax.scene import Scene
 from gearjax.studies import (
     Compensation,
     GridSearch,
@@ -118,6 +119,7 @@ __all__ = [
     "AdaptiveStep",
     "AllocatedTolerances",
     "Backlash",
+    "BodyInertia",
     "BodyView",
     "Compensation",
     "ConstantLoad",
@@ -131,7 +133,7 @@ __all__ = [
     "EquivalentMass",
     "Estimate",
     "ExponentialFit",
-    "ExponentialFitMany",
+    "ExponentialParabola",
     "Extremes",
     "FewAngles",
     "FixedStep",

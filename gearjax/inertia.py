@@ -52,6 +52,19 @@ class MomentOfInertia(eqx.Module):
         return self.moment_of_inertia / jnp.mean(lever * lever)
 
 
+class BodyInertia(eqx.Module):
+    """Inertia of one body that has a support, for the dynamic transmission error.
+
+    Args:
+        mass: [kg].
+    """
+
+    mass: Number = number(units.MASS, at_least=1e-9, at_most=1e9)
+
+    def __check_init__(self):
+        check_parameters(self)
+
+
 class DampingRatio(eqx.Module):
     """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``.
 

@@ -25,86 +25,17 @@ from gearjax.contact import (
     Springs,
 )
 from gearjax.errors import AbstractError
-from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
-from gearjax.parameters import Named, is_numeric, strong
+from gearjax.parameters import Named, strong
+from gearjax.run import Run
+from gearjax.structure import Structure
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Scalar
 
 _OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
-NEEDS = {
-    "no_load": (),
-    "backlash": ("backlash",),
-    "static": ("compliance",),
-    "dynamic": ("compliance", "load", "inertia"),
-}
-ANALYSES = tuple(NEEDS)
-"""Analyses of a scene, and the optional slots that each needs."""
-METRICS = ("peak_to_peak", "amplitude", "mean", "std")
-"""What is told of every record."""
 Stiffness = Literal["rigid", "mean", "varying"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Published:
-    """Published or measured values to show next to computed ones.
-
-    Args:
-        analysis, torque: the case they belong to; torque in N m, 0 without load.
-        metrics: pairs of a metric's name and its value [rad].
-        note: what a reader of the comparison should know.
-    """
-
-    analysis: str
-    torque: float
-    metrics: tuple[tuple[str, float], ...]
-    note: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """What a configuration asks to be computed. Times in seconds, torques in N m.
-
-    Args:
-        duration: length of the record [s].
-        samples: number of samples of the record, both ends included.
-        analyses: of ``no_load``, ``backlash``, ``static``, ``dynamic``.
-        torques: sizes of the load torque [N m].
-        start: of the dynamic TE, ``"equilibrium"`` or ``"zero"``.
-        settle: time that the metrics of the dynamic TE leave out [s].
-        published: values to show next to the computed ones.
-
-    Raises:
-        ParameterError: a value that cannot be.
-    """
-
-    duration: float
-    samples: int
-    analyses: tuple[str, ...]
-    torques: tuple[float, ...] = ()
-    start: str = "equilibrium"
-    settle: float = 0.0
-    published: tuple[Published, ...] = ()
-
-    def __post_init__(self):
-        for key, given, least in (("duration", self.duration, 1e-9), ("settle", self.settle, 0.0)):
-            if not is_numeric(given) or not least <= float(given) < np.inf:
-                raise ParameterError(f"run.{key}", given, f"must be finite and at least {least:g} s")
-        if self.settle >= self.duration:
-            raise ParameterError("run.settle", self.settle, "must be below run.duration")
-        if isinstance(self.samples, bool) or not isinstance(self.samples, int | np.integer) or self.samples < 2:
-            raise ParameterError("run.samples", self.samples, "must be a whole number, at least 2")
-        for analysis in self.analyses:
-            if analysis not in ANALYSES:
-                raise ParameterError("run.analyses", analysis, nearest(analysis, ANALYSES))
-        if not is_numeric(self.torques) or not np.isfinite(self.torques).all():
-            raise ParameterError("run.torques", self.torques, "must be finite numbers [N m]")
-
-    @property
-    def times(self) -> np.ndarray:
-        """Sample times, shape (samples,) [s]."""
-        return np.linspace(0.0, self.duration, self.samples)
 
 
 class Scene(eqx.Module):
@@ -120,6 +51,7 @@ class Scene(eqx.Module):
         contact: contact law.
         inertia, damping: for the dynamic transmission error.
         supports: of bodies that give way under the forces of the contacts, by body; others are held rigidly.
+        body_inertia: of bodies that have supports, by body, for the dynamic transmission error.
         run: what the configuration asked for; not part of the physics.
 
     Raises:
@@ -138,6 +70,7 @@ class Scene(eqx.Module):
     inertia: EquivalentMass | MomentOfInertia | None = None
     damping: DampingRatio | None = None
     supports: Mapping[str, Support] = eqx.field(default_factory=dict)
+    body_inertia: Mapping[str, BodyInertia] = eqx.field(default_factory=dict)
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
@@ -180,6 +113,14 @@ class Scene(eqx.Module):
         return tuple(f"{body}.{way}" for body, support in self.supports.items() for way in support.directions)
 
     @property
+    def structure(self) -> Structure:
+        """Mass, stiffness and damping of its coordinates; of a scene that the dynamic TE suits (`require`)."""
+        assert self.inertia is not None
+        contacts = self.contacts(jnp.zeros_like(self.system.input_speed))
+        output = self.inertia.moment(contacts.lever[contacts.layout.flanks[0]])
+        return Structure.of(output, self.supports, self.body_inertia, self.system.orbits, self.system.input_speed)
+
+    @property
     def layout(self) -> Layout:
         """Sides and pairs of its contacts."""
         return self.system.layout(self._request("rigid"))
@@ -214,6 +155,8 @@ class Scene(eqx.Module):
         unused: dict = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
         if "compliance" not in slots:  # without forces nothing gives way
             unused["supports"] = {}
+        if not {"compliance", "inertia"} <= set(slots):
+            unused["body_inertia"] = {}
         return jax.tree.map(strong, dataclasses.replace(self, **unused))
 
     def anchored(self) -> "Scene":
@@ -340,6 +283,10 @@ def _check_supports(scene: Scene) -> None:
         for way in support.directions:
             if way not in offered[body]:
                 raise ParameterError(f"supports.{body}.{way}", getattr(support, way), nearest(way, offered[body]))
+    for body in scene.body_inertia:
+        if body not in scene.supports:
+            words = f"is for a body that gives way: list [supports.{body}], or leave out [inertia.{body}]"
+            raise SceneError(f"[inertia.{body}] {words}")
     if scene.supports and scene.system.exact:
         raise SceneError('[supports] and clearance = "exact" do not go together yet: use clearance = "linear"')
 
@@ -385,7 +332,16 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         )
     if isinstance(scene.compliance, AbstractCoupledCompliance):
         raise SceneError(f'"{what}" needs springs one by one: {scene.compliance.kind} couples the contacts')
-    if scene.supports:
-        raise SceneError(
-            f'"{what}" is for a scene whose output alone moves: leave out [supports.{next(iter(scene.supports))}]'
-        )
+    for body in scene.supports:
+        if body not in scene.body_inertia:
+            raise SceneError(f'"{what}" needs [inertia.{body}] with mass, which this scene does not list')
+
+
+def require_output_alone(scene: Scene, what: str) -> None:
+    """Refuse an analysis of scenes whose bodies give way.
+
+    Raises:
+        SceneError: naming the section to leave out.
+    """
+    for body in scene.supports:
+        raise SceneError(f'"{what}" is for a scene whose output alone moves: leave out [supports.{body}]')

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.choice import suitable_step
 from gearjax.analysis.equation import Equation
 from gearjax.reproduce import two_kv
 from gearjax.units import arcmin

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.choice import suitable_step
 from gearjax.units import arcmin
 from tests.test_dynamics import MASS, RADIUS, STIFFNESS, still
 

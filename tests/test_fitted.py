@@ -176,7 +176,7 @@ def test_the_default_is_the_same_inside_a_trace(scene):
 
 
 def test_the_default_takes_windows_where_they_pay(scene):
-    from gearjax.analysis.dynamics import suitable_step
+    from gearjax.analysis.choice import suitable_step
 
     windows = suitable_step(scene, 3.0).windows
     assert windows is not None

@@ -325,7 +325,7 @@ def test_functions_of_numbers(name, kind, gear_set):
     check(name, OF_NUMBERS[name], gear_set, kind)
 
 
-IN_MOTION = ("growth_rate", "harmonic_balance", "shooting", "simulate", "speed_sweep")
+OF_THE_OUTPUT_ALONE = ("growth_rate", "harmonic_balance", "shooting", "speed_sweep")
 
 
 @pytest.mark.slow
@@ -337,8 +337,9 @@ def test_functions_on_supports(name, gear_set):
     case = Case(gear_set, "amplitude")
     bodies = case.scene.system.coordinates
     assert bodies
-    case.scene = dataclasses.replace(case.scene, supports={body: gj.Support(x=2e8, y=3e8) for body in bodies})
-    words = "leave out [supports." if name in IN_MOTION else refusal(name, gear_set, "amplitude")
+    supports, inertia = (dict.fromkeys(bodies, part) for part in (gj.Support(x=2e8, y=3e8), gj.BodyInertia(0.5)))
+    case.scene = dataclasses.replace(case.scene, supports=supports, body_inertia=inertia)
+    words = "leave out [supports." if name in OF_THE_OUTPUT_ALONE else refusal(name, gear_set, "amplitude")
     judge((OF_A_SCENE | OF_NUMBERS)[name], case, words)
 
 

@@ -2,9 +2,9 @@
 
 from gearjax.analysis.dynamics import growth_rate, simulate
 from gearjax.analysis.fitted import ExponentialFit
-from gearjax.analysis.fitted_many import ExponentialFitMany
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.metrics import FewAngles
+from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.periodic import Periodic, Sweep, harmonic_balance, shooting, speed_sweep
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, interference, transmission_error
@@ -17,7 +17,7 @@ __all__ = [
     "AdaptiveStep",
     "Backlash",
     "ExponentialFit",
-    "ExponentialFitMany",
+    "ExponentialParabola",
     "FewAngles",
     "FixedStep",
     "Interference",

@@ -195,29 +195,25 @@ class Equation(eqx.Module):
         """From scaled position and velocity to position and velocity times step."""
         return jnp.stack([jnp.ones_like(step), self.frequency * step])
 
+    def fastest_rate(self) -> Scalar:
+        """Fastest rate of a scene, which a step has to resolve [rad/s].
 
-def fastest_rate(equation: Equation) -> Scalar:
-    """Fastest rate of a scene, which a step has to resolve [rad/s].
-
-    The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of the
-    stiffness, the load and the bodies.
-    """
-    scene = equation.scene
-    assert scene.inertia is not None
-    assert scene.load is not None
-    system, orders = scene.system, scene.system.orders
-    rates = [
-        equation.frequency,
-        scene.linear_compliance.harmonics * orders["mesh"] * system.input_speed,
-        scene.load.rate(system.input_speed, orders),
-        turning_rate(scene),
-    ]
-    if scene.damping is not None:
-        mass = equation.mass
-        rates.append(
-            scene.damping.coefficient(scene.linear_compliance.mean_stiffness(equation.layout.teeth), mass).sum() / mass
-        )
-    return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+        The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of
+        the stiffness, the load and the bodies.
+        """
+        scene = self.scene
+        assert scene.load is not None
+        system, orders = scene.system, scene.system.orders
+        rates = [
+            self.frequency,
+            scene.linear_compliance.harmonics * orders["mesh"] * system.input_speed,
+            scene.load.rate(system.input_speed, orders),
+            turning_rate(scene),
+        ]
+        if scene.damping is not None:
+            stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
+            rates.append(scene.damping.coefficient(stiffness, self.mass).sum() / self.mass)
+        return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
 
 
 def turning_rate(scene: Scene) -> Scalar:

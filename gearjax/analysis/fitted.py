@@ -111,8 +111,7 @@ def _sine(stiffness: Array, damping: Array) -> Array:
 
 
 class OscillatorTerm(diffrax.AbstractTerm):
-    """A term of diffrax whose vector field is the `State` of an oscillator at a time and position, or the
-    `gearjax.analysis.fitted_many.States` of many degrees of freedom.
+    """A term of diffrax whose vector field is the `State` of an oscillator at a time and position.
 
     Args:
         state: ``state(time, position, args)``, for steps of one unit of time.

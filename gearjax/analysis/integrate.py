@@ -1,18 +1,94 @@
 """Solvers of diffrax on the equation of motion: even steps of any of them, and its own adaptive loop."""
 
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
 import diffrax
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from gearjax.analysis.equation import Equation
-from gearjax.analysis.solvers import AdaptiveStep, highest_between
+from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.analysis.motion import Motion
+from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, highest_between
 from gearjax.typing import Array, Float, Scalar
 
 MOST_ROWS = 256  # steps whose excitation is tabulated at once
 
 
-def even_steps(equation: Equation, ts: Array, state: Array, solver: diffrax.AbstractSolver, steps: int):
+@runtime_checkable
+class Motive(Protocol):
+    """An equation of motion: what drives it, and its rates."""
+
+    @property
+    def frequency(self) -> Scalar:
+        """That scales time [rad/s]."""
+        ...
+
+    def excitation(self, time: Scalar) -> Any:
+        """All but the state, at a time [s]."""
+        ...
+
+    def rate(self, now: Any, state: Array) -> Array:
+        """Change of the scaled state per scaled time."""
+        ...
+
+
+class Even(NamedTuple):
+    """Even steps of a solver of diffrax."""
+
+    solver: diffrax.AbstractSolver
+    steps: int
+
+
+def integrated(
+    equation: Equation | StructureEquation, ts: Array, settle: Array, start: str, method: Even | AdaptiveStep
+) -> Motion:
+    """A motion by a solver of diffrax."""
+    state = equation.initial(ts[0], start)
+    there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
+    if isinstance(method, AdaptiveStep):
+        states, highest, lowest, failed = adaptive_steps(equation, ts, state, method)
+    else:
+        states, highest, lowest = even_steps(equation, ts, state, method.solver, method.steps)
+        too_long = (ts[1:] - ts[:-1]).max() / method.steps * equation.fastest_rate() > LONGEST_STEP
+        failed = jnp.where(too_long, 2, 0)
+    scale = jnp.broadcast_to(equation.scale, states[:, 0].shape)
+    place, speed = states[:, 0] * scale, states[:, 1] * (scale * equation.frequency)
+    forces = jax.vmap(equation.forces)(ts, place)
+    failed = jnp.where(there, failed, 4)
+    return recorded(equation, ts, (place, speed), (highest * scale, lowest * scale), forces, settle, failed)
+
+
+def recorded(
+    equation: Equation | StructureEquation,
+    ts: Array,
+    states: tuple[Array, Array],
+    extremes: tuple[Array, Array],
+    forces: Array,
+    settle: Array,
+    failed: Array,
+) -> Motion:
+    """A motion from its records, each of the output, shape (n,), or of all coordinates, shape (n, coordinate).
+
+    Args:
+        equation: of motion.
+        ts: sample times [s].
+        states: coordinates and velocities [rad, m].
+        extremes: highest and lowest up to each sample.
+        forces: of the contacts, shape (n, contact) [N].
+        settle: time that metrics leave out [s].
+        failed: result code.
+    """
+    layout, whole = equation.layout, jnp.zeros_like(settle)
+    if isinstance(equation, Equation):
+        return Motion(ts, *states, forces, *extremes, settle, failed, whole, layout)
+    place, speed, highest, lowest = (part if part.ndim == 1 else part[:, 0] for part in (*states, *extremes))
+    moved, names = states[0][:, 1:], equation.structure.names
+    return Motion(ts, place, speed, forces, highest, lowest, settle, failed, whole, layout, None, moved, names)
+
+
+def even_steps(equation: Motive, ts: Array, state: Array, solver: diffrax.AbstractSolver, steps: int):
     """Even steps: a scan over the sample intervals, cut into parts of `MOST_ROWS` steps, and over the steps of each.
 
     What drives the motion is tabulated for all ends and middles of the steps of an interval at once (vectorised,
@@ -61,8 +137,8 @@ def even_steps(equation: Equation, ts: Array, state: Array, solver: diffrax.Abst
     first = state[:1]
     return (
         jnp.concatenate([state[None, :], states[parts - 1 :: parts]]),
-        jnp.concatenate([first, highest.reshape(-1, parts).max(axis=1)]),
-        jnp.concatenate([first, lowest.reshape(-1, parts).min(axis=1)]),
+        jnp.concatenate([first, highest.reshape(-1, parts, *first.shape[1:]).max(axis=1)]),
+        jnp.concatenate([first, lowest.reshape(-1, parts, *first.shape[1:]).min(axis=1)]),
     )
 
 
@@ -74,7 +150,7 @@ def _within(rows: Float[Array, "3 row"], time: float | Scalar) -> Float[Array, "
     return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
 
 
-def adaptive_steps(equation: Equation, ts: Array, state: Array, stepper: AdaptiveStep):
+def adaptive_steps(equation: Motive, ts: Array, state: Array, stepper: AdaptiveStep):
     """diffrax's adaptive loop; extremes are those of the samples."""
 
     def field(tau, state, origin):

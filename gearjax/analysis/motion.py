@@ -22,6 +22,8 @@ class Motion(eqx.Module):
         defect: how far windows of time were apart where they meet, 0 without windows [rad].
         layout: sides and pairs of the contacts.
         carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` where all could.
+        moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any.
+        coordinates: names of what moves: the output, then those displacements.
     """
 
     ts: Float[Array, " n"]
@@ -35,6 +37,14 @@ class Motion(eqx.Module):
     defect: Scalar
     layout: Layout = eqx.field(static=True)
     carriers: Int[Array, " n"] | None = None
+    moved: Float[Array, "n support"] | None = None
+    coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
+
+    @property
+    def q(self) -> Float[Array, "... n coordinate"]:
+        """Displacements from the ideal motion in each of the coordinates, the output's first [rad], then [m]."""
+        te = self.te[..., None]
+        return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
     @property
     def settled(self) -> Array:

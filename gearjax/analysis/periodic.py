@@ -14,12 +14,12 @@ import optimistix
 
 from gearjax import arguments
 from gearjax.analysis import march
-from gearjax.analysis.dynamics import MODELLED
+from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.equation import Equation
 from gearjax.analysis.oscillator import Oscillator
 from gearjax.analysis.tables import MOST_NODES
 from gearjax.checks import ParameterError, SceneError, nearest
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene, require, require_output_alone
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 
@@ -101,6 +101,7 @@ class _Problem(NamedTuple):
 def _problem(scene: Scene, torque: ArrayLike, period: ArrayLike) -> _Problem:
     """The arguments of a user, checked."""
     require(scene, "dynamic", "compliance", "load", "inertia")
+    require_output_alone(scene, "periodic motion")
     physics, dtype = scene.physics(*MODELLED), scene.dtype
     return _Problem(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
 
@@ -268,6 +269,7 @@ def speed_sweep(
         ParameterError: no such order, or speeds that are not positive.
     """
     require(scene, "dynamic", "compliance", "load", "inertia")
+    require_output_alone(scene, "periodic motion")
     speeds = jnp.asarray(speeds, scene.dtype)
     if speeds.ndim != 1 or speeds.shape[0] == 0:
         raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")

@@ -20,6 +20,7 @@ from gearjax.analysis.march import QUICK
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 
+LONGEST_STEP = 1.0  # rad of the fastest motion; Runge-Kutta is stable to 2.8
 LONG = QUICK[0].steps  # of a block; where there are more between samples, blocks have at least half of it
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from gearjax.reproduce import Row
 from gearjax.results import Case, Optimisation, highest_load_sharing
-from gearjax.scene import METRICS
+from gearjax.run import METRICS
 from gearjax.studies.minimise import UNIMPROVED
 from gearjax.studies.select import pick
 from gearjax.studies.tradeoff import Tradeoff

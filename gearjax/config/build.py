@@ -14,7 +14,7 @@ from gearjax.config.run import read_published, read_run
 from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
-from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
@@ -143,13 +143,15 @@ def _scene(tables: dict[str, Any]) -> Scene:
     for section, known in (("compliance", kinds("gearjax.compliances")), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
             parts[section] = _one_of(section, tables[section], known)
+    tables, of_bodies = _apart("inertia", tables)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):
         if section in tables:
             parts[section] = _part(section, tables[section], part)
-    if "supports" in tables:
-        parts["supports"] = {
-            name: _part(f"supports.{name}", table, Support) for name, table in _tables("supports", tables).items()
+    for section, slot, part in (("supports", "supports", Support), ("inertia", "body_inertia", BodyInertia)):
+        parts[slot] = {
+            name: _part(f"{section}.{name}", table, part)
+            for name, table in _tables(section, tables | of_bodies).items()
         }
     if "reference" in tables:
         parts["reference"] = _reference(tables["reference"])
@@ -158,6 +160,15 @@ def _scene(tables: dict[str, Any]) -> Scene:
     if "run" in tables:
         scene = dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
     return scene
+
+
+def _apart(section: str, tables: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The tables without the sections of a section, such as ``[inertia.BODY]``, and those alone."""
+    own = tables.get(section, {})
+    inner = {key: value for key, value in own.items() if isinstance(value, dict)}
+    rest = {key: value for key, value in own.items() if key not in inner}
+    without = {key: value for key, value in tables.items() if key != section}
+    return without | ({section: rest} if rest or (own and not inner) else {}), {section: inner}
 
 
 def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -24,11 +24,12 @@ from gearjax.config.tolerance import (
     Assembly,
     ToleranceSection,
 )
-from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
-from gearjax.scene import NEEDS, Published, Run, Scene, require
+from gearjax.run import NEEDS, Published, Run
+from gearjax.scene import Scene, require
 from gearjax.studies.select import numbers
 from gearjax.supports import Support
 from gearjax.tolerance import DISTRIBUTIONS, Empirical
@@ -263,19 +264,21 @@ def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
 
 
 def _supports(text: str, scene: Scene) -> str:
-    """The section of a support, commented out, for the first body that may have one."""
+    """Support and inertia of a body, commented out, for the first one that may have them."""
     offered = scene.system.coordinates
     if not offered:
         return ""
     body = next(iter(offered))
-    section = "".join(
-        [f"[supports.{body}]\n", *(f"{way} = {example(declared(Support)[way])}\n" for way in offered[body])]
-    )
+    keys = [key for way in offered[body] for key in (way, f"{way}_damping")]
+    section, says = "", [f"Supports, [supports.BODY] each, and the inertia of the same bodies: {', '.join(offered)}."]
+    for slot, part, names in (("supports", Support, keys), ("inertia", BodyInertia, declared(BodyInertia))):
+        known = declared(part)
+        section += f"[{slot}.{body}]\n" + "".join(f"{name} = {example(known[name])}\n" for name in names)
+        words = {name: limits(known[name]) for name in names}
+        says += summary(part) + told(part, words, words)
     if _fault(text + section):
         return ""
-    words = {name: limits(parameter) for name, parameter in declared(Support).items()}
-    says = [f"Supports, [supports.BODY] each. Bodies: {', '.join(offered)}.", *summary(Support)]
-    return f"\n{''.join(map(_prose, says + told(Support, words, words)))}{_commented(section)}"
+    return f"\n{''.join(map(_prose, says))}{_commented(section)}"
 
 
 def _run(scene: Scene) -> str:

@@ -6,7 +6,8 @@ from gearjax import units
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_quantity
 from gearjax.config.tables import Key, known_keys, read_whole, require_keys
-from gearjax.scene import ANALYSES, METRICS, NEEDS, Published, Run, Scene, require
+from gearjax.run import ANALYSES, METRICS, NEEDS, Published, Run
+from gearjax.scene import Scene, require
 
 STARTS = ("equilibrium", "zero")
 MOST_SAMPLES = 10_000_000

@@ -1,8 +1,8 @@
 """Equilibrium of many contacts, or of springs that are not linear: Newton's method between bounds.
 
 The sum of the contacts' forces on the output never falls with its position, so that a root is between any two
-positions with sums on both sides of the load. The search does not take part in derivatives, which are implicit: by one
-more step of Newton's method from its end (`search`), or by a rule of its own (`hard_balance`).
+positions with sums on both sides of the load. The search does not take part in derivatives, which are implicit: by
+more steps of Newton's method from its end (`last_steps`), or by a rule of its own (`hard_balance`).
 """
 
 from collections.abc import Callable
@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.contact.contacts import ContactSet
-from gearjax.contact.laws import AbstractContact
-from gearjax.contact.springs import CoupledSprings
+from gearjax.contact.laws import AbstractContact, HardContact
+from gearjax.contact.springs import CoupledSprings, LinearSprings
 from gearjax.typing import Array, Bool, Float, Scalar
 
 MOST_STEPS = 200
@@ -29,6 +29,13 @@ def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array
     assert springs is not None
     assert not isinstance(springs, CoupledSprings)  # the force of each hangs on the others
     return lambda overlap: springs.force(law.penetration(overlap))
+
+
+def last_steps(contacts: ContactSet, law: AbstractContact) -> int:
+    """How many steps of Newton's method from the end of a search carry first and second derivatives: a velocity is a
+    first one, whose gradient is a second one. One is enough where forces are straight lines between changes of contact.
+    """
+    return 1 if isinstance(contacts.springs, LinearSprings) and isinstance(law, HardContact) else 2
 
 
 def newton(
@@ -96,10 +103,10 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact) -> tuple[Sc
     begin = jnp.where(steepness > 0, weight / safe, jnp.nan)
     position, found = newton(lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(begin))
     position = jnp.where(found, position, 0.0)
-    excess, slope = sums(contacts, load, position)
-    slope = jax.lax.stop_gradient(slope)
-    # without a closed contact nothing is carried, and the first contact just touches
-    position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
+    for _ in range(last_steps(contacts, law)):
+        excess, slope = sums(contacts, load, position)
+        # without a closed contact nothing is carried, and the first contact just touches
+        position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)
     return jnp.where(found, position, jnp.nan), jnp.where(found, forces, 0.0), found
 

@@ -56,8 +56,8 @@ class LineSprings(eqx.Module):
     def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Force of an approach [N]; none where the bodies are apart.
 
-        Newton's method in the logarithm of the force; its last step carries the derivative. Approaches beyond all
-        elasticity, where the formula turns back, go on in a straight line.
+        Newton's method in the logarithm of the force; its last two steps carry derivatives, the second ones
+        too. Approaches beyond all elasticity, where the formula turns back, go on in a straight line.
         """
         end = jnp.exp(self.level - LAST)
         furthest = LAST * self.slope * end
@@ -65,10 +65,9 @@ class LineSprings(eqx.Module):
         inside = jnp.where(touching & ~beyond, penetration, jnp.where(beyond, furthest, SHALLOWEST))
         target = jnp.log(inside / self.slope)  # F (level - ln F)
         x = jax.lax.stop_gradient(target - jnp.log(self.level - target + jnp.log(self.level)))
-        frozen, level = jax.lax.stop_gradient((target, self.level))
-        for _ in range(STEPS):
-            x = x - (x + jnp.log(level - x) - frozen) / (1.0 - 1.0 / (level - x))
-        x = x - (x + jnp.log(self.level - x) - target) / (1.0 - 1.0 / (level - x))
+        known = jax.lax.stop_gradient((target, self.level))
+        for end_at, level in (*[known] * (STEPS - 1), *[(target, self.level)] * 2):
+            x = x - (x + jnp.log(level - x) - end_at) / (1.0 - 1.0 / (level - x))
         straight = end + (penetration - furthest) / ((LAST - 1.0) * self.slope)
         return jnp.where(beyond, straight, jnp.where(touching, jnp.exp(x), 0.0))
 

@@ -9,7 +9,7 @@ energy of the supports and the springs: Newton's method on it, going no further 
 Memory grows with the number of contacts. Where springs are coupled by a matrix, what the supports give way by is a part
 of it instead: ``S + J_s K_s^-1 J_s^T``.
 
-The search does not take part in derivatives: one more step of Newton's method from its end carries them.
+The search does not take part in derivatives: more steps of Newton's method from its end carry them (`last_steps`).
 """
 
 import jax
@@ -18,7 +18,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.laws import AbstractContact
-from gearjax.contact.search import ACCURACY, TYPICAL, spring_forces
+from gearjax.contact.search import ACCURACY, TYPICAL, last_steps, spring_forces
 from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_STEPS = 100
@@ -70,9 +70,10 @@ def supported(
     closed = pull + frozen.jacobian.T @ jnp.where(loaded, stiffness * frozen.gap, 0.0)
     start = _solve(whole, closed, scale)
     place, ended = _search(frozen, weight, law, jnp.where(able, start, 0.0), whole, scale)
-    excess, stiffness = _excess(contacts, load, law, place)
-    step = _solve(_bending(frozen, jax.lax.stop_gradient(stiffness)) + SLIGHTLY**2 * whole, excess, scale)
-    place = jnp.where(unloaded, 0.0, place - step)
+    for _ in range(last_steps(contacts, law)):
+        excess, stiffness = _excess(contacts, load, law, place)
+        step = _solve(_bending(contacts, stiffness) + SLIGHTLY**2 * whole, excess, scale)
+        place = jnp.where(unloaded, 0.0, place - step)
     forces = spring_forces(contacts, law)(contacts.jacobian @ place - contacts.gap)
     good = able & (ended | unloaded)
     result = jnp.where(able, jnp.where(good, 0, 3), 1)

@@ -74,7 +74,7 @@ def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     shown = [
         (case, case.result)
         for case in cases
-        if isinstance(case.result, TransmissionError) and case.result.moved is not None
+        if isinstance(case.result, TransmissionError | Motion) and case.result.moved is not None
     ]
     if not shown:
         return None

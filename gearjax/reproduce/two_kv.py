@@ -11,7 +11,8 @@ from gearjax.errors import Eccentricity
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import ConstantLoad
 from gearjax.reproduce.rows import Row, printed_precision
-from gearjax.scene import METRICS, Scene
+from gearjax.run import METRICS
+from gearjax.scene import Scene
 from gearjax.systems import TwoKV
 from gearjax.units import arcmin, deg, mm, rpm, um
 

@@ -21,13 +21,15 @@ from gearjax.analysis import (
     simulate,
     transmission_error,
 )
-from gearjax.analysis.dynamics import growth_rate, suitable_step
+from gearjax.analysis.choice import suitable_step
+from gearjax.analysis.dynamics import growth_rate
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError
 from gearjax.files import write_file
 from gearjax.results.profile import FORMATS, export_profile
-from gearjax.scene import METRICS, Published, Run, Scene
+from gearjax.run import METRICS, Published, Run
+from gearjax.scene import Scene
 from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin
@@ -118,7 +120,7 @@ def growth_remark(scene: Scene, case: Case) -> str | None:
     """What a reader of a chaotic motion should know; ``None`` where disturbances do not grow, or the load does not
     alternate."""
     run = required_run(scene)
-    if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates:
+    if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates or scene.supports:
         return None
     rate = float(growth_rate(scene, run.times, case.torque, start=run.start))
     if not rate * run.duration > LOST:
@@ -232,7 +234,7 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
         if forces is not None:
             label = {"units": "N", "long_name": f"contact forces, {case.title}, driving flanks first"}
             variables[f"{name}_force"] = (("time", "contact"), np.asarray(forces), label)
-        if isinstance(case.result, TransmissionError) and case.result.moved is not None:
+        if isinstance(case.result, TransmissionError | Motion) and case.result.moved is not None:
             label = {"units": "m", "long_name": f"displacements of bodies on their supports, {case.title}"}
             variables[f"{name}_moved"] = (("time", "coordinate"), np.asarray(case.result.moved), label)
             coordinates["coordinate"] = ("coordinate", list(case.result.coordinates[1:]), {})

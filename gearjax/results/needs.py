@@ -13,7 +13,7 @@ from pathlib import Path
 
 import jax
 
-from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.choice import suitable_step
 from gearjax.checks import ParameterError, place
 from gearjax.config import ToleranceSection
 from gearjax.contact import HardContact

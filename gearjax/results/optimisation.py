@@ -12,7 +12,8 @@ from gearjax.files import write_file
 from gearjax.parameters import Parameter
 from gearjax.progress import Progress
 from gearjax.results.cases import Case, run_cases
-from gearjax.scene import METRICS, Scene
+from gearjax.run import METRICS
+from gearjax.scene import Scene
 from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
 from gearjax.studies.select import numbers, pick
 from gearjax.studies.values import values

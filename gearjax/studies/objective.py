@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import FixedStep, Motion, backlash, simulate, transmission_error
-from gearjax.analysis.dynamics import suitable_step
+from gearjax.analysis.choice import suitable_step
 from gearjax.analysis.metrics import (
     highest_intervals,
     slope_and_value,
@@ -30,7 +30,8 @@ from gearjax.arguments import numbers, one_positive, torque
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import Pose, QuadraticContact
 from gearjax.parameters import as_leaf
-from gearjax.scene import ANALYSES, NEEDS, Scene, require
+from gearjax.run import ANALYSES, NEEDS
+from gearjax.scene import Scene, require
 from gearjax.studies.select import Free
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 

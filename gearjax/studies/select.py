@@ -18,6 +18,7 @@ from gearjax.typing import Array, Float
 Where = str | Sequence[str] | Callable[[Scene], Any]
 Bounds = Mapping[str, tuple[float, float]]
 PARTS = ("system", "errors", "backlash", "compliance", "supports", "inertia", "damping", "load", "contact")
+OF_BODIES = {"inertia": "body_inertia"}  # where numbers of single bodies are, [inertia.BODY]
 _PROBE = 1e-6  # stands for a zero beside a free number when its influence is tried [SI]
 
 
@@ -186,6 +187,7 @@ def numbers(scene: Scene) -> dict[str, Parameter]:
 
     for slot in PARTS:
         visit(slot, getattr(scene, slot))
+        visit(slot, getattr(scene, OF_BODIES.get(slot, ""), None))
     return found
 
 
@@ -220,8 +222,10 @@ def _split(path: str) -> tuple[str, int | None]:
 
 def _leaf(scene: Any, path: str) -> Any:
     """The leaf that a path leads to."""
-    part: Any = scene
-    for step in path.split("."):
+    slot, *steps = path.split(".")
+    bodies = getattr(scene, OF_BODIES.get(slot, ""), {})
+    part = bodies if steps[0] in bodies else getattr(scene, slot)
+    for step in steps:
         part = part[step] if isinstance(part, Mapping) else getattr(part, step)
     return part
 

@@ -13,13 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate, transmission_error
-from gearjax.analysis.dynamics import LONGEST_STEP, STEP, Stepper, suitable_step
+from gearjax.analysis.choice import STEP, suitable_step
 from gearjax.analysis.metrics import FewAngles
+from gearjax.analysis.solvers import LONGEST_STEP, Stepper
 from gearjax.checks import SceneError
 from gearjax.compliance import HarmonicStiffness
 from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
 from gearjax.progress import Progress, silent
-from gearjax.scene import METRICS, Run, Scene
+from gearjax.run import METRICS, Run
+from gearjax.scene import Scene
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 from gearjax.units import arcmin

@@ -8,6 +8,7 @@ import equinox as eqx
 
 from gearjax.contact import Layout, Moved, Movements, Pose, Request
 from gearjax.geometry.cycloid import Cycloid
+from gearjax.structure import Orbit
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -42,6 +43,11 @@ class AbstractSystem(eqx.Module):
     @property
     def coordinates(self) -> Mapping[str, tuple[str, ...]]:
         """Bodies that may have supports, with the directions of each: ``x`` along its crank's throw, ``y`` across."""
+        return {}
+
+    @property
+    def orbits(self) -> Mapping[str, Orbit]:
+        """How bodies go round that a crank carries; others have axes that stand still."""
         return {}
 
     @property

@@ -17,6 +17,7 @@ from gearjax.geometry import base_radius
 from gearjax.geometry.cycloid import Cycloid, Touch, curvature, gap, largest_offset, pin_distance, touch
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import angle, check_parameters, count, length, name, number
+from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -136,6 +137,11 @@ class RVCycloidal(AbstractSystem):
     @property
     def coordinates(self) -> Mapping[str, tuple[str, ...]]:
         return {f"disc_{i + 1}": ("x", "y") for i in range(self.discs)}
+
+    @property
+    def orbits(self) -> Mapping[str, Orbit]:
+        # the output turns against the crank, which turns back with it
+        return dict.fromkeys(self.coordinates, Orbit(self.orders["crank"], self.eccentricity, -self.with_output))
 
     @property
     def orders(self) -> Mapping[str, float]:

@@ -12,6 +12,7 @@ from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.geometry import FewTeethDifference, base_radius, internal_centre_distance
 from gearjax.parameters import Named, angle, check_parameters, count, length, number
+from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -99,6 +100,14 @@ class TwoKV(AbstractSystem):
     @property
     def coordinates(self) -> Mapping[str, tuple[str, ...]]:
         return {f"planet_{i + 1}": ("x", "y") for i in range(self.planets)}
+
+    @property
+    def orbits(self) -> Mapping[str, Orbit]:
+        # a crank that turns back by some of the output's turn moves the planet wheel back: what the lever is longer by
+        longer = self.radius - base_radius(self.planet_teeth, self.module, self.cutting_pressure_angle)
+        follows = -longer / (self.centre_distance * jnp.cos(self.working_pressure_angle))
+        orbit = Orbit(self.orders["crank"], self.centre_distance, follows)
+        return dict.fromkeys(self.coordinates, orbit)
 
     @property
     def orders(self) -> Mapping[str, float]:

@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import Backlash, FixedStep, backlash, simulate, transmission_error
-from gearjax.analysis.dynamics import FAULTS, suitable_step
+from gearjax.analysis.choice import suitable_step
+from gearjax.analysis.dynamics import FAULTS
 from gearjax.analysis.metrics import deviation, top
 from gearjax.arguments import one_number, torque
 from gearjax.checks import ParameterError, nearest
 from gearjax.contact import HardContact
-from gearjax.scene import ANALYSES, METRICS, NEEDS, Scene, require
+from gearjax.run import ANALYSES, METRICS, NEEDS
+from gearjax.scene import Scene, require
 from gearjax.studies.objective import SLOTS
 from gearjax.tolerance.balances import Balances
 from gearjax.tolerance.closer import closer, places_between

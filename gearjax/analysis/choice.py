@@ -1,0 +1,186 @@
+"""Which steps suit a scene: the one place that chooses how a motion is computed, by what is known of it now."""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis import march
+from gearjax.analysis.equation import Equation, slowest_decay
+from gearjax.analysis.fitted import ExponentialFit
+from gearjax.analysis.follow import QuasiStatic
+from gearjax.analysis.integrate import Even
+from gearjax.analysis.modes import StructureEquation
+from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
+from gearjax.checks import SceneError, is_batched, is_concrete
+from gearjax.scene import Scene, require_output_alone
+from gearjax.typing import Array
+
+MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
+STEP = 0.4  # of the longest one, by default
+MOST_STEPS = 1_000_000_000
+WINDOW, FEWEST = (3000, 2000), 8  # steps after the warm-up of many windows and of few, and windows that pay
+FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
+APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
+
+
+class Modes(NamedTuple):
+    """Even steps of constant modes, of a scene whose bodies move too: their number between samples."""
+
+    each: int
+
+
+class Fitted(NamedTuple):
+    """Even steps of the exponentially fitted scheme.
+
+    Args:
+        spacing: of samples and steps.
+        windows: how the record is cut, or ``None``.
+        fall_back: whether windows that do not agree are replaced, within the program, by the march in one go.
+        quick: for bodies that turn slowly, which one go finds out while it runs where no speed is known before.
+    """
+
+    spacing: march.Spacing
+    windows: march.Windows | None
+    fall_back: bool
+    quick: march.Spacing | None = None
+
+
+Method = Even | Fitted | Modes | AdaptiveStep | QuasiStatic
+
+
+class Limits(NamedTuple):
+    """What a step depends on: rates of the scene [rad/s] and its position per scaled position [rad].
+
+    Args:
+        fastest: what steps of the fitted scheme, or of constant modes, have to resolve.
+        decay: of a motion while one pair is in contact, 0 where it is not known.
+        scale: position per scaled position.
+        whole: what other solvers have to resolve where supports are faster; ``None`` where it is the same.
+    """
+
+    fastest: Array
+    decay: Array
+    scale: Array
+    whole: Array | None = None
+
+
+def known_limits(physics: Scene) -> Limits | None:
+    """The limits of a scene whose numbers are known, also inside the trace of something else."""
+    if not is_concrete(physics):
+        return None
+    with jax.ensure_compile_time_eval():
+        return limits_of(physics)
+
+
+@eqx.filter_jit
+def limits_of(physics: Scene) -> Limits:
+    nothing = jnp.zeros((), physics.dtype)
+    if physics.supports:  # what windows forget is not known: none
+        equation = StructureEquation.of(physics, nothing)
+        return Limits(equation.fastest_rate(modes=True), nothing, equation.scale[0], equation.fastest_rate())
+    equation = Equation.of(physics, nothing)
+    return Limits(equation.fastest_rate(), slowest_decay(equation), equation.scale)
+
+
+def suitable_step(scene: Scene, duration: float) -> FixedStep:
+    """Steps that resolve the fastest motion of the scene, and windows where it is damped and the record is long.
+
+    Raises:
+        SceneError: the record would need more than `MOST_STEPS` steps.
+    """
+    return _suitable_step(scene, duration, limits_of(scene.physics(*MODELLED)))
+
+
+def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
+    step = STEP * LONGEST_STEP / float(limits.fastest)
+    if duration / step > MOST_STEPS:
+        raise SceneError(
+            f"run.duration = {duration:g} s needs {duration / step:.2g} steps of {step:.2g} s to follow its "
+            f"fastest motion, more than {MOST_STEPS:g}: shorten it, lower compliance.mean or raise inertia.mass"
+        )
+    return FixedStep(step, windows=_suitable_windows(scene, duration, step, limits))
+
+
+def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
+    """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly."""
+    decay = float(limits.decay)
+    if decay <= 0 or (scene.load is not None and scene.load.alternates):
+        return None
+    warm_up = FORGOTTEN / decay
+    long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
+    if short < FEWEST:
+        return None
+    few = min(math.ceil(short / FEWEST) * FEWEST, march.LANES)  # whole vectors: what is left over takes longer
+    return Windows(max(long // march.LANES * march.LANES, few), warm_up)
+
+
+def method_of(
+    scene: Scene, ts: Array | np.ndarray, torque: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None
+) -> Method:
+    """What a stepper means for a scene and its sample times; whatever is known now is made static."""
+    limits = limits if is_concrete(ts) else None
+    even = not is_concrete(ts) or _are_even(np.asarray(ts))
+    if stepper is None:
+        stepper = _suitable_step(scene, float(np.ptp(np.asarray(ts))), limits) if limits else FixedStep()
+        if not even:
+            shorter = 1.0 if limits is None or limits.whole is None else float(limits.fastest / limits.whole)
+            stepper = FixedStep(stepper.step * shorter, solver=RungeKutta4())
+    if isinstance(stepper, QuasiStatic):
+        require_output_alone(scene, "QuasiStatic")
+    if isinstance(stepper, AdaptiveStep | QuasiStatic):
+        return stepper
+    steps = stepper.steps(ts)
+    if not isinstance(stepper.solver, ExponentialFit):
+        return Even(stepper.solver, steps)
+    if not even:
+        raise SceneError(
+            "ts is not evenly spaced, as the exponentially fitted steps need: give "
+            "stepper=FixedStep(step=..., solver=RungeKutta4())"
+        )
+    if scene.supports:
+        if stepper.windows is not None:
+            raise SceneError("windows are for a scene whose output alone moves: give FixedStep(...) without")
+        return Modes(steps)
+    samples = ts.shape[0]
+    phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
+    if spacing is not None and is_concrete(scene.system.input_speed):
+        phase = scene.system.fastest_order * float(np.asarray(scene.system.input_speed)) * spacing / steps
+    if stepper.windows is not None and spacing is None:
+        raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
+    batched = is_batched((scene, ts, torque))
+    block, signals = march.suitable_block(phase, ts.dtype, batched)
+    windows = _windows(stepper.windows, samples, spacing, block) if stepper.windows and spacing else None
+    seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # the defect, outside of any trace
+    whole = march.Spacing(samples, steps, block, signals)
+    alone = phase is None and not batched
+    quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
+    return Fitted(whole, windows, fall_back=not seen, quick=quick)
+
+
+def _are_even(ts: np.ndarray) -> bool:
+    spacing = np.diff(ts)
+    allowed = 1e-6 * spacing.mean() + 8 * np.finfo(ts.dtype).eps * np.abs(ts).max()
+    return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
+
+
+def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:
+    """Windows in samples; ``None`` where fewer than two would be left."""
+    number = max(1, min(windows.number, samples // 2))
+    warm_up = max(1, math.ceil(windows.warm_up / spacing - 1e-9))
+    return march.Windows(number, warm_up, block) if number > 1 else None
+
+
+def allowed(dtype: Any) -> float:
+    """How far windows may be apart, scaled."""
+    return max(APART[0], APART[1] * float(jnp.finfo(dtype).eps))
+
+
+def advice(limits: Limits | None, fault: int) -> str:
+    if fault != 2 or limits is None:
+        return ""
+    longest = LONGEST_STEP / float(limits.fastest)
+    return f": it must be at most {longest:.3g} s, give stepper=FixedStep(step={0.25 * longest:.2g})"

@@ -1,0 +1,7 @@
+"""Motion of bodies on supports, in all their coordinates."""
+
+from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.analysis.modes.parabola import ExponentialParabola, ForcedTerm
+from gearjax.analysis.modes.steps import Steps, march
+
+__all__ = ["ExponentialParabola", "ForcedTerm", "Steps", "StructureEquation", "march"]

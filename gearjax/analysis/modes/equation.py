@@ -1,0 +1,243 @@
+"""The equation of motion of bodies on supports, in all their coordinates, and its rates.
+
+    M q'' + C q' + K q + J^T f = Q(t),     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
+
+with a damper per pair along its first flank, ``c overlap'``. Coordinates are scaled by `LENGTH_SCALE` on the line of
+action, time by the highest natural frequency, as in `gearjax.analysis.equation`, which is the case of one coordinate.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+
+from gearjax.analysis.equation import LENGTH_SCALE, turning_rate
+from gearjax.analysis.tables import depends
+from gearjax.contact import ContactSet, Layout, LinearSprings, equilibrium
+from gearjax.scene import Scene
+from gearjax.structure import Structure
+from gearjax.typing import Array, Float, Int, Scalar
+
+
+class Excitation(NamedTuple):
+    """What drives the motion at one time: everything but the coordinates themselves.
+
+    Args:
+        jacobian: shape (contact, coordinate) [m/rad, -]; ``None`` where it is known before.
+        gap: shape (contact,) [m].
+        jacobian_rate, gap_rate: their rates; ``None`` without dampers.
+        stiffness: shape (contact,) [N/m].
+        load: load torque [N m].
+    """
+
+    jacobian: Array
+    gap: Array
+    jacobian_rate: Array | None
+    gap_rate: Array | None
+    stiffness: Array
+    load: Array
+
+
+class StructureEquation(eqx.Module):
+    """The scaled equation of motion of a scene with supports under one torque.
+
+    Args:
+        scene: with its start worked out.
+        torque: size of the load [N m].
+        structure: masses, supports.
+        jacobian: of the contacts at the start, shape (contact, coordinate) [m/rad, -].
+        coefficient: of the damper of each pair [N s/m]; ``None`` without.
+        scale: each coordinate per scaled one, shape (coordinate,) [rad, m].
+        frequency: highest natural frequency with all contacts closed [rad/s]; scales time.
+        contact_rate: fastest rate that forces of the contacts make by themselves, the bodies free [rad/s].
+        levers_turn: whether the Jacobian changes over time.
+        layout: sides and pairs of the contacts.
+    """
+
+    scene: Scene
+    torque: Scalar
+    structure: Structure
+    jacobian: Float[Array, "contact coordinate"]
+    coefficient: Float[Array, " pair"] | None
+    scale: Float[Array, " coordinate"]
+    frequency: Scalar
+    contact_rate: Scalar
+    levers_turn: bool = eqx.field(static=True)
+    layout: Layout = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, scene: Scene, torque: Scalar) -> "StructureEquation":
+        """The equation, scaled for the scene."""
+        scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
+        assert scene.inertia is not None
+        structure, layout = scene.structure, scene.layout
+        jacobian = scene.contacts(start, "varying").jacobian
+        (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time, "varying").jacobian, start)
+        coefficient = None
+        if scene.damping is not None:
+            mass = scene.inertia.at_contacts(jacobian[layout.flanks[0], 0])
+            coefficient = scene.damping.coefficient(scene.linear_compliance.mean_stiffness(layout.teeth), mass)
+        of_output = LENGTH_SCALE / jnp.mean(jnp.abs(jacobian[:, 0]))
+        scale = jnp.full_like(structure.push, LENGTH_SCALE).at[0].set(of_output)
+        first = jacobian[layout.flanks[0]]
+        teeth = scene.linear_compliance.peak_stiffness() * first.T @ first
+        moving = jnp.abs(jnp.diagonal(structure.stiffness))
+        whole = _fastest(structure.mass, teeth + jnp.diag(moving))
+        contact = _fastest(structure.mass, teeth)
+        if coefficient is not None:
+            drag = _fastest(structure.mass, first.T @ (coefficient[:, None] * first)) ** 2
+            contact = jnp.maximum(contact, drag)
+        return cls(scene, torque, structure, jacobian, coefficient, scale, whole, contact, turn, layout)
+
+    @property
+    def pushed(self) -> bool:
+        """Whether a centrifugal force acts along a coordinate."""
+        orbits, supports = self.scene.system.orbits, self.scene.supports
+        return any("x" in support.directions for body, support in supports.items() if body in orbits)
+
+    def load(self, time: Scalar) -> Scalar:
+        """Load torque [N m]."""
+        assert self.scene.load is not None
+        turns = self.scene.system.input_speed * time / (2 * jnp.pi)
+        return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+
+    def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
+        """Contacts and load at a time [s]; rates where dampers count them or ``moving`` asks for them."""
+
+        def contacts(time: Scalar) -> tuple[Array, Array, Array]:
+            found = self.scene.contacts(self.scene.system.input_speed * time, "varying")
+            assert found.linear is not None
+            return found.jacobian, found.gap, found.linear
+
+        if self.coefficient is None and not moving:
+            jacobian, gap, stiffness = contacts(time)
+            return Excitation(jacobian, gap, None, None, stiffness, self.load(time))
+        (jacobian, gap, stiffness), rates = jax.jvp(contacts, (time,), (jnp.ones_like(time),))
+        return Excitation(jacobian, gap, rates[0], rates[1], stiffness, self.load(time))
+
+    def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
+        """Forces on the contacts: elastic, shape (contact,), and of the damper of each pair along its first flank,
+        shape (pair,), ``None`` without dampers [N].
+
+        Args:
+            now: what drives the motion.
+            place, speed: of the coordinates, shape (coordinate,).
+        """
+        overlap = now.jacobian @ place - now.gap
+        return self.elastic(now, overlap), self.resistance(overlap, self.approach(now, place, speed))
+
+    def elastic(self, now: Excitation, overlap: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Elastic forces [N]."""
+        return now.stiffness * self.scene.contact.penetration(overlap)
+
+    def approach(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " pair"] | None:
+        """Rate of overlap of the first flank of each pair [m/s]; ``None`` without dampers."""
+        if self.coefficient is None:
+            return None
+        assert now.jacobian_rate is not None
+        assert now.gap_rate is not None
+        first = self.layout.flanks[0]
+        return now.jacobian[first] @ speed + now.jacobian_rate[first] @ place - now.gap_rate[first]
+
+    def resistance(self, overlap: Array, approach: Array | None) -> Float[Array, " pair"] | None:
+        """Forces of the dampers [N]; ``None`` without."""
+        if approach is None or self.coefficient is None:
+            return None
+        return self.coefficient * self.engaged(overlap) * approach
+
+    def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " pair"]:
+        """How far the damper of each pair acts, 0 to 1: while any of its flanks is in contact, or always."""
+        assert self.scene.damping is not None
+        if self.scene.damping.acting == "always":
+            return jnp.ones((self.layout.teeth,), overlap.dtype)
+        closed = self.scene.contact.closed(overlap)
+        left = jnp.ones((self.layout.teeth,), overlap.dtype)
+        for flank in self.layout.flanks:
+            left = left * (1.0 - closed[flank])
+        return 1.0 - left
+
+    def on_coordinates(self, now: Excitation, elastic: Array, damping: Array | None) -> Float[Array, " coordinate"]:
+        """What forces of the contacts pull the coordinates back by, ``J^T f`` [N m, N]."""
+        found = now.jacobian.T @ elastic
+        if damping is None:
+            return found
+        return found + now.jacobian[self.layout.flanks[0]].T @ damping
+
+    def given(self, now: Excitation) -> Float[Array, " coordinate"]:
+        """Forces on the coordinates that do not depend on them [N m, N]."""
+        return self.structure.push.at[0].add(-now.load)
+
+    def acceleration(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " coordinate"]:
+        """Acceleration of the coordinates [rad/s2, m/s2]."""
+        parts = self.structure
+        force = self.given(now) - self.on_coordinates(now, *self.pull(now, place, speed))
+        return jnp.linalg.solve(parts.mass, force - parts.stiffness @ place - parts.damping @ speed)
+
+    def rate(self, now: Excitation, state: Float[Array, "2 coordinate"]) -> Float[Array, "2 coordinate"]:
+        """Change of the scaled state per scaled time."""
+        acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)
+        return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
+
+    def forces(self, time: Scalar, place: Float[Array, " coordinate"]) -> Float[Array, " contact"]:
+        """Elastic force of each contact [N]."""
+        now = self.excitation(time)
+        return now.stiffness * self.scene.contact.penetration(now.jacobian @ place - now.gap)
+
+    def carriers(self, time: Scalar) -> Int[Array, ""]:
+        """Number of pairs that could carry the torque at a time [s]."""
+        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.load(time))
+
+    def resting(
+        self, jacobian: Array, gap: Array, stiffness: Array, load: Scalar
+    ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
+        """Static equilibrium [rad, m], and the forces of the contacts [N]: centrifugal forces included, nan where there
+        is none."""
+        supports, push = self.structure.stiffness[1:, 1:], self.structure.push[1:]
+        pushed = cho_solve(cho_factor(supports, lower=True), push)
+        contacts = ContactSet(jacobian, gap - jacobian[:, 1:] @ pushed, LinearSprings(stiffness), self.layout, supports)
+        found = equilibrium(contacts, -load, self.scene.contact)
+        assert found.moved is not None
+        place = jnp.concatenate([found.position[None], found.moved + pushed])
+        return jnp.where(found.result == 0, place, jnp.nan), found.forces
+
+    def initial(self, time: Scalar, start: str) -> Float[Array, "2 coordinate"]:
+        """Scaled positions and velocities to start from."""
+        if start == "zero":
+            return jnp.zeros((2, len(self.scale)), time.dtype)
+        now = self.excitation(time, moving=True)
+        place, speed = jax.jvp(
+            lambda jacobian, gap: self.resting(jacobian, gap, now.stiffness, now.load)[0],
+            (now.jacobian, now.gap),
+            (now.jacobian_rate, now.gap_rate),
+        )
+        return jnp.stack([place / self.scale, speed / (self.scale * self.frequency)])
+
+    def fastest_rate(self, modes: bool = False) -> Scalar:
+        """Fastest rate that a step has to resolve [rad/s].
+
+        Args:
+            modes: for steps of constant modes, to which supports are exact whatever their rate.
+        """
+        scene, orders = self.scene, self.scene.system.orders
+        assert scene.load is not None
+        speed = scene.system.input_speed
+        rates = [
+            self.contact_rate if modes else jnp.maximum(self.contact_rate, self.frequency),
+            scene.linear_compliance.harmonics * orders["mesh"] * speed,
+            scene.load.rate(speed, orders),
+            turning_rate(scene),
+        ]
+        return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+
+def _fastest(mass: Array, stiffness: Array) -> Scalar:
+    """Highest natural frequency of masses on springs [rad/s]."""
+    frozen = jax.lax.stop_gradient((mass, stiffness))
+    level = 1 / jnp.sqrt(jnp.diagonal(frozen[0]))
+    masses, springs = (level[:, None] * part * level[None, :] for part in frozen)
+    factor = jnp.linalg.cholesky(masses)
+    half = jax.scipy.linalg.solve_triangular(factor, springs, lower=True)
+    turned = jax.scipy.linalg.solve_triangular(factor, half.T, lower=True)
+    return jnp.sqrt(jnp.maximum(jnp.linalg.eigvalsh(turned)[-1], 0.0))

@@ -1,0 +1,166 @@
+"""Steps of a linear structure under inputs that run as parabolas: exact whatever the rates of its modes.
+
+    x' = A x + B u(t),     u through u_n-1, u_n and u_n+1 on the step from n to n + 1
+
+    x_n+1 = E x_n + W_ u_n-1 + W0 u_n + W+ u_n+1
+    E = e^(h A),  W+ = (phi_2 / 2 + phi_3) h B,  W0 = (phi_1 - 2 phi_3) h B,  W_ = (phi_3 - phi_2 / 2) h B
+
+with ``phi_k = int_0^1 e^((1 - s) h A) s^(k-1) / (k-1)! ds`` (Hochbruck and Ostermann 2010). All four come out of one
+exponential of a matrix (Al-Mohy and Higham 2011, theorem 2.1): rigid, overdamped and repeated modes need no case of
+their own, and derivatives with respect to mass, stiffness and damping are those of that exponential.
+
+Where the slope of the input changes by s within the step at the time ``theta h``, the two parabolas that see it miss
+together, to leading order,
+
+    (W+ + W0 + W_) s h (1/12 - theta (1 - theta) / 2),       and where it jumps by j:  (W+ + W0 + W_) j (1/2 - theta).
+
+The first from ``(1 - theta)^2 / 2`` less ``5/12 (1 - theta)`` of this parabola and ``-theta / 12`` of the next; the
+second from ``1 - theta`` less ``5/12`` and ``1/12``.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import expm
+
+from gearjax.structure import Structure
+from gearjax.typing import Array, Float, Scalar
+
+MOST_SQUARINGS = 60  # of the exponential: a support of 1e18 N/m takes some twenty
+
+
+class Weights(NamedTuple):
+    """What a step makes of the state and of three inputs, shapes (state, state) and (state, input)."""
+
+    kept: Array
+    after: Array
+    now: Array
+    before: Array
+
+    @property
+    def kink(self) -> Array:
+        """Of what the parabolas miss where the input has a kink or a jump, per input."""
+        return self.after + self.now + self.before
+
+
+def weights(matrix: Float[Array, "state state"], inputs: Float[Array, "state input"]) -> Weights:
+    """Weights of a step.
+
+    Args:
+        matrix: ``h A``.
+        inputs: ``h B``.
+    """
+    states, number = inputs.shape
+    size = jnp.max(jnp.abs(inputs))
+    size = jnp.where(size > 0, size, 1.0)
+    wide = jnp.zeros((states + 3 * number,) * 2, matrix.dtype)
+    wide = wide.at[:states, :states].set(matrix).at[:states, states : states + number].set(inputs / size)
+    wide = wide.at[states : states + 2 * number, states + number :].set(jnp.eye(2 * number, dtype=matrix.dtype))
+    found = expm(wide, max_squarings=MOST_SQUARINGS)[:states]
+    one, two, three = (size * found[:, states + k * number : states + (k + 1) * number] for k in range(3))
+    return Weights(found[:, :states], 0.5 * two + three, one - 2 * three, three - 0.5 * two)
+
+
+class Scaled(NamedTuple):
+    """The structure in a state of positions and velocities whose numbers are of one size.
+
+    Args:
+        matrix: ``h A``, shape (state, state).
+        inputs: ``h B``, per force on each coordinate, shape (state, coordinate).
+        place: coordinates of a state, shape (coordinate, state) [rad, m].
+        speed: their velocities, shape (coordinate, state) [rad/s, m/s].
+        back: a state of coordinates and velocities, shape (state, 2 coordinate).
+    """
+
+    matrix: Array
+    inputs: Array
+    place: Array
+    speed: Array
+    back: Array
+
+    @classmethod
+    def of(cls, structure: Structure, stiffness: Array, damping: Array, step: Scalar) -> "Scaled":
+        """Positions times the root of their mass, velocities over their rate where that is above one per step.
+
+        Args:
+            structure: whose masses count.
+            stiffness, damping: of the structure and of what is counted with it, shape (coordinate, coordinate).
+            step: [s].
+        """
+        root = jnp.sqrt(jnp.diagonal(structure.mass))
+        mass = structure.mass / jnp.outer(root, root)
+        springs = step**2 * jnp.linalg.solve(mass, stiffness / jnp.outer(root, root))
+        dampers = step * jnp.linalg.solve(mass, damping / jnp.outer(root, root))
+        rate = jnp.sqrt(jnp.maximum(jnp.abs(jnp.diagonal(springs)), 1.0))
+        nothing = jnp.zeros_like(mass)
+        per_rate = 1 / rate[:, None]
+        matrix = jnp.block([[nothing, jnp.diag(rate)], [-per_rate * springs, -per_rate * dampers * rate[None, :]]])
+        pushed = step**2 * per_rate * jnp.linalg.solve(mass, jnp.diag(1 / root))
+        place = jnp.concatenate([jnp.diag(1 / root), nothing], axis=1)
+        speed = jnp.concatenate([nothing, jnp.diag(rate / root) / step], axis=1)
+        back = jnp.block([[jnp.diag(root), nothing], [nothing, jnp.diag(root / rate) * step]])
+        return cls(matrix, jnp.concatenate([nothing, pushed]), place, speed, back)
+
+
+class ForcedTerm(diffrax.AbstractTerm):
+    """A term of diffrax whose vector field is the input of a structure.
+
+    Args:
+        push: ``push(time, state, args)``: the input u, shape (input,), for steps of one unit of time.
+    """
+
+    push: Callable[[Any, Array, Any], Array]
+
+    def vf(self, t, y, args):
+        return self.push(t, y, args)
+
+    def contr(self, t0, t1, **kwargs):
+        return t1 - t0
+
+    def prod(self, vf, control):
+        return control * vf
+
+
+class ExponentialParabola(diffrax.AbstractSolver):
+    """The scheme as a solver of diffrax, for ``x' = A x + B u(t, x)`` and even steps of one unit of time.
+
+    Third order, and exact where u is a parabola in time. Its term is a `ForcedTerm`; kinks of it are not told.
+
+    Args:
+        matrix: ``h A`` with the step h, shape (state, state).
+        inputs: ``h B``, shape (state, input).
+    """
+
+    term_structure: ClassVar = ForcedTerm
+    interpolation_cls: ClassVar[Callable[..., diffrax.LocalLinearInterpolation]] = diffrax.LocalLinearInterpolation
+    matrix: Array
+    inputs: Array
+    weights: Weights
+
+    def __init__(self, matrix: Array, inputs: Array):
+        self.matrix, self.inputs, self.weights = matrix, inputs, weights(matrix, inputs)
+
+    def order(self, terms):
+        return 3
+
+    def init(self, terms, t0, t1, y0, args):
+        """Inputs now, and a step before as their slope has it."""
+        now = terms.vf(t0, y0, args)
+        along = jnp.ones_like(t0), self.matrix @ y0 + self.inputs @ now
+        _, slope = jax.jvp(lambda time, state: terms.vf(time, state, args), (t0, y0), along)
+        return now, now - slope
+
+    def func(self, terms, t0, y0, args):
+        return self.matrix @ y0 + self.inputs @ terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del made_jump
+        now, before = solver_state
+        part = self.weights
+        free = part.kept @ y0 + part.now @ now + part.before @ before
+        after = terms.vf(t1, free + part.after @ (2 * now - before), args)
+        y1 = free + part.after @ after
+        return y1, None, {"y0": y0, "y1": y1}, (after, now), diffrax.RESULTS.successful

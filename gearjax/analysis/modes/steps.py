@@ -1,0 +1,345 @@
+"""Motion of bodies on supports in even steps: constant modes, one evaluation of the contacts a step, exact kinks.
+
+The structure is taken together with mean springs and dampers of its contacts, so that what is left for the inputs is
+small and changes slowly:
+
+    M q'' + (C + L^T c L) q' + (K + L^T k L) q = G u,     u = k s + c s' - f(s, s', t),     s = L q
+
+L has a row per contact where the levers of few contacts stand still (G then has one more column for the load torque),
+else it is the identity and u holds generalised forces. Steps are those of `gearjax.analysis.modes.parabola`, the inputs
+taken at the s that their last two values lead to.
+
+A block of steps is a shift register: what will be seen of the state, without the inputs to come, is one product for the
+whole block; each step adds its response to what the others will see. Only that stands between one step and the next.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax.analysis.modes.equation import Excitation, StructureEquation
+from gearjax.analysis.modes.parabola import Scaled, Weights, weights
+from gearjax.analysis.solvers import highest_between
+from gearjax.contact import HardContact
+from gearjax.typing import Array, Float, Scalar
+
+LONGEST_BLOCK = 16  # steps of a register
+UNROLL = 4  # steps of it that are written out
+
+
+class Lines(eqx.Module):
+    """What the contacts see of the structure, and where their forces act.
+
+    Args:
+        equation: of motion.
+        seen: L, shape (line, coordinate).
+        acting: G, shape (coordinate, input); its first columns are those of the lines.
+        stiffness: mean springs that count with the structure, shape (line, line) [N/m].
+        damping: the same of dampers [N s/m]; ``None`` without.
+        apart: whether lines are contacts.
+    """
+
+    equation: StructureEquation
+    seen: Float[Array, "line coordinate"]
+    acting: Float[Array, "coordinate input"]
+    stiffness: Float[Array, "line line"]
+    damping: Float[Array, "line line"] | None
+    apart: bool = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, equation: StructureEquation, start: Scalar) -> "Lines":
+        """Lines that suit a scene, with the springs that carry at the start."""
+        now, first = equation.excitation(start), equation.layout.flanks[0]
+        jacobian, coefficient = now.jacobian, equation.coefficient
+        contacts, coordinates = jacobian.shape
+        apart = not equation.levers_turn and contacts <= coordinates
+        mean = equation.layout.per_contact(equation.scene.linear_compliance.mean_stiffness(equation.layout.teeth))
+        if equation.layout.sides_turn:
+            carries = equation.resting(jacobian, now.gap, now.stiffness, now.load)[1] > 0
+        else:
+            carries = (jacobian[:, 0] < 0) == (now.load >= 0)
+        held = jnp.where(carries, mean, 0.0)
+        if not apart:
+            unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
+            if coefficient is not None:
+                acts = jnp.where(carries[first], coefficient, 0.0) if equation.layout.sides_turn else coefficient
+                damping = jacobian[first].T @ (acts[:, None] * jacobian[first])
+            return cls(equation, unit, unit, jacobian.T @ (held[:, None] * jacobian), damping, apart)
+        columns = [jacobian.T, jnp.zeros((coordinates, 1), jacobian.dtype).at[0].set(-1.0)]
+        if equation.pushed:
+            columns.append(equation.structure.push[:, None])
+        damping = None
+        if coefficient is not None:
+            damping = jnp.diag(jnp.zeros_like(held).at[first].set(coefficient))
+        return cls(equation, jacobian, jnp.concatenate(columns, axis=1), jnp.diag(held), damping, apart)
+
+    @property
+    def hears_speed(self) -> bool:
+        """Whether inputs depend on velocities: where dampers come and go, or their levers turn."""
+        damping = self.equation.scene.damping
+        return damping is not None and (damping.acting == "contact" or not self.apart)
+
+    def overlap(self, now: Excitation, seen: Array) -> Float[Array, " contact"]:
+        """Overlap of the contacts [m]."""
+        return (seen if self.apart else now.jacobian @ seen) - now.gap
+
+    def approach(self, now: Excitation, seen: Array, speed: Array | None) -> Float[Array, " pair"] | None:
+        """Rate of overlap along the dampers [m/s]; where they always act, without the part of the moving structure."""
+        if self.equation.coefficient is None:
+            return None
+        assert now.gap_rate is not None
+        if not self.apart:
+            assert speed is not None
+            return self.equation.approach(now, seen, speed)
+        first = self.equation.layout.flanks[0]
+        return -now.gap_rate[first] if speed is None else speed[first] - now.gap_rate[first]
+
+    def inputs(self, now: Excitation, seen: Array, speed: Array | None) -> Float[Array, " input"]:
+        """The inputs u of the structure [N, N m].
+
+        Args:
+            now: what drives the motion.
+            seen, speed: s and its rate, shape (line,); the rate only where `hears_speed`.
+        """
+        equation = self.equation
+        overlap = self.overlap(now, seen)
+        elastic, damping = equation.elastic(now, overlap), self.approach(now, seen, speed)
+        damping = equation.resistance(overlap, damping)
+        kept = self.stiffness @ seen
+        if speed is not None and self.damping is not None:
+            kept = kept + self.damping @ speed
+        if not self.apart:
+            return kept + equation.given(now) - equation.on_coordinates(now, elastic, damping)
+        force = elastic if damping is None else elastic.at[equation.layout.flanks[0]].add(damping)
+        rest = [now.load[None], jnp.ones_like(now.load)[None]] if equation.pushed else [now.load[None]]
+        return jnp.concatenate([kept - force, *rest])
+
+    def missed(self, now: Excitation, before: Array, seen: Array, speed: Array | None) -> Float[Array, " line"]:
+        """What the parabola misses where contacts open or close within the step [N, N m].
+
+        Args:
+            now: what drives the motion at the end of the step.
+            before: overlap at its beginning, shape (contact,) [m].
+            seen, speed: at its end.
+        """
+        equation, overlap = self.equation, self.overlap(now, seen)
+        crossed = (before > 0) != (overlap > 0)
+        size = jnp.abs(overlap - before)
+        share = jnp.where(crossed, jnp.abs(before) / jnp.where(crossed, size, 1.0), 1.0)
+        kink = jnp.where(crossed, -now.stiffness * size * (1 / 12 - 0.5 * share * (1 - share)), 0.0)
+        jump = None
+        if equation.scene.damping is not None and equation.scene.damping.acting == "contact":
+            turn = equation.engaged(before) - equation.engaged(overlap)
+            when = jnp.stack([share[flank] for flank in equation.layout.flanks]).min(axis=0)
+            approach = self.approach(now, seen, speed)
+            assert approach is not None
+            assert equation.coefficient is not None
+            jump = equation.coefficient * turn * approach * (0.5 - when)
+        if not self.apart:
+            return equation.on_coordinates(now, kink, jump)
+        return kink if jump is None else kink.at[equation.layout.flanks[0]].add(jump)
+
+
+class Register(NamedTuple):
+    """A block of steps as products; a state stands with the inputs now and a step before.
+
+    Args:
+        free: what will be seen of a state at each step, shape (step, sight, state).
+        echo: what is seen of an input, at its own step and those after, shape (step, sight, input).
+        kink: what is seen of what a parabola misses, shape (step, sight, line).
+        last: the state after the block of that before it, and of inputs and misses, latest last.
+        told: position and velocity per step of the output at each step, of the same three.
+    """
+
+    free: Array
+    echo: Array
+    kink: Array
+    last: tuple[Array, Array, Array]
+    told: tuple[Array, Array, Array]
+
+    @classmethod
+    def of(cls, lines: Lines, scaled: Scaled, step: Scalar, part: Weights, length: int) -> "Register":
+        """Products of a block of some steps."""
+        states, inputs = part.after.shape
+        number = lines.seen.shape[0]
+        unit, nothing = jnp.eye(inputs, dtype=part.kept.dtype), jnp.zeros((inputs, inputs), part.kept.dtype)
+        wide = jnp.zeros((inputs, states), part.kept.dtype)
+        once = jnp.block([[part.kept, part.now, part.before], [wide, nothing, nothing], [wide, unit, nothing]])
+        entry = jnp.concatenate([part.after, unit, nothing])
+        bump = jnp.concatenate([part.kink, nothing, nothing])[:, :number]
+        sights = (
+            [lines.seen @ scaled.place, lines.seen @ scaled.speed] if lines.hears_speed else [lines.seen @ scaled.place]
+        )
+        sight = _widened(jnp.concatenate(sights), 2 * inputs)
+        output = _widened(jnp.stack([scaled.place[0], step * scaled.speed[0]]), 2 * inputs)
+
+        def further(power: Array, _: None) -> tuple[Array, Array]:
+            return once @ power, power
+
+        end, powers = jax.lax.scan(further, jnp.eye(len(once), dtype=once.dtype), None, length=length)
+        after = powers @ once
+        backwards = powers[::-1]
+        last = end, _side_by_side(backwards @ entry), _side_by_side(backwards @ bump)
+        shown = output @ powers
+        told = (output @ after).reshape(2 * length, -1), _toeplitz(shown @ entry), _toeplitz(shown @ bump)
+        return cls(sight @ after, sight @ powers @ entry, sight @ powers @ bump, last, told)
+
+
+def _total(products: tuple[Array, Array, Array], parts: tuple[Array, Array, Array]) -> Array:
+    """Sum of products of matrix and vector."""
+    one, *others = (product @ part for product, part in zip(products, parts, strict=True))
+    return sum(others, one)
+
+
+def _widened(rows: Array, by: int) -> Array:
+    """Rows of a state that do not look at the inputs that stand with it."""
+    return jnp.pad(rows, ((0, 0), (0, by)))
+
+
+def _side_by_side(columns: Float[Array, "step row column"]) -> Float[Array, "row step_column"]:
+    return columns.transpose(1, 0, 2).reshape(columns.shape[1], -1)
+
+
+def _toeplitz(responses: Float[Array, "step row column"]) -> Float[Array, "step_row step_column"]:
+    """What is seen at each step of what enters at each step, before or at it."""
+    length, rows, columns = responses.shape
+    later = jnp.arange(length)[:, None] - jnp.arange(length)[None, :]
+    found = jnp.where((later >= 0)[:, :, None, None], responses[jnp.maximum(later, 0)], 0.0)
+    return found.transpose(0, 2, 1, 3).reshape(length * rows, length * columns)
+
+
+class Steps(eqx.Module):
+    """Even steps of one motion.
+
+    Args:
+        lines: of its contacts.
+        scaled: its structure, with mean springs and dampers.
+        products: of a block of steps.
+        begin, step: time of the start, and of a step [s].
+        length: of a block.
+    """
+
+    lines: Lines
+    scaled: Scaled
+    products: Register
+    begin: Scalar
+    step: Scalar
+    length: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar, each: int) -> "Steps":
+        """Steps of a record with a number of them between samples."""
+        lines = Lines.of(equation, begin)
+        parts, seen = equation.structure, lines.seen
+        stiffness = parts.stiffness + seen.T @ lines.stiffness @ seen
+        damping = parts.damping if lines.damping is None else parts.damping + seen.T @ lines.damping @ seen
+        scaled = Scaled.of(parts, stiffness, damping, step)
+        part = weights(scaled.matrix, scaled.inputs @ lines.acting)
+        length = next(n for n in range(LONGEST_BLOCK, 0, -1) if each % n == 0)
+        return cls(lines, scaled, Register.of(lines, scaled, step, part, length), begin, step, length)
+
+    def start(self, place: Array, speed: Array) -> tuple[Array, Array]:
+        """State with its inputs now and a step before, and the overlap of the contacts, from the coordinates.
+
+        A start whose inputs have no slope would make the whole motion first order.
+        """
+        equation = self.lines.equation
+        now = equation.excitation(self.begin)
+
+        def inputs(time: Scalar, place: Array, speed: Array) -> Array:
+            seen, heard = (self.lines.seen @ part for part in (place, speed))
+            return self.lines.inputs(equation.excitation(time), seen, heard if self.lines.hears_speed else None)
+
+        along = jnp.ones_like(self.begin), speed, equation.acceleration(now, place, speed)
+        here, slope = jax.jvp(inputs, (self.begin, place, speed), along)
+        state = self.scaled.back @ jnp.concatenate([place, speed])
+        whole = jnp.concatenate([state, here, here - self.step * slope])
+        return whole, self.lines.overlap(now, self.lines.seen @ place)
+
+    def block(self, carry: tuple[Array, Array], times: Float[Array, " step"]) -> tuple[tuple[Array, Array], Array]:
+        """A block of steps that end at some times: what `start` gives after it, and position and velocity per step of
+        the output at each step, shape (step, 2) [rad]."""
+        lines, register = self.lines, self.products
+        state, overlap = carry
+        rows = jax.vmap(self._driven)(times)
+        inputs, number = lines.acting.shape[1], lines.seen.shape[0]
+        now, before = state[-2 * inputs : -inputs], state[-inputs:]
+        hard = isinstance(lines.equation.scene.contact, HardContact)
+
+        def sighted(sight: Array) -> tuple[Array, Array | None]:
+            return sight[:number], sight[number:] if lines.hears_speed else None
+
+        def step(inner: tuple, row: Excitation) -> tuple[tuple, tuple[Array, Array]]:
+            coming, now, before, overlap = inner
+            ahead = coming[0] + register.echo[0] @ (2 * now - before)
+            after = lines.inputs(row, *sighted(ahead))
+            coming = coming + register.echo @ after
+            missed = jnp.zeros((number,), after.dtype)
+            if hard:
+                missed = lines.missed(row, overlap, *sighted(coming[0]))
+                coming = coming + register.kink @ missed
+                overlap = lines.overlap(row, sighted(coming[0])[0])
+            shifted = jnp.concatenate([coming[1:], jnp.zeros_like(coming[:1])])
+            return (shifted, after, now, overlap), (after, missed)
+
+        first = register.free @ state, now, before, overlap
+        (*_, overlap), (all_inputs, all_missed) = jax.lax.scan(step, first, rows, unroll=min(UNROLL, self.length))
+        parts = state, all_inputs.ravel(), all_missed.ravel()
+        parts, sides = (parts, (0, 1, 2)) if hard else (parts[:2], (0, 1))
+        after = sum(
+            (register.last[side] @ part for side, part in zip(sides, parts, strict=True)), jnp.zeros_like(state)
+        )
+        nothing = jnp.zeros((2 * self.length,), state.dtype)
+        told = sum((register.told[side] @ part for side, part in zip(sides, parts, strict=True)), nothing)
+        return (after, overlap), told.reshape(self.length, 2)
+
+    def _driven(self, time: Scalar) -> Excitation:
+        """What drives the steps: without what stands still."""
+        now = self.lines.equation.excitation(time)
+        return now._replace(jacobian=None, jacobian_rate=None) if self.lines.apart else now
+
+    def coordinates(self, state: Array) -> Float[Array, "2 coordinate"]:
+        """Coordinates and their velocities."""
+        alone = state[: self.scaled.place.shape[1]]
+        return jnp.stack([self.scaled.place @ alone, self.scaled.speed @ alone])
+
+
+class March(NamedTuple):
+    """A record at its samples: coordinates and velocities, shape (n, 2, coordinate), and extremes of the output over
+    the steps up to each sample, shape (n,) [rad]."""
+
+    states: Array
+    highest: Array
+    lowest: Array
+
+
+def march(steps: Steps, place: Array, speed: Array, samples: int, each: int) -> March:
+    """Motion from coordinates and velocities over samples with some steps between them."""
+    blocks = each // steps.length
+    spacing = steps.step * each
+
+    def block(inner: tuple, number: Array) -> tuple[tuple, None]:
+        carry, told, origin, highest, lowest = inner
+        passed = number * steps.length + jnp.arange(1, steps.length + 1)
+        carry, rows = steps.block(carry, origin + passed.astype(origin.dtype) * steps.step)
+        earlier = jnp.concatenate([told[None], rows[:-1]])
+        one = jnp.ones_like(origin)
+        high = highest_between(earlier[:, 0], rows[:, 0], earlier[:, 1], rows[:, 1], one)
+        low = -highest_between(-earlier[:, 0], -rows[:, 0], -earlier[:, 1], -rows[:, 1], one)
+        return (carry, rows[-1], origin, jnp.maximum(highest, high.max()), jnp.minimum(lowest, low.min())), None
+
+    def interval(outer: tuple, number: Array) -> tuple[tuple, tuple]:
+        carry, told = outer
+        origin = steps.begin + number.astype(spacing.dtype) * spacing
+        inner = carry, told, origin, told[0], told[0]
+        # worked out again where a derivative runs backwards: its memory grows with blocks, not with steps
+        again = jax.checkpoint(block, prevent_cse=False)
+        (carry, told, _, highest, lowest), _ = jax.lax.scan(again, inner, jnp.arange(blocks))
+        return (carry, told), (steps.coordinates(carry[0]), highest, lowest)
+
+    told = jnp.stack([place[0], speed[0] * steps.step])
+    _, (states, highest, lowest) = jax.lax.scan(interval, (steps.start(place, speed), told), jnp.arange(samples - 1))
+    parts = (jnp.stack([place, speed]), states), (place[0], highest), (place[0], lowest)
+    return March(*(jnp.concatenate([first[None], rest]) for first, rest in parts))
