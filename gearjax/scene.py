@@ -153,10 +153,11 @@ class Scene(eqx.Module):
         compliance; every number is an array of a definite dtype.
         """
         unused: dict = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
-        if "compliance" not in slots:  # without forces nothing gives way
-            unused["supports"] = {}
-        if not {"compliance", "inertia"} <= set(slots):
+        moving = "inertia" in slots and bool(self.body_inertia)
+        if not moving:
             unused["body_inertia"] = {}
+        if not moving and not {"compliance", "supports"} & set(slots):  # without forces nothing gives way
+            unused["supports"] = {}
         return jax.tree.map(strong, dataclasses.replace(self, **unused))
 
     def anchored(self) -> "Scene":

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import gearjax as gj
 from gearjax.analysis.choice import MODELLED, suitable_step
 from gearjax.analysis.modes import ForcedTerm, Steps, StructureEquation, march
-from gearjax.analysis.modes.parabola import weights
+from gearjax.analysis.modes.parabola import exponential, weights
 from gearjax.checks import SceneError
 from gearjax.units import mm, um
 
@@ -355,3 +355,23 @@ def test_what_is_missing_or_does_not_suit_is_named():
             analysis(scene, 100.0, 0.1)
     with pytest.raises(SceneError, match=r"growth rate.*leave out .supports.planet_1"):
         gj.growth_rate(scene, TS, 100.0)
+
+
+def test_the_exponential_of_a_matrix(rng):
+    for size in (1e-3, 1.0, 300.0):
+        turning = rng.normal(size=(6, 6))
+        matrix = size * (turning - turning.T) - 0.1 * np.eye(6)
+        np.testing.assert_allclose(exponential(jnp.asarray(matrix)), expm(matrix), rtol=0, atol=1e-14 * max(1.0, size))
+
+
+@pytest.mark.slow
+def test_populations_of_motions_on_supports():
+    """Many side by side, spread over the devices there are: as one by one. With JAX's own exponential of a matrix this
+    never ended."""
+    scene = dataclasses.replace(planets(), run=gj.Run(0.004, 5, ("dynamic",), (100.0,)))
+    varied = {"inertia.planet_1.mass": gj.Uniform(0.5, 2.0), "supports.planet_2.x": gj.Uniform(1e8, 3e8)}
+    population = gj.Tolerances(scene, varied)
+    study = gj.monte_carlo(population, "dynamic.peak_to_peak@100Nm", n=3)
+    values = np.asarray(study.values).ravel()
+    assert not np.asarray(study.result).any()
+    assert np.ptp(values) > 1e-10

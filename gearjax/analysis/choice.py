@@ -179,8 +179,10 @@ def allowed(dtype: Any) -> float:
     return max(APART[0], APART[1] * float(jnp.finfo(dtype).eps))
 
 
-def advice(limits: Limits | None, fault: int) -> str:
+def advice(limits: Limits | None, method: Method, fault: int) -> str:
+    """What would be right where a step is too long."""
     if fault != 2 or limits is None:
         return ""
-    longest = LONGEST_STEP / float(limits.fastest)
+    whole = limits.whole if isinstance(method, Even) else None
+    longest = LONGEST_STEP / float(limits.fastest if whole is None else whole)
     return f": it must be at most {longest:.3g} s, give stepper=FixedStep(step={0.25 * longest:.2g})"

@@ -84,7 +84,7 @@ def simulate(
     method, ts = method_of(scene, ts, torque, stepper, limits), jnp.asarray(ts)
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
-        raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{advice(limits, int(motion.result))}")
+        raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{advice(limits, method, int(motion.result))}")
     if (
         limits is not None
         and is_concrete(motion.defect)

@@ -21,7 +21,7 @@ from gearjax.compliance import HarmonicStiffness
 from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
 from gearjax.progress import Progress, silent
 from gearjax.run import METRICS, Run
-from gearjax.scene import Scene
+from gearjax.scene import Scene, require_output_alone
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 from gearjax.units import arcmin
@@ -157,6 +157,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
 def _dynamic(scene: Scene) -> Run:
     if scene.run is None or "dynamic" not in scene.run.analyses:
         raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
+    require_output_alone(scene, "accuracy")
     return scene.run
 
 

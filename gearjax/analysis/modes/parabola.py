@@ -24,12 +24,12 @@ from typing import Any, ClassVar, NamedTuple
 import diffrax
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import expm
 
 from gearjax.structure import Structure
 from gearjax.typing import Array, Float, Scalar
 
-MOST_SQUARINGS = 60  # of the exponential: a support of 1e18 N/m takes some twenty
+SMALL, TERMS = 0.5, 14  # norm of a matrix whose series needs no more terms
+MOST_SQUARINGS = 32  # of the exponential: a support of 1e18 N/m takes some twenty
 
 
 class Weights(NamedTuple):
@@ -59,9 +59,27 @@ def weights(matrix: Float[Array, "state state"], inputs: Float[Array, "state inp
     wide = jnp.zeros((states + 3 * number,) * 2, matrix.dtype)
     wide = wide.at[:states, :states].set(matrix).at[:states, states : states + number].set(inputs / size)
     wide = wide.at[states : states + 2 * number, states + number :].set(jnp.eye(2 * number, dtype=matrix.dtype))
-    found = expm(wide, max_squarings=MOST_SQUARINGS)[:states]
+    found = exponential(wide)[:states]
     one, two, three = (size * found[:, states + k * number : states + (k + 1) * number] for k in range(3))
     return Weights(found[:, :states], 0.5 * two + three, one - 2 * three, three - 0.5 * two)
+
+
+def exponential(matrix: Float[Array, "state state"]) -> Float[Array, "state state"]:
+    """The exponential of a matrix, by its series and squarings (Moler and Van Loan 2003).
+
+    Not that of JAX, whose programs of batches that devices share never end (jaxlib 0.10 on CPUs).
+    """
+    size = jax.lax.stop_gradient(jnp.abs(matrix).sum(axis=0).max())
+    squarings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(size, SMALL) / SMALL)), 0, MOST_SQUARINGS)
+    small, unit = matrix * 2.0**-squarings, jnp.eye(len(matrix), dtype=matrix.dtype)
+    found = unit
+    for term in range(TERMS, 0, -1):
+        found = unit + (small @ found) / term
+
+    def square(found: Array, number: Array) -> tuple[Array, None]:
+        return jax.lax.cond(number < squarings, lambda part: part @ part, lambda part: part, found), None
+
+    return jax.lax.scan(square, found, jnp.arange(MOST_SQUARINGS).astype(size.dtype))[0]
 
 
 class Scaled(NamedTuple):
