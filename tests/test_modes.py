@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import gearjax as gj
 from gearjax.analysis.choice import MODELLED, suitable_step
-from gearjax.analysis.modes import ForcedTerm, Steps, StructureEquation, march
+from gearjax.analysis.modes import ForcedTerm, Spacing, Steps, StructureEquation, march
 from gearjax.analysis.modes.parabola import exponential, weights
 from gearjax.checks import SceneError
 from gearjax.units import mm, um
@@ -192,7 +192,9 @@ def test_energy_is_kept():
     assert (forces > 0).any(axis=0).sum() >= 2
     assert (np.diff((forces > 0).astype(int), axis=0) != 0).any()
     step, still = jnp.asarray(1e-4 / 64), jnp.zeros_like(equation.scale)
-    states = jax.jit(lambda: march(Steps.of(equation, jnp.zeros(()), step, 64), still, still, 101, 64).states)()
+    steps = jax.jit(lambda: Steps.of(equation, jnp.zeros(()), step, 64))()
+    spacing = Spacing.of(101, 64, None, still.dtype)
+    states = jax.jit(lambda: march(steps, still, still, spacing).states)()
     place, velocity = np.asarray(states[:, 0]), np.asarray(states[:, 1])
     np.testing.assert_allclose(place, q, rtol=0, atol=1e-15)
     kinetic = 0.5 * np.einsum("ni,ij,nj->n", velocity, np.asarray(parts.mass), velocity)
@@ -375,3 +377,17 @@ def test_populations_of_motions_on_supports():
     values = np.asarray(study.values).ravel()
     assert not np.asarray(study.result).any()
     assert np.ptp(values) > 1e-10
+
+
+def test_excitation_between_nodes_is_that_at_each_step():
+    """Where speeds are known a few nodes cover many steps; where they are not, each step is looked at."""
+    scene, steps = planets(), gj.FixedStep(per_sample=64)
+    known = gj.simulate(scene, TS, 100.0, stepper=steps)
+
+    def te(speed):
+        changed = dataclasses.replace(scene, system=dataclasses.replace(scene.system, input_speed=speed))
+        return gj.simulate(changed, TS, 100.0, stepper=steps).q
+
+    np.testing.assert_allclose(known.q, jax.jit(te)(scene.system.input_speed), rtol=0, atol=1e-13)
+    assert Spacing.of(11, 64, 0.01, np.dtype(float)).nodes is not None
+    assert Spacing.of(11, 64, 3.0, np.dtype(float)) == Spacing.of(11, 64, None, np.dtype(float))

@@ -13,7 +13,7 @@ from gearjax.analysis.equation import Equation, slowest_decay
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.integrate import Even
-from gearjax.analysis.modes import StructureEquation
+from gearjax.analysis.modes import Spacing, StructureEquation
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
 from gearjax.scene import Scene, require_output_alone
@@ -28,9 +28,9 @@ APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position 
 
 
 class Modes(NamedTuple):
-    """Even steps of constant modes, of a scene whose bodies move too: their number between samples."""
+    """Even steps of constant modes, of a scene whose bodies move too."""
 
-    each: int
+    spacing: Spacing
 
 
 class Fitted(NamedTuple):
@@ -144,7 +144,7 @@ def method_of(
     if scene.supports:
         if stepper.windows is not None:
             raise SceneError("windows are for a scene whose output alone moves: give FixedStep(...) without")
-        return Modes(steps)
+        return Modes(Spacing.of(ts.shape[0], steps, _phase(scene, ts, steps), ts.dtype))
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
@@ -159,6 +159,19 @@ def method_of(
     alone = phase is None and not batched
     quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
     return Fitted(whole, windows, fall_back=not seen, quick=quick)
+
+
+def _phase(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
+    """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known."""
+    assert scene.load is not None
+    system, compliance = scene.system, scene.linear_compliance
+    if not is_concrete((ts, system.input_speed, scene.load)):
+        return None
+    with jax.ensure_compile_time_eval():
+        mesh = compliance.harmonics * system.orders["mesh"]
+        turning = max(mesh, system.fastest_order) * system.input_speed
+        fastest = max(float(turning), float(scene.load.rate(system.input_speed, system.orders)))
+    return fastest * float(np.ptp(np.asarray(ts))) / (ts.shape[0] - 1) / steps
 
 
 def _are_even(ts: np.ndarray) -> bool:

@@ -189,9 +189,10 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
     state = equation.initial(ts[0], start)
     there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
-    steps = Steps.of(equation, ts[0], spacing / method.each, method.each)
+    each = method.spacing.each
+    steps = Steps.of(equation, ts[0], spacing / each, each)
     rate = equation.scale * equation.frequency
-    found = modes.march(steps, state[0] * equation.scale, state[1] * rate, ts.shape[0], method.each)
+    found = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
     place, speed = found.states[:, 0], found.states[:, 1]
     forces = jax.vmap(equation.forces)(ts, place)
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing

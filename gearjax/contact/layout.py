@@ -96,6 +96,13 @@ class Layout:
             return of_pairs if repeats == 1 else jnp.concatenate([of_pairs] * repeats)
         return of_pairs[np.asarray(self.pair)]
 
+    def on_first(self, of_pairs: Array) -> Array:
+        """Numbers of each pair at its first contact, zero at its others, along the first and only axis."""
+        first = self.flanks[0]
+        if first == slice(0, self.teeth):  # a margin, where a scatter would be a loop
+            return jnp.pad(of_pairs, (0, len(self.side) - self.teeth))
+        return jnp.zeros((len(self.side),), of_pairs.dtype).at[first].set(of_pairs)
+
     def per_pair(self, of_contacts: Array) -> Array:
         """Sums over the contacts of each pair, along the last axis."""
         first, *others = (of_contacts[..., row] for row in self.flanks)

@@ -2,6 +2,6 @@
 
 from gearjax.analysis.modes.equation import StructureEquation
 from gearjax.analysis.modes.parabola import ExponentialParabola, ForcedTerm
-from gearjax.analysis.modes.steps import Steps, march
+from gearjax.analysis.modes.steps import Spacing, Steps, march
 
-__all__ = ["ExponentialParabola", "ForcedTerm", "Steps", "StructureEquation", "march"]
+__all__ = ["ExponentialParabola", "ForcedTerm", "Spacing", "Steps", "StructureEquation", "march"]

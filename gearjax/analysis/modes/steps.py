@@ -13,12 +13,15 @@ A block of steps is a shift register: what will be seen of the state, without th
 whole block; each step adds its response to what the others will see. Only that stands between one step and the next.
 """
 
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from gearjax.analysis import tables
 from gearjax.analysis.modes.equation import Excitation, StructureEquation
 from gearjax.analysis.modes.parabola import Scaled, Weights, weights
 from gearjax.analysis.solvers import highest_between
@@ -29,13 +32,18 @@ LONGEST_BLOCK = 16  # steps of a register
 UNROLL = 4  # steps of it that are written out
 
 
+def block_length(each: int) -> int:
+    """Steps of a block, where there are some between samples."""
+    return next(n for n in range(LONGEST_BLOCK, 0, -1) if each % n == 0)
+
+
 class Lines(eqx.Module):
     """What the contacts see of the structure, and where their forces act.
 
     Args:
         equation: of motion.
         seen: L, shape (line, coordinate).
-        acting: G, shape (coordinate, input); its first columns are those of the lines.
+        acting: G, shape (coordinate, input): of the lines, then of what is known before.
         stiffness: mean springs that count with the structure, shape (line, line) [N/m].
         damping: the same of dampers [N s/m]; ``None`` without.
         apart: whether lines are contacts.
@@ -72,7 +80,7 @@ class Lines(eqx.Module):
             columns.append(equation.structure.push[:, None])
         damping = None
         if coefficient is not None:
-            damping = jnp.diag(jnp.zeros_like(held).at[first].set(coefficient))
+            damping = jnp.diag(equation.layout.on_first(coefficient))
         return cls(equation, jacobian, jnp.concatenate(columns, axis=1), jnp.diag(held), damping, apart)
 
     @property
@@ -96,8 +104,14 @@ class Lines(eqx.Module):
         first = self.equation.layout.flanks[0]
         return -now.gap_rate[first] if speed is None else speed[first] - now.gap_rate[first]
 
-    def inputs(self, now: Excitation, seen: Array, speed: Array | None) -> Float[Array, " input"]:
-        """The inputs u of the structure [N, N m].
+    def known(self, now: Excitation) -> Float[Array, " known"]:
+        """Inputs that do not depend on the motion, where lines are contacts: load torque and centrifugal forces."""
+        if not self.apart:
+            return jnp.zeros((0,), now.load.dtype)
+        return jnp.stack([now.load, jnp.ones_like(now.load)]) if self.equation.pushed else now.load[None]
+
+    def inputs(self, now: Excitation, seen: Array, speed: Array | None) -> Float[Array, " line"]:
+        """The inputs u of the lines [N, N m].
 
         Args:
             now: what drives the motion.
@@ -107,14 +121,12 @@ class Lines(eqx.Module):
         overlap = self.overlap(now, seen)
         elastic, damping = equation.elastic(now, overlap), self.approach(now, seen, speed)
         damping = equation.resistance(overlap, damping)
-        kept = self.stiffness @ seen
+        kept = _times(self.stiffness, seen)
         if speed is not None and self.damping is not None:
-            kept = kept + self.damping @ speed
+            kept = kept + _times(self.damping, speed)
         if not self.apart:
             return kept + equation.given(now) - equation.on_coordinates(now, elastic, damping)
-        force = elastic if damping is None else elastic.at[equation.layout.flanks[0]].add(damping)
-        rest = [now.load[None], jnp.ones_like(now.load)[None]] if equation.pushed else [now.load[None]]
-        return jnp.concatenate([kept - force, *rest])
+        return kept - elastic if damping is None else kept - elastic - equation.layout.on_first(damping)
 
     def missed(self, now: Excitation, before: Array, seen: Array, speed: Array | None) -> Float[Array, " line"]:
         """What the parabola misses where contacts open or close within the step [N, N m].
@@ -139,7 +151,7 @@ class Lines(eqx.Module):
             jump = equation.coefficient * turn * approach * (0.5 - when)
         if not self.apart:
             return equation.on_coordinates(now, kink, jump)
-        return kink if jump is None else kink.at[equation.layout.flanks[0]].add(jump)
+        return kink if jump is None else kink + equation.layout.on_first(jump)
 
 
 class Register(NamedTuple):
@@ -147,7 +159,8 @@ class Register(NamedTuple):
 
     Args:
         free: what will be seen of a state at each step, shape (step, sight, state).
-        echo: what is seen of an input, at its own step and those after, shape (step, sight, input).
+        echo: what is seen of a line's input, at its own step and those after, shape (step, sight, line).
+        known: what is seen at each step of known inputs at each step, shape (step sight, step known).
         kink: what is seen of what a parabola misses, shape (step, sight, line).
         last: the state after the block of that before it, and of inputs and misses, latest last.
         told: position and velocity per step of the output at each step, of the same three.
@@ -155,6 +168,7 @@ class Register(NamedTuple):
 
     free: Array
     echo: Array
+    known: Array
     kink: Array
     last: tuple[Array, Array, Array]
     told: tuple[Array, Array, Array]
@@ -184,7 +198,15 @@ class Register(NamedTuple):
         last = end, _side_by_side(backwards @ entry), _side_by_side(backwards @ bump)
         shown = output @ powers
         told = (output @ after).reshape(2 * length, -1), _toeplitz(shown @ entry), _toeplitz(shown @ bump)
-        return cls(sight @ after, sight @ powers @ entry, sight @ powers @ bump, last, told)
+        seen = sight @ powers
+        return cls(
+            sight @ after, seen @ entry[:, :number], _toeplitz(seen @ entry[:, number:]), seen @ bump, last, told
+        )
+
+
+def _times(matrix: Float[Array, "... row column"], vector: Float[Array, " column"]) -> Float[Array, "... row"]:
+    """A product that fuses with what is around it: within a loop, XLA would call a routine for each small one."""
+    return (matrix * jnp.broadcast_to(vector, matrix.shape)).sum(axis=-1)
 
 
 def _total(products: tuple[Array, Array, Array], parts: tuple[Array, Array, Array]) -> Array:
@@ -237,7 +259,7 @@ class Steps(eqx.Module):
         damping = parts.damping if lines.damping is None else parts.damping + seen.T @ lines.damping @ seen
         scaled = Scaled.of(parts, stiffness, damping, step)
         part = weights(scaled.matrix, scaled.inputs @ lines.acting)
-        length = next(n for n in range(LONGEST_BLOCK, 0, -1) if each % n == 0)
+        length = block_length(each)
         return cls(lines, scaled, Register.of(lines, scaled, step, part, length), begin, step, length)
 
     def start(self, place: Array, speed: Array) -> tuple[Array, Array]:
@@ -250,7 +272,9 @@ class Steps(eqx.Module):
 
         def inputs(time: Scalar, place: Array, speed: Array) -> Array:
             seen, heard = (self.lines.seen @ part for part in (place, speed))
-            return self.lines.inputs(equation.excitation(time), seen, heard if self.lines.hears_speed else None)
+            now = equation.excitation(time)
+            own = self.lines.inputs(now, seen, heard if self.lines.hears_speed else None)
+            return jnp.concatenate([own, self.lines.known(now)])
 
         along = jnp.ones_like(self.begin), speed, equation.acceleration(now, place, speed)
         here, slope = jax.jvp(inputs, (self.begin, place, speed), along)
@@ -258,35 +282,43 @@ class Steps(eqx.Module):
         whole = jnp.concatenate([state, here, here - self.step * slope])
         return whole, self.lines.overlap(now, self.lines.seen @ place)
 
-    def block(self, carry: tuple[Array, Array], times: Float[Array, " step"]) -> tuple[tuple[Array, Array], Array]:
-        """A block of steps that end at some times: what `start` gives after it, and position and velocity per step of
-        the output at each step, shape (step, 2) [rad]."""
+    def block(self, carry: tuple[Array, Array], rows: Excitation) -> tuple[tuple[Array, Array], Array]:
+        """A block of steps, from what drives it at their ends: what `start` gives after it, and position and velocity
+        per step of the output at each step, shape (step, 2) [rad]."""
         lines, register = self.lines, self.products
         state, overlap = carry
-        rows = jax.vmap(self._driven)(times)
         inputs, number = lines.acting.shape[1], lines.seen.shape[0]
-        now, before = state[-2 * inputs : -inputs], state[-inputs:]
+        now, before = state[-2 * inputs : -inputs][:number], state[-inputs:][:number]
+        known = jax.vmap(lines.known)(rows)
         hard = isinstance(lines.equation.scene.contact, HardContact)
+
+        def ahead_by_one(rows: Array) -> Array:
+            return jnp.pad(rows[1:], ((0, 1), *((0, 0),) * (rows.ndim - 1)))
+
+        echo, kink = ahead_by_one(register.echo), ahead_by_one(register.kink)
 
         def sighted(sight: Array) -> tuple[Array, Array | None]:
             return sight[:number], sight[number:] if lines.hears_speed else None
 
         def step(inner: tuple, row: Excitation) -> tuple[tuple, tuple[Array, Array]]:
             coming, now, before, overlap = inner
-            ahead = coming[0] + register.echo[0] @ (2 * now - before)
+            ahead = coming[0] + _times(register.echo[0], 2 * now - before)
             after = lines.inputs(row, *sighted(ahead))
-            coming = coming + register.echo @ after
+            here = coming[0] + _times(register.echo[0], after)
             missed = jnp.zeros((number,), after.dtype)
             if hard:
-                missed = lines.missed(row, overlap, *sighted(coming[0]))
-                coming = coming + register.kink @ missed
-                overlap = lines.overlap(row, sighted(coming[0])[0])
-            shifted = jnp.concatenate([coming[1:], jnp.zeros_like(coming[:1])])
+                missed = lines.missed(row, overlap, *sighted(here))
+                here = here + _times(register.kink[0], missed)
+                overlap = lines.overlap(row, sighted(here)[0])
+            shifted = ahead_by_one(coming) + _times(echo, after)
+            shifted = shifted + _times(kink, missed) if hard else shifted
             return (shifted, after, now, overlap), (after, missed)
 
-        first = register.free @ state, now, before, overlap
-        (*_, overlap), (all_inputs, all_missed) = jax.lax.scan(step, first, rows, unroll=min(UNROLL, self.length))
-        parts = state, all_inputs.ravel(), all_missed.ravel()
+        free = register.free @ state + (register.known @ known.ravel()).reshape(self.length, -1)
+        (*_, overlap), (own, all_missed) = jax.lax.scan(
+            step, (free, now, before, overlap), rows, unroll=min(UNROLL, self.length)
+        )
+        parts = state, jnp.concatenate([own, known], axis=1).ravel(), all_missed.ravel()
         parts, sides = (parts, (0, 1, 2)) if hard else (parts[:2], (0, 1))
         after = sum(
             (register.last[side] @ part for side, part in zip(sides, parts, strict=True)), jnp.zeros_like(state)
@@ -295,7 +327,7 @@ class Steps(eqx.Module):
         told = sum((register.told[side] @ part for side, part in zip(sides, parts, strict=True)), nothing)
         return (after, overlap), told.reshape(self.length, 2)
 
-    def _driven(self, time: Scalar) -> Excitation:
+    def driven(self, time: Scalar) -> Excitation:
         """What drives the steps: without what stands still."""
         now = self.lines.equation.excitation(time)
         return now._replace(jacobian=None, jacobian_rate=None) if self.lines.apart else now
@@ -315,31 +347,84 @@ class March(NamedTuple):
     lowest: Array
 
 
-def march(steps: Steps, place: Array, speed: Array, samples: int, each: int) -> March:
-    """Motion from coordinates and velocities over samples with some steps between them."""
-    blocks = each // steps.length
-    spacing = steps.step * each
+class Spacing(NamedTuple):
+    """How a record is cut.
 
-    def block(inner: tuple, number: Array) -> tuple[tuple, None]:
-        carry, told, origin, highest, lowest = inner
-        passed = number * steps.length + jnp.arange(1, steps.length + 1)
-        carry, rows = steps.block(carry, origin + passed.astype(origin.dtype) * steps.step)
-        earlier = jnp.concatenate([told[None], rows[:-1]])
-        one = jnp.ones_like(origin)
-        high = highest_between(earlier[:, 0], rows[:, 0], earlier[:, 1], rows[:, 1], one)
-        low = -highest_between(-earlier[:, 0], -rows[:, 0], -earlier[:, 1], -rows[:, 1], one)
-        return (carry, rows[-1], origin, jnp.maximum(highest, high.max()), jnp.minimum(lowest, low.min())), None
+    Args:
+        samples, each: number of samples, and of steps between them.
+        span: steps whose excitation is worked out together, a multiple of those of a block.
+        nodes: of the polynomial through it; ``None`` where it is worked out at each step.
+    """
+
+    samples: int
+    each: int
+    span: int
+    nodes: int | None
+
+    @classmethod
+    def of(cls, samples: int, each: int, phase: float | None, dtype: Any) -> "Spacing":
+        """The cheapest cut.
+
+        Args:
+            samples, each: number of samples, and of steps between them.
+            phase: of what drives the motion fastest, per step [rad]; ``None`` where it is not known.
+            dtype: of the numbers.
+        """
+        length, accuracy = block_length(each), tables.accuracy(dtype)
+        best = cls(samples, each, length, None)
+        if phase is None:
+            return best
+        for span in (n * length for n in range(1, each // length + 1) if (each // length) % n == 0):
+            enough = (k for k in range(4, tables.MOST_NODES + 1) if tables.reach(k, accuracy) >= phase * span)
+            nodes = next(enough, span)
+            if nodes < span and nodes / span < (1.0 if best.nodes is None else best.nodes / best.span):
+                best = cls(samples, each, span, nodes)
+        return best
+
+
+def march(steps: Steps, place: Array, speed: Array, spacing: Spacing) -> March:
+    """Motion from coordinates and velocities over samples with some steps between them."""
+    blocks = spacing.span // steps.length
+    seconds = steps.step * spacing.each
+
+    def block(inner: tuple, rows: Excitation) -> tuple[tuple, None]:
+        carry, told, highest, lowest = inner
+        carry, found = steps.block(carry, rows)
+        earlier = jnp.concatenate([told[None], found[:-1]])
+        one = jnp.ones_like(told[0])
+        high = highest_between(earlier[:, 0], found[:, 0], earlier[:, 1], found[:, 1], one)
+        low = -highest_between(-earlier[:, 0], -found[:, 0], -earlier[:, 1], -found[:, 1], one)
+        return (carry, found[-1], jnp.maximum(highest, high.max()), jnp.minimum(lowest, low.min())), None
+
+    # worked out again where a derivative runs backwards: its memory grows with blocks, not with steps
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def span(inner: tuple, origin: Array) -> tuple[tuple, None]:
+        ends = jnp.arange(1, spacing.span + 1).astype(origin.dtype).reshape(blocks, steps.length)
+        if spacing.nodes is None:
+
+            def direct(inner: tuple, ends: Array) -> tuple[tuple, None]:
+                return block(inner, jax.vmap(steps.driven)(origin + ends * steps.step))
+
+            return jax.lax.scan(direct, inner, ends)
+        places = jnp.asarray(tables.nodes(spacing.span, spacing.nodes), origin.dtype)
+        known = jax.vmap(steps.driven)(origin + places * steps.step)
+        at = np.arange(1, spacing.span + 1, dtype=float)
+        shares = tables.weights(spacing.span, spacing.nodes, at).reshape(blocks, steps.length, -1)
+
+        def between(inner: tuple, share: Array) -> tuple[tuple, None]:
+            return block(inner, jax.tree.map(lambda leaf: jnp.tensordot(share, leaf, 1), known))
+
+        return jax.lax.scan(between, inner, jnp.asarray(shares, origin.dtype))
 
     def interval(outer: tuple, number: Array) -> tuple[tuple, tuple]:
         carry, told = outer
-        origin = steps.begin + number.astype(spacing.dtype) * spacing
-        inner = carry, told, origin, told[0], told[0]
-        # worked out again where a derivative runs backwards: its memory grows with blocks, not with steps
-        again = jax.checkpoint(block, prevent_cse=False)
-        (carry, told, _, highest, lowest), _ = jax.lax.scan(again, inner, jnp.arange(blocks))
+        parts = jnp.arange(spacing.each // spacing.span).astype(seconds.dtype)
+        origins = steps.begin + number.astype(seconds.dtype) * seconds + parts * (spacing.span * steps.step)
+        (carry, told, highest, lowest), _ = jax.lax.scan(span, (carry, told, told[0], told[0]), origins)
         return (carry, told), (steps.coordinates(carry[0]), highest, lowest)
 
     told = jnp.stack([place[0], speed[0] * steps.step])
-    _, (states, highest, lowest) = jax.lax.scan(interval, (steps.start(place, speed), told), jnp.arange(samples - 1))
+    numbers = jnp.arange(spacing.samples - 1)
+    _, (states, highest, lowest) = jax.lax.scan(interval, (steps.start(place, speed), told), numbers)
     parts = (jnp.stack([place, speed]), states), (place[0], highest), (place[0], lowest)
     return March(*(jnp.concatenate([first[None], rest]) for first, rest in parts))
