@@ -292,11 +292,6 @@ class Steps(eqx.Module):
         known = jax.vmap(lines.known)(rows)
         hard = isinstance(lines.equation.scene.contact, HardContact)
 
-        def ahead_by_one(rows: Array) -> Array:
-            return jnp.pad(rows[1:], ((0, 1), *((0, 0),) * (rows.ndim - 1)))
-
-        echo, kink = ahead_by_one(register.echo), ahead_by_one(register.kink)
-
         def sighted(sight: Array) -> tuple[Array, Array | None]:
             return sight[:number], sight[number:] if lines.hears_speed else None
 
@@ -304,14 +299,13 @@ class Steps(eqx.Module):
             coming, now, before, overlap = inner
             ahead = coming[0] + _times(register.echo[0], 2 * now - before)
             after = lines.inputs(row, *sighted(ahead))
-            here = coming[0] + _times(register.echo[0], after)
+            coming = coming + _times(register.echo, after)
             missed = jnp.zeros((number,), after.dtype)
             if hard:
-                missed = lines.missed(row, overlap, *sighted(here))
-                here = here + _times(register.kink[0], missed)
-                overlap = lines.overlap(row, sighted(here)[0])
-            shifted = ahead_by_one(coming) + _times(echo, after)
-            shifted = shifted + _times(kink, missed) if hard else shifted
+                missed = lines.missed(row, overlap, *sighted(coming[0]))
+                coming = coming + _times(register.kink, missed)
+                overlap = lines.overlap(row, sighted(coming[0])[0])
+            shifted = jnp.pad(coming[1:], ((0, 1), (0, 0)))
             return (shifted, after, now, overlap), (after, missed)
 
         free = register.free @ state + (register.known @ known.ravel()).reshape(self.length, -1)
