@@ -127,7 +127,7 @@ def test_as_a_solver_of_diffrax():
 ALWAYS = gj.DampingRatio(0.05, "always")
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", ["two_kv", pytest.param("rv_cycloidal", marks=pytest.mark.slow)])
 def test_third_order_from_the_equilibrium(name):
     """Levers that stand still, and those that turn while pins open and close."""
     scene, torque = SCENES[name](damping=ALWAYS), LOADS[name]
@@ -244,6 +244,7 @@ def test_no_torque_and_back_flanks(torque):
     np.testing.assert_allclose(motion.te, exact.te, rtol=0, atol=1e-3 * np.ptp(np.asarray(exact.te)) + 1e-12)
 
 
+@pytest.mark.slow
 def test_the_default_step_and_extremes_between_samples():
     scene = planets()
     usual = suitable_step(scene, 0.02)
