@@ -2,6 +2,8 @@
 
 import dataclasses
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import jax
@@ -13,7 +15,6 @@ from gearjax.reproduce import two_kv
 from gearjax.xla import QUICK_COMPILER, is_known
 
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_enable_compilation_cache", False)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
@@ -25,6 +26,22 @@ PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 
 FOUND = "GEARJAX_TESTS_COMPILER"  # what the process that starts the workers found out, for them
+PROGRAMS = "GEARJAX_TESTS_PROGRAMS"  # the folder of compiled programs that the workers share
+_ours: list[str] = []
+
+
+def _share_programs() -> None:
+    """What one worker has compiled no other compiles again. CI names a folder, for both of its runs."""
+    if PROGRAMS not in os.environ:
+        os.environ[PROGRAMS] = tempfile.mkdtemp()
+        _ours.append(os.environ[PROGRAMS])
+    jax.config.update("jax_compilation_cache_dir", os.environ[PROGRAMS])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+
+
+def pytest_unconfigure() -> None:
+    for folder in _ours:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def pytest_configure() -> None:
@@ -34,6 +51,7 @@ def pytest_configure() -> None:
     marked ``runs_long``. Commands that tests start as processes of their own are compiled as a user's are, and so is
     everything where ``XLA_FLAGS`` is set, to nothing too.
     """
+    _share_programs()
     if "XLA_FLAGS" in os.environ:
         return
     if FOUND not in os.environ:
@@ -46,6 +64,7 @@ def pytest_configure() -> None:
 MOST_WORKERS = 4  # each takes up to 3 GB
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """A worker for each core that this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

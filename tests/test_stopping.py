@@ -20,6 +20,8 @@ from tests.test_tolerance_command import small
 
 PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
 NOTHING = "nothing of this run was kept; the same command begins again"
+# A process of a script's background inherits that SIGINT is ignored, and so would the commands that are started here.
+HEARS_SIGINT = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.argv[1], sys.argv[1:])"
 
 
 class Running:
@@ -29,7 +31,7 @@ class Running:
         self.errors = folder / "stderr"
         with self.errors.open("wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "gearjax", *arguments],
+                [sys.executable, "-c", HEARS_SIGINT, sys.executable, "-m", "gearjax", *arguments],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 cwd=ROOT,
