@@ -27,6 +27,9 @@ from gearjax.typing import Array, Scalar
 
 WIDTH = 0.1  # of the smoothed step, in standard deviations of the measure
 CORRECTIONS = 6
+SAME_COST = 1e-4  # of the cost as given: yields are known to some parts in a thousand
+SAME_YIELD = 1e-4
+STUCK = 1e-3  # of a factor
 Cost = Sequence[tuple[float, float]]
 
 
@@ -121,14 +124,14 @@ def allocate(
     smooth = _smooth_yield(tolerances, measure, places, n, key, options)
     bounds = np.log([_range(rows, tightest, loosest) for rows in costs.values()])
     ones = np.ones(len(paths))
-    before, target = judge(ones, 0), required
+    before, target, given = judge(ones, 0), required, price(ones)[0] or 1.0
     start = np.clip(0 * ones, *bounds.T)
     best: tuple = ((before.low >= required, -price(ones)[0]), before, ones)
     if not best[0][0]:
         best = ((False, before.value), before, ones)
     for turn in range(1, CORRECTIONS + 1):
         found = optimize.minimize(
-            lambda logs: price(np.exp(logs)),
+            lambda logs: tuple(part / given for part in price(np.exp(logs))),
             start,
             jac=True,
             bounds=bounds,
@@ -138,7 +141,7 @@ def allocate(
                 "fun": lambda logs, target=target: smooth(np.exp(logs))[0] - target,
                 "jac": lambda logs: smooth(np.exp(logs))[1] * np.exp(logs),
             },
-            options={"maxiter": 60, "ftol": 1e-6},
+            options={"maxiter": 60, "ftol": SAME_COST},
         )
         factors = np.exp(np.clip(found.x, *bounds.T))
         after = judge(factors, turn)
@@ -151,6 +154,9 @@ def allocate(
             best = (rank, after, factors)
         if met and after.low < required + 0.25 * (after.high - after.low):
             break  # proved, and no more than that
+        moved = np.abs(np.log(factors) - start).max()
+        if moved < STUCK and smooth(factors)[0] < target - SAME_YIELD:
+            break  # what was asked for cannot be had from here, and more would be asked for next
         target = float(np.clip(target + (required - after.low) * 1.05, 0.0, 1 - 1e-4))
         start = np.log(factors)
     (met, _), after, factors = best
