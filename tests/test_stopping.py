@@ -21,7 +21,11 @@ from tests.test_tolerance_command import small
 PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
 NOTHING = "nothing of this run was kept; the same command begins again"
 # A process of a script's background inherits that SIGINT is ignored, and so would the commands that are started here.
-HEARS_SIGINT = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.argv[1], sys.argv[1:])"
+HEARS_SIGINT = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 
 
 class Running:
