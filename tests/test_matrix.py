@@ -21,7 +21,6 @@ import tomli_w
 import gearjax as gj
 from gearjax.cli import app, main
 from gearjax.config import read_file, read_tables
-from gearjax.studies import tradeoff
 from gearjax.studies.select import pick
 from gearjax.systems import SYSTEMS
 from gearjax.units import arcmin, um
@@ -384,14 +383,8 @@ def test_every_command_is_listed():
         for kind in (KINDS if command in ("optimise", "tolerance") else KINDS[:1])
     ],
 )
-def test_commands(command, kind, gear_set, tmp_path, capsys, monkeypatch):
-    """Exit code 0 and an object without nan, or 2 and one line.
-
-    The trade-off has each of its schemes and laws here, with fewer lengths of steps and widths, whose programs differ
-    by a number; tests/test_tradeoff.py has all.
-    """
-    monkeypatch.setattr(tradeoff, "STEPS", (0.8, 0.2))
-    monkeypatch.setattr(tradeoff, "WIDTHS", (1e-7,))
+def test_commands(command, kind, gear_set, tmp_path, capsys):
+    """Exit code 0 and an object without nan, or 2 and one line."""
     sections = COMMANDS[command]
     assert sections is not None
     chosen = GEAR_SETS[gear_set]

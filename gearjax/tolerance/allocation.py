@@ -28,7 +28,7 @@ from gearjax.typing import Array, Scalar
 WIDTH = 0.1  # of the smoothed step, in standard deviations of the measure
 CORRECTIONS = 6
 SAME_COST = 1e-4  # of the cost as given: yields are known to some parts in a thousand
-SAME_YIELD = 1e-4
+SAME_YIELD = 1e-4  # that a search may stay below what it was asked for
 STUCK = 1e-3  # of a factor
 Cost = Sequence[tuple[float, float]]
 
@@ -124,14 +124,15 @@ def allocate(
     smooth = _smooth_yield(tolerances, measure, places, n, key, options)
     bounds = np.log([_range(rows, tightest, loosest) for rows in costs.values()])
     ones = np.ones(len(paths))
-    before, target, given = judge(ones, 0), required, price(ones)[0] or 1.0
+    before, target, given = judge(ones, 0), required, price(ones)[0]
     start = np.clip(0 * ones, *bounds.T)
-    best: tuple = ((before.low >= required, -price(ones)[0]), before, ones)
+    scale = given or 1.0
+    best: tuple = ((before.low >= required, -given), before, ones)
     if not best[0][0]:
         best = ((False, before.value), before, ones)
     for turn in range(1, CORRECTIONS + 1):
         found = optimize.minimize(
-            lambda logs: tuple(part / given for part in price(np.exp(logs))),
+            lambda logs: tuple(part / scale for part in price(np.exp(logs))),
             start,
             jac=True,
             bounds=bounds,
@@ -160,7 +161,7 @@ def allocate(
         target = float(np.clip(target + (required - after.low) * 1.05, 0.0, 1 - 1e-4))
         start = np.log(factors)
     (met, _), after, factors = best
-    costs_found = price(factors)[0], price(ones)[0]
+    costs_found = price(factors)[0], given
     return AllocatedTolerances(measure.name, required, paths, factors, *costs_found, before, after, met)
 
 
