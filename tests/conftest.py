@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.cli.programs import leave_out_where_from
 from gearjax.reproduce import two_kv
 from gearjax.xla import QUICK_COMPILER, is_known
 
@@ -54,6 +55,7 @@ def pytest_configure() -> None:
     everything where ``XLA_FLAGS`` is set, to nothing too.
     """
     _share_programs()
+    leave_out_where_from()
     gc.set_threshold(*FEWER_COLLECTIONS)
     if "XLA_FLAGS" in os.environ:
         return

@@ -31,6 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
     if arguments is None:
         stopping.listen()
     jax.config.update("jax_enable_x64", True)
+    programs.leave_out_where_from()
     folder, given = programs.kept_in(), sys.argv[1:] if arguments is None else arguments
     if arguments is None:
         programs.set_options(folder, runs_long=given[:1] == ["tolerance"])

@@ -13,6 +13,14 @@ from gearjax.checks import GearjaxError
 from gearjax.files import write_file
 from gearjax.xla import chosen, known_options
 
+WHERE_FROM = "jax_include_full_tracebacks_in_locations"
+
+
+def leave_out_where_from() -> None:
+    """Programs do not tell, for each operation, the lines of Python that it came from: a tenth of making them."""
+    if WHERE_FROM in jax.config.values:
+        jax.config.update(WHERE_FROM, False)
+
 
 def kept_in() -> Path | None:
     """Keep compiled programs between runs, unless JAX was told where to or not to.
