@@ -353,11 +353,6 @@ def test_what_is_missing_or_does_not_suit_is_named():
         gj.simulate(scene, TS, 100.0, stepper=gj.FixedStep(windows=gj.Windows(4, 0.01)))
     with pytest.raises(SceneError, match=r"the step is too long.*it must be at most"):
         gj.simulate(scene, TS, 100.0, stepper=gj.FixedStep(per_sample=2))
-    for analysis in (gj.shooting, gj.harmonic_balance):
-        with pytest.raises(SceneError, match=r"periodic motion.*leave out .supports.planet_1"):
-            analysis(scene, 100.0, 0.1)
-    with pytest.raises(SceneError, match=r"growth rate.*leave out .supports.planet_1"):
-        gj.growth_rate(scene, TS, 100.0)
 
 
 def test_the_exponential_of_a_matrix(rng):

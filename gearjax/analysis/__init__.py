@@ -3,10 +3,11 @@
 from gearjax.analysis.dynamics import growth_rate, simulate
 from gearjax.analysis.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
+from gearjax.analysis.harmonic_balance import harmonic_balance
 from gearjax.analysis.metrics import FewAngles
 from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
-from gearjax.analysis.periodic import Periodic, Sweep, harmonic_balance, shooting, speed_sweep
+from gearjax.analysis.periodic import Periodic, Sweep, shooting, speed_sweep
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, interference, transmission_error
 from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows

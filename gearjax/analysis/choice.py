@@ -145,7 +145,7 @@ def method_of(
     if scene.supports:
         if stepper.windows is not None:
             raise SceneError("windows are for a scene whose output alone moves: give FixedStep(...) without")
-        return Modes(Spacing.of(ts.shape[0], steps, _phase(scene, ts, steps), ts.dtype))
+        return Modes(Spacing.of(ts.shape[0], steps, phase_of(scene, ts, steps), ts.dtype))
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
@@ -162,7 +162,7 @@ def method_of(
     return Fitted(whole, windows, fall_back=not seen, quick=quick)
 
 
-def _phase(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
+def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
     """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known, or of no use: few contacts
     are looked at each step in less time than between nodes."""
     assert scene.load is not None

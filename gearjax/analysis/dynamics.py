@@ -16,7 +16,7 @@ from gearjax.analysis import march, modes, tables
 from gearjax.analysis.choice import MODELLED, Fitted, Method, Modes, advice, allowed, known_limits, method_of
 from gearjax.analysis.equation import Equation, turning_rate
 from gearjax.analysis.follow import QuasiStatic, follow
-from gearjax.analysis.growth import growth, watch
+from gearjax.analysis.growth import growth, growth_in_modes, watch
 from gearjax.analysis.integrate import Even, integrated, recorded
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.motion import Motion
@@ -24,7 +24,7 @@ from gearjax.analysis.oscillator import Oscillator
 from gearjax.analysis.signals import Drive
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, Stepper
 from gearjax.checks import SceneError, is_concrete
-from gearjax.scene import Scene, require, require_output_alone
+from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Scalar
 
 FAULTS = {
@@ -118,23 +118,23 @@ def growth_rate(
 ) -> Scalar:
     """Mean rate at which a small disturbance of the motion grows over a record [1/s]; negative where it dies out.
 
-    The largest Lyapunov exponent, from the linearised steps of the exponentially fitted scheme (Benettin et al. 1980).
+    The largest Lyapunov exponent, from the linearised steps of the exponentially fitted scheme, or of constant modes
+    for bodies on supports (Benettin et al. 1980).
     Where rate times duration is large the motion is chaotic for all purposes: its samples and their gradients mean
     nothing, and its statistics scatter.
 
     Args:
         scene, ts, torque, start: as for `simulate`, ts evenly spaced.
-        stepper: steps of the fitted scheme; those of `suitable_step` without.
+        stepper: steps of that scheme; those of `suitable_step` without.
 
     Raises:
         SceneError: the scene lacks a part, or the step does not suit it.
     """
     ts = _checked(scene, ts, start)
-    require_output_alone(scene, "growth rate")
     physics, torque = scene.physics(*MODELLED), jnp.asarray(torque, ts.dtype)
     limits = known_limits(physics)
     method = method_of(scene, ts, torque, stepper, limits)
-    if not isinstance(method, Fitted):
+    if not isinstance(method, Fitted | Modes):
         raise SceneError(
             "the growth rate needs evenly spaced ts and steps of the fitted scheme: stepper=FixedStep(...)"
         )
@@ -142,9 +142,19 @@ def growth_rate(
 
 
 @eqx.filter_jit
-def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: march.Spacing) -> Scalar:
+def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: march.Spacing | modes.Spacing) -> Scalar:
+    if isinstance(spacing, modes.Spacing):
+        equation = StructureEquation.of(scene, torque)
+        place, speed = equation.initial(ts[0], start)
+        rate = equation.scale * equation.frequency
+        return growth_in_modes(_steps(equation, ts, spacing), place * equation.scale, speed * rate, spacing)
     drive, carry, _ = _begin(Equation.of(scene, torque), ts, start, spacing)
     return growth(drive, ts[0], carry, spacing)
+
+
+def _steps(equation: StructureEquation, ts: Array, spacing: modes.Spacing) -> Steps:
+    """Even steps of a record."""
+    return Steps.of(equation, ts[0], (ts[-1] - ts[0]) / ((ts.shape[0] - 1) * spacing.each), spacing.each)
 
 
 def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) -> tuple[Drive, tuple, Array]:
@@ -189,8 +199,7 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
     state = equation.initial(ts[0], start)
     there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
-    each = method.spacing.each
-    steps = Steps.of(equation, ts[0], spacing / each, each)
+    steps = _steps(equation, ts, method.spacing)
     rate = equation.scale * equation.frequency
     found = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
     place, speed = found.states[:, 0], found.states[:, 1]

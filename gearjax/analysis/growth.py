@@ -1,5 +1,6 @@
 """How fast a disturbance of a motion grows, which tells whether single samples and their gradients mean anything."""
 
+import dataclasses
 import math
 import warnings
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from gearjax.analysis import march
+from gearjax.analysis import march, modes
 from gearjax.analysis.signals import Drive
 from gearjax.typing import Array, Scalar
 
@@ -44,6 +45,30 @@ def growth(drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: m
     _, grown = jax.lax.scan(follow, (carry, seed), jnp.arange(parts))
     grown = grown[min(1, parts - 1) :]
     return grown.mean() / length
+
+
+def growth_in_modes(steps: modes.Steps, place: Array, speed: Array, spacing: modes.Spacing) -> Scalar:
+    """The same of bodies on supports, from their coordinates and velocities; arguments as for
+    `gearjax.analysis.modes.march`. Sizes are measured in all coordinates and velocities, scaled."""
+    parts = max(1, spacing.samples * spacing.each // MOST_STEPS)
+    part = spacing._replace(samples=1 + max(1, (spacing.samples - 1) // parts))
+    length = (part.samples - 1) * spacing.each * steps.step
+    equation = steps.lines.equation
+    scale = jnp.outer(jnp.stack([jnp.ones_like(length), equation.frequency]), equation.scale)
+
+    def follow(carry: tuple[Array, Array], number: Array) -> tuple[tuple[Array, Array], Array]:
+        begun = dataclasses.replace(steps, begin=steps.begin + number.astype(length.dtype) * length)
+        after, way = jax.jvp(
+            lambda state: modes.march(begun, state[0], state[1], part).states[-1], carry[:1], carry[1:]
+        )
+        size = jnp.linalg.norm(way / scale)
+        nothing = size == 0
+        way = jnp.where(nothing, seed, way / jnp.where(nothing, 1.0, size))
+        return (after, way), jnp.log(jnp.where(nothing, jnp.finfo(size.dtype).tiny, size))
+
+    seed = scale.at[1].set(0.0)
+    _, grown = jax.lax.scan(follow, (jnp.stack([place, speed]), seed), jnp.arange(parts))
+    return grown[min(1, parts - 1) :].mean() / length
 
 
 def watch(

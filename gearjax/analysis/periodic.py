@@ -1,25 +1,21 @@
-"""Periodic response of a scene whose excitation has one period: shooting, harmonic balance, sweeps over speed.
+"""Periodic response of a scene whose excitation has one period: shooting, and sweeps over speed.
 
-Both solve for a root, by Newton's method of optimistix, and are differentiated by the implicit function theorem: the
-iterations leave no trace in a gradient.
+Shooting solves for a root, by Newton's method of optimistix, and is differentiated by the implicit function theorem:
+the iterations leave no trace in a gradient. So is `gearjax.analysis.harmonic_balance`.
 """
 
-from typing import NamedTuple
+import dataclasses
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix
 
 from gearjax import arguments
-from gearjax.analysis import march
 from gearjax.analysis.choice import MODELLED
-from gearjax.analysis.equation import Equation
-from gearjax.analysis.oscillator import Oscillator
-from gearjax.analysis.tables import MOST_NODES
+from gearjax.analysis.return_map import Cut, Problem, eigenvalues, return_map
 from gearjax.checks import ParameterError, SceneError, nearest
-from gearjax.scene import Scene, require, require_output_alone
+from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 
@@ -30,10 +26,13 @@ class Periodic(eqx.Module):
         ts: times, shape (n,) [s]; the end of the period is left out.
         te: transmission error, shape (n,) [rad].
         velocity: its rate, shape (n,) [rad/s].
-        multipliers: Floquet multipliers, complex, shape (2,): the motion is stable where both are within the unit
-            circle; not a number from harmonic balance.
+        multipliers: Floquet multipliers, complex, two for each coordinate, shape (2 coordinate,): the motion is stable
+            where all are within the unit circle. Without derivatives, and not a number from harmonic balance.
         residual: what is left of the equation, relative to the motion.
         result: 0 converged, 1 not.
+        start: what ``guess`` of `shooting` is, where the period begins: shape (2,), with supports (2, coordinate).
+        moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any.
+        coordinates: names of what moves: the output, then those displacements.
     """
 
     ts: Float[Array, " n"]
@@ -42,6 +41,15 @@ class Periodic(eqx.Module):
     multipliers: Array
     residual: Scalar
     result: Int[Array, ""]
+    start: Float[Array, "2 ..."]
+    moved: Float[Array, "n support"] | None = None
+    coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
+
+    @property
+    def q(self) -> Float[Array, "... n coordinate"]:
+        """Displacements from the ideal motion in each of the coordinates, the output's first [rad], then [m]."""
+        te = self.te[..., None]
+        return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
     @property
     def stable(self) -> Array:
@@ -60,14 +68,15 @@ class Periodic(eqx.Module):
         return jnp.sqrt((alternating * alternating).mean())
 
 
-@arguments.checked(steps=arguments.whole(8))
+@arguments.checked(steps=arguments.whole(8), settle=arguments.whole(0))
 def shooting(
     scene: Scene,
     torque: ArrayLike,
     period: ArrayLike,
     *,
     steps: int = 512,
-    guess: Float[Array, "2"] | None = None,
+    guess: ArrayLike | None = None,
+    settle: int = 0,
     max_steps: int = 40,
 ) -> Periodic:
     """The motion that repeats after a period, by Newton's method on its start.
@@ -76,8 +85,11 @@ def shooting(
         scene: the scene, with compliance, load and inertia.
         torque: size of the load torque [N m].
         period: common period of everything that drives it [s].
-        steps: of the exponentially fitted scheme per period, a multiple of 8.
-        guess: transmission error [rad] and its rate [rad/s] to start from; the equilibrium without.
+        steps: per period, of the exponentially fitted scheme, or of constant modes for bodies on supports; a multiple
+            of 8.
+        guess: transmission error [rad] and its rate [rad/s] to start from, shape (2,); of bodies on supports all
+            coordinates [rad, m] and their rates, shape (2, coordinate). The equilibrium without.
+        settle: periods to integrate from there before Newton's method, which a motion with impacts may need.
         max_steps: of Newton's method.
 
     Raises:
@@ -85,151 +97,46 @@ def shooting(
     """
     if steps < 8 or steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
-    if guess is not None and jnp.shape(guess) != (2,):
-        raise ParameterError("guess", jnp.shape(guess), "is a shape: give a transmission error and its rate")
-    return _shooting(_problem(scene, torque, period), steps, guess, max_steps)
-
-
-class _Problem(NamedTuple):
-    """What a periodic motion depends on."""
-
-    scene: Scene
-    torque: Scalar
-    period: Scalar
-
-
-def _problem(scene: Scene, torque: ArrayLike, period: ArrayLike) -> _Problem:
-    """The arguments of a user, checked."""
-    require(scene, "dynamic", "compliance", "load", "inertia")
-    require_output_alone(scene, "periodic motion")
-    physics, dtype = scene.physics(*MODELLED), scene.dtype
-    return _Problem(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
-
-
-def _over_a_period(state: Float[Array, "2"], problem: _Problem, steps: int) -> march.March:
-    """The march over one period, from a scaled position and a velocity times step."""
-    equation = Equation.of(problem.scene, problem.torque)
-    start = jnp.zeros_like(problem.period)
-    drive = march.Drive.of(Oscillator(equation, problem.period / steps), start)
-    spacing = march.Spacing(steps + 1, 1, march.Block(max(steps // 8, 8), MOST_NODES), march.Signals.TABLE)
-    carry, _ = march.begin(drive, start, spacing.signals, state)
-    return march.march(drive, start, carry, spacing)
+    problem = Problem.of(scene, torque, period)
+    if guess is not None:
+        names = problem.scene.coordinates
+        wanted, words = ((2, len(names)), ", ".join(names)) if problem.scene.supports else ((2,), "transmission error")
+        if jnp.shape(guess) != wanted:
+            raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {wanted}, {words} and the rate of each")
+        guess = jnp.asarray(guess, scene.dtype).reshape(2, -1)
+    return _shooting(problem, Cut.of(problem, steps), guess, settle, max_steps)
 
 
 @eqx.filter_jit
-def _shooting(problem: _Problem, steps: int, guess: Array | None, max_steps: int) -> Periodic:
-    equation, period = Equation.of(problem.scene, problem.torque), problem.period
-    step = period / steps
-    if guess is None:
-        first = equation.initial(jnp.zeros_like(period), "equilibrium")
-        start = first * equation.per_step(step)
-    else:
-        start = guess / equation.scale * jnp.stack([jnp.ones_like(step), step])
+def _shooting(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_steps: int) -> Periodic:
+    motion = return_map(problem, cut)
+    start = motion.resting() if guess is None else guess / motion.scale
+    if settle:
+        start = jax.lax.scan(lambda state, _: (motion.end(state), None), start, None, length=settle)[0]
 
-    def end(state: Array, problem: _Problem) -> Array:
-        found = _over_a_period(state, problem, steps)
-        return jnp.stack([found.positions[-1], found.speeds[-1]])
+    def lacking(state: Array, problem: Problem) -> Array:
+        return return_map(problem, cut).end(state) - state
 
     solver = optimistix.Newton(rtol=1e-10, atol=1e-10)
-    solution = optimistix.root_find(
-        lambda state, problem: end(state, problem) - state, solver, start, problem, max_steps=max_steps, throw=False
-    )
+    solution = optimistix.root_find(lacking, solver, start, problem, max_steps=max_steps, throw=False)
     state = solution.value
-    found = _over_a_period(state, problem, steps)
-    left = jnp.abs(jnp.stack([found.positions[-1], found.speeds[-1]]) - state).max()
-    size = jnp.abs(found.positions).max()
-    map_ = jax.jacfwd(lambda state: end(state, problem))(jax.lax.stop_gradient(state))
+    found = motion.course(state)
+    left = jnp.abs(found.states[-1] - state).max()
+    size = jnp.abs(found.states[:, 0]).max()
+    frozen = jax.lax.stop_gradient(state)
+    slope = jax.jacfwd(lambda flat: motion.end(flat.reshape(state.shape)).ravel())(frozen.ravel())
+    states = found.states[:-1] * motion.scale[None]
+    supported = bool(problem.scene.supports)
     return Periodic(
-        step * jnp.arange(steps).astype(step.dtype),
-        found.positions[:-1] * equation.scale,
-        found.speeds[:-1] * (equation.scale / step),
-        _eigenvalues(map_),
+        problem.period / cut.steps * jnp.arange(cut.steps).astype(state.dtype),
+        states[:, 0, 0],
+        states[:, 1, 0],
+        jax.lax.stop_gradient(eigenvalues(jax.lax.stop_gradient(slope))),
         left / size,
         jnp.where((left <= 1e-6 * size) & jnp.isfinite(left), 0, 1),
-    )
-
-
-def _eigenvalues(matrix: Float[Array, "2 2"]) -> Array:
-    """Of a two by two matrix, complex."""
-    half = 0.5 * (matrix[0, 0] + matrix[1, 1])
-    determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
-    square = half * half - determinant
-    real, imaginary = (jnp.sqrt(jnp.maximum(sign * square, 0.0)) for sign in (1.0, -1.0))
-    return jax.lax.complex(jnp.stack([half + real, half - real]), jnp.stack([imaginary, -imaginary]))
-
-
-@arguments.checked(harmonics=arguments.whole(1), samples=arguments.whole(3))
-def harmonic_balance(
-    scene: Scene,
-    torque: ArrayLike,
-    period: ArrayLike,
-    *,
-    harmonics: int = 16,
-    samples: int | None = None,
-    guess: Float[Array, " n"] | None = None,
-    max_steps: int = 60,
-) -> Periodic:
-    """The motion that repeats after a period as a Fourier series, forces by alternating between time and frequency.
-
-    Args:
-        scene: the scene, with compliance, load and inertia.
-        torque: size of the load torque [N m].
-        period: common period of everything that drives it [s].
-        harmonics: of the series.
-        samples: of the period at which forces are evaluated; 16 per harmonic without.
-        guess: transmission error over the period to start from, shape (n,) [rad]; the static one without.
-        max_steps: of Newton's method.
-
-    Raises:
-        SceneError: the scene lacks a part, or there are too few samples.
-    """
-    samples = 16 * harmonics if samples is None else samples
-    if harmonics < 1 or samples < 2 * harmonics + 1:
-        raise SceneError(f"harmonics = {harmonics}, samples = {samples}: needs at least 2 harmonics + 1 samples")
-    return _harmonic_balance(_problem(scene, torque, period), harmonics, samples, guess, max_steps)
-
-
-@eqx.filter_jit
-def _harmonic_balance(problem: _Problem, harmonics: int, samples: int, guess: Array | None, max_steps: int) -> Periodic:
-    period = problem.period
-    places = np.arange(samples) / samples
-    order = np.arange(1, harmonics + 1)
-    angle = 2 * np.pi * order[:, None] * places[None, :]
-    basis = jnp.asarray(np.concatenate([np.ones((1, samples)), np.cos(angle), np.sin(angle)]), period.dtype)
-    turned = jnp.asarray(np.concatenate([np.zeros((1, samples)), -np.sin(angle), np.cos(angle)]), period.dtype)
-    multiple = jnp.asarray(np.concatenate([[0.0], order, order]), period.dtype)
-    weights = jnp.asarray(np.concatenate([[1 / samples], np.full(2 * harmonics, 2 / samples)]), period.dtype)
-    ts = jnp.asarray(places, period.dtype) * period
-
-    def left(numbers: Array, problem: _Problem) -> Array:
-        """Coefficients of what the equation of motion lacks, scaled."""
-        equation = Equation.of(problem.scene, problem.torque)
-        rate = 2 * jnp.pi / problem.period
-        place, speed = numbers @ basis, (multiple * rate * numbers) @ turned
-        acceleration = -((multiple * rate) ** 2 * numbers) @ basis
-        times = jnp.asarray(places, rate.dtype) * problem.period
-        forced = jax.vmap(
-            lambda t, x, v: equation.acceleration(equation.excitation(t), x * equation.scale, v * equation.scale)
-        )(times, place, speed)
-        return weights * (basis @ (forced / equation.scale - acceleration)) / equation.frequency**2
-
-    equation = Equation.of(problem.scene, problem.torque)
-    if guess is None:
-        curve = jnp.broadcast_to(equation.initial(jnp.zeros_like(period), "equilibrium")[0], (samples,))
-    else:
-        curve = jnp.interp(ts, jnp.linspace(0.0, 1.0, guess.shape[0] + 1).astype(ts.dtype)[:-1] * period, guess)
-        curve = curve / equation.scale
-    solver = optimistix.Newton(rtol=1e-10, atol=1e-10)
-    solution = optimistix.root_find(left, solver, weights * (basis @ curve), problem, max_steps=max_steps, throw=False)
-    numbers = solution.value
-    rest = jnp.abs(left(numbers, problem)).max() / jnp.abs(numbers).max()
-    return Periodic(
-        ts,
-        (numbers @ basis) * equation.scale,
-        ((multiple * 2 * jnp.pi / period * numbers) @ turned) * equation.scale,
-        jax.lax.complex(*(jnp.full((2,), jnp.nan, period.dtype) for _ in range(2))),
-        rest,
-        jnp.where((rest <= 1e-6) & jnp.isfinite(rest), 0, 1),
+        states[0] if supported else states[0, :, 0],
+        states[:, 0, 1:] if supported else None,
+        problem.scene.coordinates,
     )
 
 
@@ -240,13 +147,14 @@ class Sweep(eqx.Module):
         speeds: input speeds in the order of the sweep, shape (n,) [rad/s].
         std: root mean square of the alternating part over the last period, shape (n,) [rad].
         peak_to_peak: of the last period, shape (n,) [rad].
-        ends: transmission error [rad] and its rate [rad/s] after it, shape (n, 2).
+        ends: transmission error [rad] and its rate [rad/s] after it, shape (n, 2); of bodies on supports all
+            coordinates [rad, m] and their rates, shape (n, 2, coordinate).
     """
 
     speeds: Float[Array, " n"]
     std: Float[Array, " n"]
     peak_to_peak: Float[Array, " n"]
-    ends: Float[Array, "n 2"]
+    ends: Float[Array, "n ..."]
 
 
 @arguments.checked(periods=arguments.whole(1), steps=arguments.whole(8))
@@ -261,7 +169,7 @@ def speed_sweep(
         torque: size of the load torque [N m].
         speeds: input speeds in the order of the sweep, shape (n,) [rad/s].
         periods: computed at each speed.
-        steps: of the exponentially fitted scheme per period, a multiple of 8.
+        steps: per period, as in `shooting`, a multiple of 8.
         order: name of the order whose period counts.
 
     Raises:
@@ -269,7 +177,6 @@ def speed_sweep(
         ParameterError: no such order, or speeds that are not positive.
     """
     require(scene, "dynamic", "compliance", "load", "inertia")
-    require_output_alone(scene, "periodic motion")
     speeds = jnp.asarray(speeds, scene.dtype)
     if speeds.ndim != 1 or speeds.shape[0] == 0:
         raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")
@@ -277,32 +184,32 @@ def speed_sweep(
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
     if order not in scene.system.orders:
         raise ParameterError("order", order, nearest(order, scene.system.orders))
-    turns = scene.system.orders[order]
-    return _speed_sweep(scene.physics(*MODELLED), jnp.asarray(torque, scene.dtype), speeds, periods, steps, turns)
+    turns, physics = scene.system.orders[order], scene.physics(*MODELLED)
+    torque = jnp.asarray(torque, scene.dtype)
+    cut = Cut.of(_at_speed(physics, torque, turns, speeds[0]), steps)
+    found = _speed_sweep(physics, torque, speeds, periods, cut, turns)
+    return found if scene.supports else dataclasses.replace(found, ends=found.ends[..., 0])
+
+
+def _at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Problem:
+    """A period of an order at an input speed."""
+    turning = eqx.tree_at(lambda s: s.system.input_speed, scene, speed)
+    return Problem(turning, torque, 2 * jnp.pi / (turns * speed))
 
 
 @eqx.filter_jit
-def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, steps: int, turns: float) -> Sweep:
-    equation = Equation.of(scene, torque)
-
+def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, cut: Cut, turns: float) -> Sweep:
     def at(state: Array, speed: Scalar) -> tuple[Array, tuple[Array, Array, Array]]:
-        turning = eqx.tree_at(lambda s: s.system.input_speed, scene, speed)
-        period = 2 * jnp.pi / (turns * speed)
-        step = period / steps
-
-        def once(state, _):
-            found = _over_a_period(state, _Problem(turning, torque, period), steps)
-            return jnp.stack([found.positions[-1], found.speeds[-1]]), None
-
-        state = jax.lax.scan(once, state * jnp.stack([jnp.ones_like(step), step]), None, length=periods - 1)[0]
-        found = _over_a_period(state, _Problem(turning, torque, period), steps)
-        path = found.positions[:-1]
-        state = jnp.stack([found.positions[-1], found.speeds[-1] / step])
+        motion = return_map(_at_speed(scene, torque, turns, speed), cut)
+        state = jax.lax.scan(
+            lambda state, _: (motion.end(state), None), state / motion.scale, None, length=periods - 1
+        )[0]
+        found = motion.course(state)
+        path, output = found.states[:-1, 0, 0], motion.scale[0, 0]
         spread = found.highest.max() - found.lowest.min()
-        return state, (path.std() * equation.scale, spread * equation.scale, state * equation.scale)
+        state = found.states[-1] * motion.scale
+        return state, (path.std() * output, spread * output, state)
 
-    first = equation.initial(jnp.zeros_like(torque), "equilibrium") * jnp.stack(
-        [jnp.ones_like(torque), equation.frequency]
-    )
-    _, (std, spread, ends) = jax.lax.scan(at, first, speeds)
+    first = return_map(_at_speed(scene, torque, turns, scene.system.input_speed), cut)
+    _, (std, spread, ends) = jax.lax.scan(at, first.resting() * first.scale, speeds)
     return Sweep(speeds, std, spread, ends)

@@ -120,7 +120,7 @@ def growth_remark(scene: Scene, case: Case) -> str | None:
     """What a reader of a chaotic motion should know; ``None`` where disturbances do not grow, or the load does not
     alternate."""
     run = required_run(scene)
-    if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates or scene.supports:
+    if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates:
         return None
     rate = float(growth_rate(scene, run.times, case.torque, start=run.start))
     if not rate * run.duration > LOST:

@@ -1,0 +1,154 @@
+"""Where a motion is after a period: of an output that moves alone, and of bodies on supports, by their own steps.
+
+Both maps take the scaled state at the start of a period, shape (2, coordinate), to that at its end. ``scale`` are the
+coordinates [rad, m] and velocities [rad/s, m/s] per scaled ones; ``resting`` is the state at the static equilibrium,
+moving as the gaps move it, nan where there is none; ``course`` tells the motion in between.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis import march, modes
+from gearjax.analysis.choice import MODELLED, phase_of
+from gearjax.analysis.equation import Equation
+from gearjax.analysis.modes import Steps, StructureEquation
+from gearjax.analysis.oscillator import Oscillator
+from gearjax.analysis.tables import MOST_NODES
+from gearjax.checks import is_concrete
+from gearjax.scene import Scene, require
+from gearjax.typing import Array, ArrayLike, Float, Scalar
+
+
+class Problem(NamedTuple):
+    """What a periodic motion depends on: a scene, the size of its load torque [N m], the period [s]."""
+
+    scene: Scene
+    torque: Scalar
+    period: Scalar
+
+    @classmethod
+    def of(cls, scene: Scene, torque: ArrayLike, period: ArrayLike) -> "Problem":
+        """The arguments of a user, checked."""
+        require(scene, "dynamic", "compliance", "load", "inertia")
+        physics, dtype = scene.physics(*MODELLED), scene.dtype
+        return cls(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
+
+
+class Cut(NamedTuple):
+    """How a period is cut.
+
+    Args:
+        steps: of the period.
+        spacing: of the steps of bodies on supports; ``None`` where the output alone moves.
+    """
+
+    steps: int
+    spacing: modes.Spacing | None
+
+    @classmethod
+    def of(cls, problem: Problem, steps: int) -> "Cut":
+        """The cheapest cut."""
+        if not problem.scene.supports:
+            return cls(steps, None)
+        ends = np.array([0.0, float(problem.period)]) if is_concrete(problem.period) else None
+        phase = None if ends is None else phase_of(problem.scene, ends, steps)
+        return cls(steps, modes.Spacing.of(2, steps, phase, problem.scene.dtype))
+
+
+class Course(NamedTuple):
+    """A motion over a period.
+
+    Args:
+        states: scaled coordinates and velocities at the ends of the steps, the start first, shape
+            (step + 1, 2, coordinate).
+        highest, lowest: extremes of the scaled output over the steps, shape (n,).
+    """
+
+    states: Array
+    highest: Array
+    lowest: Array
+
+
+class OfOutput(NamedTuple):
+    """By the exponentially fitted scheme; velocities are per step."""
+
+    equation: Equation
+    period: Scalar
+    steps: int
+
+    @property
+    def scale(self) -> Array:
+        step = self.period / self.steps
+        return (self.equation.scale * jnp.stack([jnp.ones_like(step), 1 / step]))[:, None]
+
+    def resting(self) -> Array:
+        first = self.equation.initial(jnp.zeros_like(self.period), "equilibrium")
+        return (first * self.equation.per_step(self.period / self.steps))[:, None]
+
+    def end(self, state: Array) -> Array:
+        found = self._march(state)
+        return jnp.stack([found.positions[-1], found.speeds[-1]])[:, None]
+
+    def course(self, state: Array) -> Course:
+        found = self._march(state)
+        return Course(jnp.stack([found.positions, found.speeds], axis=1)[:, :, None], found.highest, found.lowest)
+
+    def _march(self, state: Array) -> march.March:
+        start = jnp.zeros_like(self.period)
+        drive = march.Drive.of(Oscillator(self.equation, self.period / self.steps), start)
+        block = march.Block(max(self.steps // 8, 8), MOST_NODES)
+        spacing = march.Spacing(self.steps + 1, 1, block, march.Signals.TABLE)
+        carry, _ = march.begin(drive, start, spacing.signals, state[:, 0])
+        return march.march(drive, start, carry, spacing)
+
+
+class OfStructure(NamedTuple):
+    """By steps of constant modes."""
+
+    equation: StructureEquation
+    period: Scalar
+    steps: int
+    spacing: modes.Spacing
+
+    @property
+    def scale(self) -> Array:
+        return jnp.outer(jnp.stack([jnp.ones_like(self.period), self.equation.frequency]), self.equation.scale)
+
+    def resting(self) -> Array:
+        return self.equation.initial(jnp.zeros_like(self.period), "equilibrium")
+
+    def end(self, state: Array) -> Array:
+        return self._march(state, self.spacing).states[-1]
+
+    def course(self, state: Array) -> Course:
+        each = modes.Spacing(self.steps + 1, 1, 1, None)
+        return self._march(state, each)
+
+    def _march(self, state: Array, spacing: modes.Spacing) -> Course:
+        place, speed = state * self.scale
+        steps = Steps.of(self.equation, jnp.zeros_like(self.period), self.period / self.steps, spacing.each)
+        found = modes.march(steps, place, speed, spacing)
+        output = self.equation.scale[0]
+        return Course(found.states / self.scale[None], found.highest / output, found.lowest / output)
+
+
+def return_map(problem: Problem, cut: Cut) -> OfOutput | OfStructure:
+    """The map that suits a scene."""
+    scene, torque, period = problem
+    if cut.spacing is None:
+        return OfOutput(Equation.of(scene, torque), period, cut.steps)
+    return OfStructure(StructureEquation.of(scene, torque), period, cut.steps, cut.spacing)
+
+
+def eigenvalues(matrix: Float[Array, "state state"]) -> Array:
+    """Complex, shape (state,). Of two by two matrices in closed form, on any device."""
+    if len(matrix) > 2:
+        return jnp.linalg.eigvals(matrix)
+    half = 0.5 * (matrix[0, 0] + matrix[1, 1])
+    determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    square = half * half - determinant
+    real, imaginary = (jnp.sqrt(jnp.maximum(sign * square, 0.0)) for sign in (1.0, -1.0))
+    return jax.lax.complex(jnp.stack([half + real, half - real]), jnp.stack([imaginary, -imaginary]))
