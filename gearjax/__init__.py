@@ -62,6 +62,7 @@ from gearjax.registry import register
 from gearjax.results.profile import export_profile
 from gearjax.run import Published, Run
 from gearjax.scene import Scene
+from gearjax.shafts import Shaft
 from gearjax.studies import (
     Compensation,
     GridSearch,
@@ -175,6 +176,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Sensitivities",
+    "Shaft",
     "SinusoidalLoad",
     "Sizes",
     "SoftplusContact",

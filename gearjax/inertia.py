@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax import units
+from gearjax.checks import MISSING, ParameterError
 from gearjax.parameters import check_parameters, name, number
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -53,16 +54,30 @@ class MomentOfInertia(eqx.Module):
 
 
 class BodyInertia(eqx.Module):
-    """Inertia of one body that has a support, for the dynamic transmission error.
+    """Inertia of one body that moves on its own, for the dynamic transmission error.
 
     Args:
-        mass: [kg].
+        mass: of a body that moves along x, y or z [kg].
+        polar: about the axis that it turns about, of a body on a shaft that turns freely or twists, or with a support
+            in rz [kg m2].
+        transverse: about the axes across, of a body with a support in rx or ry [kg m2].
+
+    Raises:
+        ParameterError: none is given, or one is out of range.
     """
 
-    mass: Number = number(units.MASS, at_least=1e-9, at_most=1e9)
+    mass: Number | None = number(units.MASS, at_least=1e-9, at_most=1e9, default=None)
+    polar: Number | None = number(units.INERTIA, at_least=1e-15, at_most=1e9, default=None)
+    transverse: Number | None = number(units.INERTIA, at_least=1e-15, at_most=1e9, default=None)
 
     def __check_init__(self):
         check_parameters(self)
+        if self.mass is None and self.polar is None and self.transverse is None:
+            raise ParameterError("mass", MISSING, "polar or transverse must be given: what the body's motion needs")
+
+
+OF_WAY = {"x": "mass", "y": "mass", "z": "mass", "rx": "transverse", "ry": "transverse", "rz": "polar"}
+"""The inertia that a motion in each direction needs."""
 
 
 class DampingRatio(eqx.Module):
@@ -79,6 +94,6 @@ class DampingRatio(eqx.Module):
     def __check_init__(self):
         check_parameters(self)
 
-    def coefficient(self, stiffness: Float[Array, " pair"], mass: Scalar) -> Float[Array, " pair"]:
+    def coefficient(self, stiffness: Float[Array, " pair"], mass: Float[Array, "..."]) -> Float[Array, " pair"]:
         """Damping coefficient of each pair [N s/m]."""
         return self.ratio * jnp.sqrt(2.0 * stiffness * mass)

@@ -27,7 +27,7 @@ class Parameter:
 
     Args:
         dimension: its dimension, ``None`` for tooth numbers and names.
-        kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"`` or ``"name"``.
+        kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"``, ``"name"`` or ``"list"`` (of names).
         above, at_least, below, at_most: bounds, in SI.
         names: words that may stand in place of a number, or the words that a name may be.
         periodic: whether it is an angle whose full turns mean nothing.
@@ -173,6 +173,11 @@ def name(*, default: Any = dataclasses.MISSING, names: tuple[str, ...] = ()) -> 
     return _field(Parameter(None, "name", names=names), static=True, **keywords)
 
 
+def name_list(*, example: Any = None) -> Any:
+    """A list of words such as names of bodies, static."""
+    return _field(Parameter(None, "list", example=example), static=True, converter=tuple)
+
+
 def declared(part: Any) -> dict[str, Parameter]:
     """The declared parameters of a part (class or instance), by field name."""
     return {
@@ -202,6 +207,10 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
     if isinstance(value, str) and (parameter.names or parameter.words or parameter.kind == "name"):
         if parameter.names and value not in parameter.names:
             raise ParameterError(key, value, nearest(value, parameter.names))
+        return
+    if parameter.kind == "list":
+        if not value or not all(isinstance(word, str) for word in value):
+            raise ParameterError(key, list(value), "must be a list of names in quotes")
         return
     if not is_concrete(value):
         return

@@ -24,12 +24,14 @@ from gearjax.contact import (
     Request,
     Springs,
 )
+from gearjax.coordinates import Coordinates, check_offered
 from gearjax.errors import AbstractError
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
 from gearjax.parameters import Named, strong
 from gearjax.run import Run
-from gearjax.structure import Structure
+from gearjax.shafts import Shaft
+from gearjax.structure import Moving, Structure
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float, Scalar
@@ -51,7 +53,8 @@ class Scene(eqx.Module):
         contact: contact law.
         inertia, damping: for the dynamic transmission error.
         supports: of bodies that give way under the forces of the contacts, by body; others are held rigidly.
-        body_inertia: of bodies that have supports, by body, for the dynamic transmission error.
+        shafts: that bodies of a train turn together with, by name.
+        body_inertia: of bodies that move on their own, by body, for the dynamic transmission error.
         run: what the configuration asked for; not part of the physics.
 
     Raises:
@@ -70,6 +73,7 @@ class Scene(eqx.Module):
     inertia: EquivalentMass | MomentOfInertia | None = None
     damping: DampingRatio | None = None
     supports: Mapping[str, Support] = eqx.field(default_factory=dict)
+    shafts: Mapping[str, Shaft] = eqx.field(default_factory=dict)
     body_inertia: Mapping[str, BodyInertia] = eqx.field(default_factory=dict)
     run: Run | None = eqx.field(static=True, default=None)
 
@@ -78,6 +82,7 @@ class Scene(eqx.Module):
             is_path = isinstance(self.system, str | Path)
             words = "is a path: give gj.load(path)" if is_path else "must be a gear set, such as gj.TwoKV(...)"
             raise ParameterError("system", str(self.system) if is_path else self.system, words)
+        check_offered(self.system.kind, self.system.coordinates, self.supports, self.shafts)
         for key, error in self.errors.items():
             check_name("errors", key)
             if error.body not in self.system.bodies:
@@ -100,25 +105,37 @@ class Scene(eqx.Module):
                 f'{self.system.kind} does not offer: use "harmonic_stiffness"'
             )
 
-        _check_supports(self)
+        _check_moving(self)
         _check_coupled(self)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """What moves: the output, then the bodies that have supports, each in the directions that are listed."""
-        return ("output", *self._supported)
+        """What moves: the output, shafts that turn freely, then the bodies that have supports, each in the directions
+        that are listed, and what twists."""
+        return self.moving.coordinates.names
 
     @property
-    def _supported(self) -> tuple[str, ...]:
-        return tuple(f"{body}.{way}" for body, support in self.supports.items() for way in support.directions)
+    def output_alone(self) -> bool:
+        """Whether nothing but the output moves."""
+        return self.moving.coordinates.alone
+
+    @property
+    def is_train(self) -> bool:
+        """Whether motion is handed on from mesh to mesh, over shafts that turn freely."""
+        return self.moving.coordinates.free > 1
+
+    @property
+    def moving(self) -> Moving:
+        """What moves, and the supports and shafts that hold it."""
+        return Moving.of(self.system.meshes, self.supports, self.shafts)
 
     @property
     def structure(self) -> Structure:
         """Mass, stiffness and damping of its coordinates; of a scene that the dynamic TE suits (`require`)."""
         assert self.inertia is not None
         contacts = self.contacts(jnp.zeros_like(self.system.input_speed))
-        output = self.inertia.moment(contacts.lever[contacts.layout.flanks[0]])
-        return Structure.of(output, self.supports, self.body_inertia, self.system.orbits, self.system.input_speed)
+        output = self.inertia.moment(contacts.output_levers)
+        return Structure.of(output, self.moving, self.body_inertia, self.system.orbits, self.system.input_speed)
 
     @property
     def layout(self) -> Layout:
@@ -133,7 +150,7 @@ class Scene(eqx.Module):
     @property
     def springs_apart(self) -> bool:
         """Whether its springs are linear and one by one, and the output alone moves."""
-        return isinstance(self.compliance, AbstractCompliance) and not self.supports
+        return isinstance(self.compliance, AbstractCompliance) and self.output_alone
 
     @property
     def linear_compliance(self) -> AbstractCompliance:
@@ -158,6 +175,7 @@ class Scene(eqx.Module):
             unused["body_inertia"] = {}
         if not moving and not {"compliance", "supports"} & set(slots):  # without forces nothing gives way
             unused["supports"] = {}
+            unused["shafts"] = {name: shaft.rigid for name, shaft in self.shafts.items()}
         return jax.tree.map(strong, dataclasses.replace(self, **unused))
 
     def anchored(self) -> "Scene":
@@ -174,8 +192,13 @@ class Scene(eqx.Module):
             bodies=tuple(dict.fromkeys(error.body for error in self.errors.values())),
             mesh=stiffness == "varying" and not line,
             radii=stiffness != "rigid" and line,
-            coordinates=self._supported if stiffness != "rigid" else (),
+            coordinates=self._coordinates(stiffness).asked,
         )
+
+    def _coordinates(self, stiffness: Stiffness) -> Coordinates:
+        """What moves: without forces, what nothing holds."""
+        found = self.moving.coordinates
+        return found.rigid if stiffness == "rigid" else found
 
     def pose(self, theta: Scalar, stiffness: Stiffness = "rigid") -> Pose:
         """What the system shows at an input angle [rad]: all that does not depend on the errors' own numbers.
@@ -202,13 +225,28 @@ class Scene(eqx.Module):
             jacobian, gap = self._displaced(pose.theta, place)
         else:
             jacobian, gap = pose.jacobian, self._gaps(pose, layout)
-        if stiffness == "rigid" or not self.supports:
-            return ContactSet(jacobian[:, :1], gap, self._springs(pose, layout, stiffness), layout)
-        if jacobian.shape[1] == 1:  # of a pose that was asked for rigid contacts
-            request = Request(self.backlash is not None, coordinates=self._supported)
-            jacobian = self.system.pose(pose.theta, request).jacobian
-        listed = [getattr(support, way) for support in self.supports.values() for way in support.directions]
-        return ContactSet(jacobian, gap, self._springs(pose, layout, stiffness), layout, jnp.diag(jnp.stack(listed)))
+        coordinates = self._coordinates(stiffness)
+        jacobian = self._by_coordinates(jacobian, pose, coordinates)
+        held = len(coordinates.names) - coordinates.free
+        supports = self.moving.springs(jacobian.dtype)[-held:, -held:] if held else None
+        meshes = layout.mesh or (0,) * len(layout.side)
+        holds = tuple(coordinates.holds[mesh] for mesh in meshes) if coordinates.free > 1 else ()
+        return ContactSet(jacobian, gap, self._springs(pose, layout, stiffness), layout, supports, holds)
+
+    def _by_coordinates(
+        self, motions: Float[Array, "contact motion"], pose: Pose, coordinates: Coordinates
+    ) -> Float[Array, "contact coordinate"]:
+        """The Jacobian by coordinates, of that by motions of the output and the bodies."""
+        asked = len(coordinates.asked)
+        if motions.shape[1] > 1 + asked:  # of a pose that was asked for what gives way too
+            names = dict(zip(self.moving.coordinates.asked, range(1, motions.shape[1]), strict=True))
+            motions = motions[:, np.array([0, *(names[name] for name in coordinates.asked)])]
+        elif motions.shape[1] < 1 + asked:  # of a pose that was asked for rigid contacts
+            request = Request(self.backlash is not None, coordinates=coordinates.asked)
+            motions = self.system.pose(pose.theta, request).jacobian
+        spread = coordinates.spread
+        alike = spread.shape[0] == spread.shape[1] and (spread == np.eye(len(spread))).all()
+        return motions if alike else motions @ jnp.asarray(spread, motions.dtype)
 
     def _displaced(self, theta: Scalar, position: Scalar) -> tuple[Float[Array, "contact 1"], Float[Array, " contact"]]:
         """Contacts of the displaced bodies, in a straight line about a position of the output [rad]."""
@@ -273,23 +311,21 @@ def _check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
         raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
 
 
-def _check_supports(scene: Scene) -> None:
-    """Refuse supports that the gear set has no place for."""
-    offered = scene.system.coordinates
-    for body, support in scene.supports.items():
-        if not offered:
-            raise SceneError(f"[supports.{body}] is not for a {scene.system.kind}: its bodies have no coordinates")
-        if body not in offered:
-            raise ParameterError("supports", body, nearest(body, offered))
-        for way in support.directions:
-            if way not in offered[body]:
-                raise ParameterError(f"supports.{body}.{way}", getattr(support, way), nearest(way, offered[body]))
-    for body in scene.body_inertia:
-        if body not in scene.supports:
+def _check_moving(scene: Scene) -> None:
+    """Refuse supports, shafts and inertia that the gear set has no place for."""
+    system, coordinates = scene.system, scene.moving.coordinates
+    for body, inertia in scene.body_inertia.items():
+        needs = coordinates.needs(body)
+        if not needs:
             words = f"is for a body that gives way: list [supports.{body}], or leave out [inertia.{body}]"
             raise SceneError(f"[inertia.{body}] {words}")
-    if scene.supports and scene.system.exact:
+        for key in ("polar", "transverse"):
+            if getattr(inertia, key) is not None and key not in needs:
+                raise SceneError(f"[inertia.{body}] {key} is of a body that turns on its own, which {body} does not")
+    if system.exact and not coordinates.alone:
         raise SceneError('[supports] and clearance = "exact" do not go together yet: use clearance = "linear"')
+    if coordinates.free > 1 and scene.layout.sides_turn:
+        raise SceneError("shafts that turn freely are for contacts whose sides are known")
 
 
 def _check_coupled(scene: Scene) -> None:
@@ -333,9 +369,14 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         )
     if isinstance(scene.compliance, AbstractCoupledCompliance):
         raise SceneError(f'"{what}" needs springs one by one: {scene.compliance.kind} couples the contacts')
-    for body in scene.supports:
-        if body not in scene.body_inertia:
-            raise SceneError(f'"{what}" needs [inertia.{body}] with mass, which this scene does not list')
+    coordinates = scene.moving.coordinates
+    if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
+        raise SceneError(f'"{what}" is for one output that turns unevenly, without shafts or cranks before it')
+    for body in coordinates.bodies:
+        given = scene.body_inertia.get(body)
+        for key in coordinates.needs(body):
+            if given is None or getattr(given, key) is None:
+                raise SceneError(f'"{what}" needs [inertia.{body}] with {key}, which this scene does not list')
 
 
 def require_output_alone(scene: Scene, what: str) -> None:
@@ -344,5 +385,7 @@ def require_output_alone(scene: Scene, what: str) -> None:
     Raises:
         SceneError: naming the section to leave out.
     """
-    for body in scene.supports:
-        raise SceneError(f'"{what}" is for a scene whose output alone moves: leave out [supports.{body}]')
+    if scene.output_alone:
+        return
+    words = [f"[{slot}.{name}]" for slot in ("supports", "shafts") for name in getattr(scene, slot)]
+    raise SceneError(f'"{what}" is for a scene whose output alone moves: leave out {words[0]}')

@@ -2,8 +2,9 @@
 
     M q'' + C q' + K q + J^T f = Q(t)
 
-q counts from the ideal motion: the output's position first [rad], then displacements of bodies [m]. The moment of
-inertia of a scene whose output alone moves is the smallest case.
+q counts from the ideal motion: the output's position first [rad], then what else moves (`gearjax.coordinates`): shafts
+and bodies, displacements [m] and turns [rad]. The moment of inertia of a scene whose output alone moves is the smallest
+case.
 
 A body that a crank carries goes round with it. With the throw a, the crank's speed W and the turn i of the crank per
 turn of the output while the input is held, its centre is at ``(a + x) e_r + y e_t`` of axes that have turned by
@@ -18,14 +19,18 @@ with only the coordinates that are listed. The moment of inertia of the output h
 gives way, the orbits included, so that ``m (a i)^2`` is not added to it.
 """
 
+import itertools
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
-from gearjax.inertia import BodyInertia
-from gearjax.supports import Support
+from gearjax.coordinates import Coordinates, Meshes
+from gearjax.inertia import OF_WAY, BodyInertia
+from gearjax.shafts import Shaft
+from gearjax.supports import DIRECTIONS, Support
 from gearjax.typing import Array, Float, Number, Scalar
 
 
@@ -49,8 +54,8 @@ class Structure(eqx.Module):
     Args:
         names: of the coordinates, the output first.
         mass: shape (coordinate, coordinate) [kg m2, kg m, kg].
-        stiffness: of the supports, centrifugal forces included; same shape [N/m].
-        damping: of the supports, and Coriolis forces; same shape [N s/m].
+        stiffness: of supports and shafts, centrifugal forces included; same shape [N/m, N m/rad].
+        damping: of supports and shafts, and Coriolis forces; same shape [N s/m, N m s/rad].
         push: constant force that the ideal motion takes, shape (coordinate,) [N].
     """
 
@@ -64,40 +69,95 @@ class Structure(eqx.Module):
     def of(
         cls,
         output: Scalar,
-        supports: Mapping[str, Support],
+        moving: "Moving",
         inertia: Mapping[str, BodyInertia],
         orbits: Mapping[str, Orbit],
         speed: Scalar,
     ) -> "Structure":
-        """The structure of bodies on supports.
+        """The structure of bodies on supports and shafts.
 
         Args:
             output: moment of inertia that turns with the output [kg m2].
-            supports: of the bodies that move.
-            inertia: of the same bodies.
+            moving: what moves, and what holds it.
+            inertia: of the bodies that move.
             orbits: of those that a crank carries.
             speed: of the input [rad/s].
         """
-        names = ("output", *(f"{body}.{way}" for body, support in supports.items() for way in support.directions))
-        unit = jnp.eye(len(names), dtype=jnp.result_type(speed))
-        stiffness, damping, push = jnp.zeros_like(unit), jnp.zeros_like(unit), jnp.zeros_like(unit[0])
-        mass = output * jnp.outer(unit[0], unit[0])
-        for body, support in supports.items():
-            axes = {way: unit[names.index(f"{body}.{way}")] for way in support.directions}
+        dtype = jnp.result_type(speed)
+        names, along = moving.coordinates.names, moving.coordinates.along
+        stiffness, damping = moving.springs(dtype), moving.dampers(dtype)
+        unit = jnp.eye(len(names), dtype=dtype)
+        mass, push = output * jnp.outer(unit[0], unit[0]), jnp.zeros_like(unit[0])
+        for body, own in inertia.items():
+            orbit = orbits.get(body)
+            rows = {way: along(body, way) for way in DIRECTIONS}
+            axes = {way: jnp.asarray(row, dtype) for way, row in rows.items() if row is not None}
             for way, axis in axes.items():
-                along = jnp.outer(axis, axis)
-                stiffness = stiffness + getattr(support, way) * along
-                resistance = getattr(support, f"{way}_damping")
-                damping = damping if resistance is None else damping + resistance * along
-            weight, orbit = inertia[body].mass, orbits.get(body)
-            x, y = (axes.get(way, jnp.zeros_like(push)) for way in "xy")
+                if (size := getattr(own, OF_WAY[way])) is not None and (orbit is None or way not in "xy"):
+                    mass = mass + size * jnp.outer(axis, axis)
             if orbit is None:
-                mass = mass + weight * (jnp.outer(x, x) + jnp.outer(y, y))
                 continue
+            x, y = (axes.get(way, jnp.zeros_like(push)) for way in "xy")
             turning, arm = orbit.order * speed, orbit.throw * orbit.follows
-            around = y + arm * unit[0]
+            around, weight = y + arm * unit[0], own.mass
+            assert weight is not None  # a body that a crank carries moves in x or y
             mass = mass + weight * (jnp.outer(x, x) + jnp.outer(around, around) - arm**2 * jnp.outer(unit[0], unit[0]))
             damping = damping + 2 * weight * turning * (jnp.outer(around, x) - jnp.outer(x, around))
             stiffness = stiffness - weight * turning**2 * (jnp.outer(x, x) + jnp.outer(y, y))
             push = push + weight * orbit.throw * turning**2 * x
         return cls(names, mass, stiffness, damping, push)
+
+
+class Moving(NamedTuple):
+    """What moves in a scene, and what holds it.
+
+    Args:
+        coordinates: of the scene.
+        supports: by body.
+        shafts: by name.
+    """
+
+    coordinates: Coordinates
+    supports: Mapping[str, Support]
+    shafts: Mapping[str, Shaft]
+
+    @classmethod
+    def of(cls, meshes: Meshes, supports: Mapping[str, Support], shafts: Mapping[str, Shaft]) -> "Moving":
+        """What moves, as supports and shafts have it; raises as `Coordinates.of`."""
+        return cls(Coordinates.of(meshes, supports, shafts), supports, shafts)
+
+    def springs(self, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
+        """Stiffness of supports and shafts [N/m, N m/rad]; none of the output and of shafts that turn freely."""
+        return self._sum("", dtype)
+
+    def dampers(self, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
+        """Damping of the same [N s/m, N m s/rad]."""
+        return self._sum("_damping", dtype)
+
+    def _sum(self, kind: str, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
+        number = len(self.coordinates.names)
+        found = jnp.zeros((number, number), dtype)
+        for body, support in self.supports.items():
+            for way in support.directions:
+                found = _with(found, getattr(support, way + kind), self.coordinates.along(body, way))
+        for shaft in self.shafts.values():
+            for one, other in itertools.pairwise(shaft.bodies):
+                torsion, bending = (getattr(shaft, name + kind, None) for name in ("torsion", "bending"))
+                found = _with(found, torsion, self._apart(one, other, "rz"))
+                for way in "xy":
+                    found = _with(found, bending, self._apart(one, other, way))
+        return found
+
+    def _apart(self, one: str, other: str, way: str) -> np.ndarray | None:
+        """Motion of two bodies against each other, per coordinate; ``None`` where one does not move that way."""
+        ends = [self.coordinates.along(body, way) for body in (one, other)]
+        if way == "rz":  # of the input's shaft the first body does not turn
+            ends = [np.zeros(len(self.coordinates.names)) if end is None else end for end in ends]
+        return None if ends[0] is None or ends[1] is None else ends[0] - ends[1]
+
+
+def _with(matrix: Array, size: Number | None, along: np.ndarray | None) -> Array:
+    """A matrix and a spring or damper along a motion."""
+    if size is None or along is None:
+        return matrix
+    return matrix + size * jnp.asarray(np.outer(along, along), matrix.dtype)

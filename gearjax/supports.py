@@ -1,5 +1,7 @@
 """Supports of bodies: bearings that give way under the forces of the contacts."""
 
+from typing import Any
+
 import equinox as eqx
 
 from gearjax import units
@@ -7,31 +9,61 @@ from gearjax.checks import MISSING, ParameterError
 from gearjax.parameters import check_parameters, number
 from gearjax.typing import Number
 
-DIRECTIONS = ("x", "y")
+SHIFTS, TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
+DIRECTIONS = SHIFTS + TURNS
+
+
+def _stiffness() -> Any:
+    return number(units.STIFFNESS, at_least=1.0, at_most=1e18, default=None, example="2e8 N/m")
+
+
+def _damping() -> Any:
+    return number(units.DAMPING, at_least=0.0, at_most=1e12, default=None)
+
+
+def _turning() -> Any:
+    return number(units.TORSION, at_least=1e-3, at_most=1e18, default=None, example="1e7 N*m/rad")
+
+
+def _turning_damping() -> Any:
+    return number(units.TORSION_DAMPING, at_least=0.0, at_most=1e12, default=None)
 
 
 class Support(eqx.Module):
     """Support of one body. A direction that is not listed is rigid, and not computed.
 
+    The axes are those of the body's gear set: x along the throw of a crank that carries the body and y across it,
+    ahead; of wheels whose axes stand still as the gear set says. z is along the axis. Turns are about these axes, rz in
+    the direction that the body turns in.
+
     Args:
-        x: stiffness along the throw of the body's crank [N/m].
-        y: stiffness across it, ahead [N/m].
-        x_damping, y_damping: damping coefficient in that direction [N s/m]; undamped without.
+        x, y, z: stiffness along an axis [N/m].
+        rx, ry, rz: stiffness about an axis [N m/rad]; rz of a body that the input turns, held by its drive.
+        x_damping, y_damping, z_damping: damping coefficient in that direction [N s/m]; undamped without.
+        rx_damping, ry_damping, rz_damping: the same about an axis [N m s/rad].
 
     Raises:
         ParameterError: no direction is listed, or a stiffness is out of range.
     """
 
-    x: Number | None = number(units.STIFFNESS, at_least=1.0, at_most=1e18, default=None, example="2e8 N/m")
-    y: Number | None = number(units.STIFFNESS, at_least=1.0, at_most=1e18, default=None, example="2e8 N/m")
-
-    x_damping: Number | None = number(units.DAMPING, at_least=0.0, at_most=1e12, default=None)
-    y_damping: Number | None = number(units.DAMPING, at_least=0.0, at_most=1e12, default=None)
+    x: Number | None = _stiffness()
+    y: Number | None = _stiffness()
+    z: Number | None = _stiffness()
+    rx: Number | None = _turning()
+    ry: Number | None = _turning()
+    rz: Number | None = _turning()
+    x_damping: Number | None = _damping()
+    y_damping: Number | None = _damping()
+    z_damping: Number | None = _damping()
+    rx_damping: Number | None = _turning_damping()
+    ry_damping: Number | None = _turning_damping()
+    rz_damping: Number | None = _turning_damping()
 
     def __check_init__(self):
         check_parameters(self)
         if not self.directions:
-            raise ParameterError("x", MISSING, "or y must be given: the stiffness of the support in that direction")
+            words = "or another direction must be given: the stiffness of the support there"
+            raise ParameterError("x", MISSING, words)
         for way in DIRECTIONS:
             if getattr(self, way) is None and getattr(self, f"{way}_damping") is not None:
                 raise ParameterError(

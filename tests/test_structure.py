@@ -9,7 +9,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.checks import ParameterError, SceneError
-from gearjax.structure import Orbit, Structure
+from gearjax.structure import Moving, Orbit, Structure
 from tests.rv import system
 
 DIRECTIONS = [("xy", "xy"), ("y", "xy"), ("x", "y"), ("x", "x")]
@@ -42,9 +42,8 @@ def test_structure_is_lagranges_equations(directions):
     supports = {n: gj.Support(**dict.fromkeys(ways, 1e6)) for n, ways in zip("ab", directions, strict=True)}
     masses = {"a": 0.7, "b": 1.1}
     speed, output = 200.0, 0.04
-    found = Structure.of(
-        jnp.asarray(output), supports, {n: gj.BodyInertia(m) for n, m in masses.items()}, orbits, jnp.asarray(speed)
-    )
+    inertia = {n: gj.BodyInertia(m) for n, m in masses.items()}
+    found = Structure.of(jnp.asarray(output), Moving.of((), supports, {}), inertia, orbits, jnp.asarray(speed))
     bodies = {name: (masses[name], supports[name]) for name in masses}
 
     def residual(q, v, a):
@@ -68,7 +67,8 @@ def test_structure_is_lagranges_equations(directions):
 
 def test_dampers_of_supports():
     support = gj.Support(x=1e8, y=2e8, x_damping=300.0)
-    found = Structure.of(jnp.asarray(1.0), {"a": support}, {"a": gj.BodyInertia(2.0)}, {}, jnp.asarray(50.0))
+    moving = Moving.of((), {"a": support}, {})
+    found = Structure.of(jnp.asarray(1.0), moving, {"a": gj.BodyInertia(2.0)}, {}, jnp.asarray(50.0))
     np.testing.assert_allclose(found.damping, np.diag([0.0, 300.0, 0.0]))
     np.testing.assert_allclose(found.mass, np.diag([1.0, 2.0, 2.0]))
     np.testing.assert_allclose(found.stiffness, np.diag([0.0, 1e8, 2e8]))

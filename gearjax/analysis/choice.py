@@ -80,7 +80,7 @@ def known_limits(physics: Scene) -> Limits | None:
 @eqx.filter_jit
 def limits_of(physics: Scene) -> Limits:
     nothing = jnp.zeros((), physics.dtype)
-    if physics.supports:  # what windows forget is not known: none
+    if not physics.output_alone:  # what windows forget is not known: none
         equation = StructureEquation.of(physics, nothing)
         return Limits(equation.fastest_rate(modes=True), nothing, equation.scale[0], equation.fastest_rate())
     equation = Equation.of(physics, nothing)
@@ -109,7 +109,7 @@ def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
 def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
     """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly."""
     decay = float(limits.decay)
-    if decay <= 0 or (scene.load is not None and scene.load.alternates):
+    if decay <= 0 or not scene.system.turns_evenly or (scene.load is not None and scene.load.alternates):
         return None
     warm_up = FORGOTTEN / decay
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
@@ -142,7 +142,7 @@ def method_of(
             "ts is not evenly spaced, as the exponentially fitted steps need: give "
             "stepper=FixedStep(step=..., solver=RungeKutta4())"
         )
-    if scene.supports:
+    if not scene.output_alone:
         if stepper.windows is not None:
             raise SceneError("windows are for a scene whose output alone moves: give FixedStep(...) without")
         return Modes(Spacing.of(ts.shape[0], steps, phase_of(scene, ts, steps), ts.dtype))

@@ -1,8 +1,9 @@
 """The equation of motion of the output on its contacts, and its rates.
 
-    M q'' + sum_i J_i (k_i(t) penetration(overlap_i) + c_i overlap_i') = -T(t)
+    M q'' + sum_i J_i (k_i(t) penetration(overlap_i) + c_i overlap_i') = -T(t) - M phi''
 
-(consistent form of Wang et al. 2020, eq. 19; the printed one has wrong signs). Position is scaled by `LENGTH_SCALE` on
+(consistent form of Wang et al. 2020, eq. 19; the printed one has wrong signs). phi is the ideal output angle: where it
+turns evenly, nothing is left of it. Position is scaled by `LENGTH_SCALE` on
 the line of action, time by the highest natural frequency.
 """
 
@@ -12,8 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.analysis.tables import depends
 from gearjax.contact import ContactSet, Layout, LinearSprings, Pose, equilibrium
+from gearjax.dependence import depends
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -55,6 +56,7 @@ class Equation(eqx.Module):
         inertia: moment of inertia on the output's axis; constant, as a body's is, where levers turn too [kg m2].
         mass: the same on the line of action, that the damping counts with [kg].
         levers_turn: whether the levers change over time.
+        turns_evenly: whether the ideal output does.
         layout: sides and pairs of the contacts.
     """
 
@@ -65,6 +67,7 @@ class Equation(eqx.Module):
     inertia: Scalar
     mass: Scalar
     levers_turn: bool = eqx.field(static=True)
+    turns_evenly: bool = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
 
     @classmethod
@@ -79,13 +82,23 @@ class Equation(eqx.Module):
         frequency = jnp.sqrt(stiffness / inertia)
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
-        return cls(scene, torque, frequency, scale, inertia, mass, turn, contacts.layout)
+        numbers = frequency, scale, inertia, mass
+        return cls(scene, torque, *numbers, turn, scene.system.turns_evenly, contacts.layout)
+
+    @property
+    def load_varies(self) -> bool:
+        """Whether the load changes over time."""
+        assert self.scene.load is not None
+        return self.scene.load.alternates or not self.turns_evenly
 
     def load(self, time: Scalar) -> Scalar:
-        """Load torque [N m]."""
+        """Load torque, and what the ideal output takes to accelerate [N m]."""
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
-        return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+        torque = self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+        if self.turns_evenly:
+            return torque
+        return torque + self.inertia * self.scene.system.output_acceleration(time)
 
     def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Levers and stiffness of the contacts at a time [s]."""

@@ -54,9 +54,11 @@ def harmonic_balance(
     problem = Problem.of(scene, torque, period)
     if guess is not None:
         names, shape = problem.scene.coordinates, jnp.shape(guess)
-        wanted = (*shape[:1], len(names)) if problem.scene.supports else shape[:1]
+        wanted = shape[:1] if problem.scene.output_alone else (*shape[:1], len(names))
         if not shape or shape != wanted:
-            words = f"(n, {len(names)}), {', '.join(names)}" if problem.scene.supports else "(n,), transmission error"
+            words = (
+                "(n,), transmission error" if problem.scene.output_alone else f"(n, {len(names)}), {', '.join(names)}"
+            )
             raise ParameterError("guess", shape, f"is a shape: give {words} over the period")
         guess = jnp.asarray(guess, scene.dtype).reshape(shape[0], -1)
     return _harmonic_balance(problem, harmonics, samples, guess, max_steps)
@@ -96,7 +98,7 @@ class Series(NamedTuple):
 
 
 def _equation(problem: Problem) -> Equation | StructureEquation:
-    of = StructureEquation if problem.scene.supports else Equation
+    of = Equation if problem.scene.output_alone else StructureEquation
     return of.of(problem.scene, problem.torque)
 
 
@@ -133,7 +135,7 @@ def _harmonic_balance(problem: Problem, harmonics: int, samples: int, guess: Arr
     rest = jnp.abs(left(numbers, problem)).max() / jnp.abs(numbers).max()
     place, speed = (part * scale for part in series.motion(numbers, period)[:2])
     unknown = jnp.full((2 * place.shape[1],), jnp.nan, period.dtype)
-    state, supported = jnp.stack([place[0], speed[0]]), bool(problem.scene.supports)
+    state, supported = jnp.stack([place[0], speed[0]]), not problem.scene.output_alone
     return Periodic(
         series.places * period,
         place[:, 0],

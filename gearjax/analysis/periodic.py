@@ -100,7 +100,9 @@ def shooting(
     problem = Problem.of(scene, torque, period)
     if guess is not None:
         names = problem.scene.coordinates
-        wanted, words = ((2, len(names)), ", ".join(names)) if problem.scene.supports else ((2,), "transmission error")
+        wanted, words = (
+            ((2,), "transmission error") if problem.scene.output_alone else ((2, len(names)), ", ".join(names))
+        )
         if jnp.shape(guess) != wanted:
             raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {wanted}, {words} and the rate of each")
         guess = jnp.asarray(guess, scene.dtype).reshape(2, -1)
@@ -126,7 +128,7 @@ def _shooting(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_
     frozen = jax.lax.stop_gradient(state)
     slope = jax.jacfwd(lambda flat: motion.end(flat.reshape(state.shape)).ravel())(frozen.ravel())
     states = found.states[:-1] * motion.scale[None]
-    supported = bool(problem.scene.supports)
+    supported = not problem.scene.output_alone
     return Periodic(
         problem.period / cut.steps * jnp.arange(cut.steps).astype(state.dtype),
         states[:, 0, 0],
@@ -188,7 +190,7 @@ def speed_sweep(
     torque = jnp.asarray(torque, scene.dtype)
     cut = Cut.of(_at_speed(physics, torque, turns, speeds[0]), steps)
     found = _speed_sweep(physics, torque, speeds, periods, cut, turns)
-    return found if scene.supports else dataclasses.replace(found, ends=found.ends[..., 0])
+    return dataclasses.replace(found, ends=found.ends[..., 0]) if scene.output_alone else found
 
 
 def _at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Problem:

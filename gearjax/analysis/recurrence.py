@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from gearjax.analysis.tables import depends
+from gearjax.dependence import depends
 from gearjax.typing import Array
 
 ALIASED = 2048  # bytes; beginnings of vectors a multiple of it apart fight for the same places of a cache

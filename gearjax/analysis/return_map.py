@@ -51,7 +51,7 @@ class Cut(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, steps: int) -> "Cut":
         """The cheapest cut."""
-        if not problem.scene.supports:
+        if problem.scene.output_alone:
             return cls(steps, None)
         ends = np.array([0.0, float(problem.period)]) if is_concrete(problem.period) else None
         phase = None if ends is None else phase_of(problem.scene, ends, steps)

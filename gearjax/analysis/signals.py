@@ -18,6 +18,7 @@ from jax.custom_derivatives import SymbolicZero
 from gearjax.analysis import tables
 from gearjax.analysis.equation import Moment
 from gearjax.analysis.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
+from gearjax.dependence import depends
 from gearjax.typing import Array, Float, Scalar
 
 COARSE, EXACT = 20, 1e-14  # nodes that cover several blocks, and their accuracy: to rounding
@@ -59,7 +60,7 @@ class Drive(eqx.Module):
     @classmethod
     def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
         """The signals of an oscillator; the time [s] is that of any sample."""
-        changing = tuple(tables.depends(oscillator.slow_at, time))
+        changing = tuple(depends(oscillator.slow_at, time))
         return cls(oscillator, Harmonics.of(oscillator.equation), oscillator.slow_at(time), changing)
 
     def columns(self, moment: Moment) -> tuple[Scalar, ...]:
@@ -87,9 +88,7 @@ class Drive(eqx.Module):
 
     def loads(self, time: Scalar, steps: int) -> Array:
         """Load of every step of a block [N m]; one number where it does not alternate."""
-        load = self.oscillator.equation.scene.load
-        assert load is not None
-        if not load.alternates:
+        if not self.oscillator.equation.load_varies:
             return self.oscillator.equation.load(time)
         return jax.vmap(lambda step: self.oscillator.equation.load(time + step * self.oscillator.step))(
             jnp.arange(steps).astype(time.dtype)

@@ -5,12 +5,9 @@ rate of the signal.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
-from jax.extend.core import Literal
 
 MOST_NODES = 24
 
@@ -38,13 +35,3 @@ def weights(steps: int, number: int, at: np.ndarray) -> np.ndarray:
     found = barycentric / np.where(met, 1.0, away)
     found /= found.sum(axis=1, keepdims=True)
     return np.where(np.any(met, axis=1, keepdims=True), met, found)
-
-
-def depends(function: Callable[[Any], Any], argument: Any) -> list[bool]:
-    """Which results of a function, the leaves of a tree, depend on its argument, from its program."""
-    program = jax.make_jaxpr(function)(argument).jaxpr
-    touched = set(program.invars)
-    for equation in program.eqns:
-        if any(not isinstance(atom, Literal) and atom in touched for atom in equation.invars):
-            touched |= set(equation.outvars)
-    return [not isinstance(atom, Literal) and atom in touched for atom in program.outvars]

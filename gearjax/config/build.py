@@ -19,6 +19,7 @@ from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.scene import Scene
+from gearjax.shafts import Shaft
 from gearjax.supports import Support
 
 _LARGEST_FILE = 1_000_000  # bytes
@@ -35,6 +36,7 @@ _SECTIONS = (
     "inertia",
     "damping",
     "supports",
+    "shafts",
     "load",
     "contact",
     "run",
@@ -148,7 +150,11 @@ def _scene(tables: dict[str, Any]) -> Scene:
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):
         if section in tables:
             parts[section] = _part(section, tables[section], part)
-    for section, slot, part in (("supports", "supports", Support), ("inertia", "body_inertia", BodyInertia)):
+    for section, slot, part in (
+        ("supports", "supports", Support),
+        ("shafts", "shafts", Shaft),
+        ("inertia", "body_inertia", BodyInertia),
+    ):
         parts[slot] = {
             name: _part(f"{section}.{name}", table, part)
             for name, table in _tables(section, tables | of_bodies).items()
@@ -251,6 +257,10 @@ def _value(key: str, given: Any, parameter: Parameter) -> Any:
     if parameter.kind == "name":
         if not isinstance(given, str):
             raise ParameterError(key, given, "must be a name in quotes")
+        return given
+    if parameter.kind == "list":
+        if not isinstance(given, list) or not all(isinstance(word, str) for word in given):
+            raise ParameterError(key, given, 'must be a list of names such as ["wheel_1", "pinion_2"]')
         return given
     if parameter.kind == "count":
         if isinstance(given, bool) or not isinstance(given, int):

@@ -24,7 +24,7 @@ from gearjax.config.tolerance import (
     Assembly,
     ToleranceSection,
 )
-from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.inertia import OF_WAY, BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
@@ -270,8 +270,9 @@ def _supports(text: str, scene: Scene) -> str:
         return ""
     body = next(iter(offered))
     keys = [key for way in offered[body] for key in (way, f"{way}_damping")]
+    inertia = dict.fromkeys(OF_WAY[way] for way in offered[body])
     section, says = "", [f"Supports, [supports.BODY] each, and the inertia of the same bodies: {', '.join(offered)}."]
-    for slot, part, names in (("supports", Support, keys), ("inertia", BodyInertia, declared(BodyInertia))):
+    for slot, part, names in (("supports", Support, keys), ("inertia", BodyInertia, inertia)):
         known = declared(part)
         section += f"[{slot}.{body}]\n" + "".join(f"{name} = {example(known[name])}\n" for name in names)
         words = {name: limits(known[name]) for name in names}

@@ -71,6 +71,8 @@ def in_words(parameter: Parameter) -> str:
     quoted = [f'"{name}"' for name in parameter.names]
     if parameter.kind == "count":
         return "a whole number"
+    if parameter.kind == "list":
+        return "a list of names"
     if parameter.kind == "name":
         return " or ".join(quoted) or "a name in quotes"
     assert parameter.dimension is not None

@@ -1,8 +1,9 @@
 """Equilibrium of contacts whose springs are coupled by a matrix: teeth of one body, slices of one tooth face.
 
-A force on one contact moves the others too. Forces ``f`` and the position ``q`` of the output solve
+A force on one contact moves the others too. Forces ``f`` and the position ``q`` of the output, in a train of the shafts
+too that turn freely, solve
 
-    S f + gap - J q = y >= 0,   f >= 0,   f y = 0,   J f = Q
+    S f + gap - J q = y >= 0,   f >= 0,   f y = 0,   J^T f = Q
 
 with the influence matrix ``S`` [m/N], symmetric and positive definite. What is searched for is the set of contacts that
 carry: each step solves the linear problem of one set exactly, and the signs of its forces and openings tell the next
@@ -17,6 +18,8 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from gearjax.contact.contacts import ContactSet
+from gearjax.contact.train import closed_first
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 MOST_STEPS = 100
@@ -44,11 +47,48 @@ def coupled_balance(
         Position [rad], forces [N], and 0 for found, 1 where no contact can carry the load, 2 where the matrix is not
         positive definite or the search did not end; nan with 1 and 2. Differentiable in all arguments, to any order.
     """
-    frozen = jax.lax.stop_gradient((influence, lever, gap, load))
-    edge, apart, able = _from_first_touch(*frozen[1:])
-    closed, ended = _carrying(frozen[0], frozen[1], apart, frozen[3])
+    frozen_lever, frozen_gap, frozen_load = jax.lax.stop_gradient((lever, gap, load))
+    edge, apart, able = _from_first_touch(frozen_lever, frozen_gap, frozen_load)
+    loaded = _loaded(frozen_lever, frozen_load)
+    place, forces, result = _balanced(influence, lever[:, None], gap, load[None], edge[None], apart, loaded, able)
+    return place[0], forces, result
+
+
+def coupled_train(
+    influence: Float[Array, "contact contact"], contacts: ContactSet, load: Scalar
+) -> tuple[Float[Array, " free"], Float[Array, " contact"], Int[Array, ""]]:
+    """The same of a train: positions of the output and of shafts that turn freely [rad], forces, and a result code.
+
+    Args:
+        influence: as for `coupled_balance`.
+        contacts: their Jacobian and gaps count, with supports in the influence.
+        load: generalised force on the output [N m].
+    """
+    frozen, weight = jax.lax.stop_gradient((contacts, load))
+    edge, apart = closed_first(frozen, weight)
+    loaded = frozen.loaded(weight)
+    able = jnp.stack([loaded[own].any() for _, own in frozen.stages]).all()
+    levers, loads = contacts.jacobian[:, : contacts.free], jnp.zeros_like(edge).at[0].set(load)
+    return _balanced(influence, levers, contacts.gap, loads, edge, apart, loaded, able)
+
+
+def _balanced(
+    influence: Array, levers: Array, gap: Array, load: Array, edge: Array, apart: Array, loaded: Array, able: Array
+) -> tuple[Float[Array, " free"], Float[Array, " contact"], Int[Array, ""]]:
+    """Positions, forces and result code.
+
+    Args:
+        influence, gap: as for `coupled_balance`.
+        levers: of the coordinates that only contacts hold, shape (contact, free) [m/rad].
+        load: on them, shape (free,) [N m].
+        edge, apart: where the load closes the first contact of each, shape (free,), and the gaps counted from there.
+        loaded: contacts that hold against the load.
+        able: whether all of these coordinates are held.
+    """
+    frozen = jax.lax.stop_gradient((influence, levers, load))
+    closed, ended = _carrying(frozen[0], frozen[1], apart, frozen[2], loaded)
     result = jnp.where(~able, 1, jnp.where(ended, 0, 2))
-    position, forces = _solved(influence, lever, gap - lever * edge, load, closed)
+    position, forces = _solved(influence, levers, gap - levers @ edge, load, closed)
     good = result == 0
     return jnp.where(good, edge + position, jnp.nan), jnp.where(good, forces, jnp.nan), result
 
@@ -73,20 +113,21 @@ def _loaded(lever: Float[Array, " contact"], load: Scalar) -> Bool[Array, " cont
 
 def _carrying(
     influence: Float[Array, "contact contact"],
-    lever: Float[Array, " contact"],
+    levers: Float[Array, "contact free"],
     gap: Float[Array, " contact"],
-    load: Scalar,
+    load: Float[Array, " free"],
+    loaded: Bool[Array, " contact"],
 ) -> tuple[Bool[Array, " contact"], Bool[Array, ""]]:
     """The set of contacts that carry, and whether it was found."""
-    size, loaded = lever.shape[0], _loaded(lever, load)
+    size = levers.shape[0]
     rounding = jnp.finfo(gap.dtype).eps * CLOSED
     inverse = solve_triangular(jnp.linalg.cholesky(influence), jnp.eye(size, dtype=gap.dtype), lower=True)
     # what is left of the matrix without this much of its diagonal is positive definite still
     own = 0.5 / (inverse * inverse).sum()
 
     def newton(closed: Array) -> tuple[Array, Array, Array]:
-        position, forces = _solved(influence, lever, gap, load, closed)
-        return position, forces, lever * position - gap - influence @ forces
+        position, forces = _solved(influence, levers, gap, load, closed)
+        return position, forces, levers @ position - gap - influence @ forces
 
     def unfinished(state: tuple) -> Array:
         *_, done, step = state
@@ -95,7 +136,7 @@ def _carrying(
     def advance(state: tuple) -> tuple:
         closed, position, forces, overlap, _, step = state
         ended, pressed, beyond = newton(closed)
-        reach = rounding * (jnp.abs(influence) @ jnp.abs(pressed) + jnp.abs(gap) + jnp.abs(lever * ended))
+        reach = rounding * (jnp.abs(influence) @ jnp.abs(pressed) + jnp.abs(gap) + jnp.abs(levers @ ended))
         right = jnp.where(closed, pressed >= 0, beyond <= reach).all()
         target = jnp.where(closed, own * pressed, beyond)  # of the springs of the diagonal part
         turn, push, close = ended - position, pressed - forces, target - overlap
@@ -103,7 +144,7 @@ def _carrying(
 
         def slope(share: Array) -> Array:
             pressing = jnp.maximum(overlap + share * close, 0.0)
-            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - load * turn
+            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - load @ turn
 
         def halve(_, ends: tuple) -> tuple:
             low, high = ends
@@ -111,14 +152,15 @@ def _carrying(
             falls = slope(middle) < 0
             return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
 
-        zero, one = jnp.zeros_like(load), jnp.ones_like(load)
+        zero, one = jnp.zeros((), gap.dtype), jnp.ones((), gap.dtype)
         best = jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1]
         share = jnp.where((step < PLAIN_STEPS) | (slope(one) <= 0), one, best)
         position, forces, overlap = position + share * turn, forces + share * push, overlap + share * close
         # a whole step leaves contacts out that overlap by rounding alone: they would come and go
         chosen = jnp.where(share == 1, jnp.where(closed, pressed > 0, beyond > reach), overlap > 0)
-        # something has to carry the load: else the first contact of its side
-        chosen = jnp.where((chosen & loaded).any(), chosen, chosen | (loaded & (gap == 0)))
+        # something has to hold each coordinate: else the first contact of its side
+        held = ((chosen & loaded)[:, None] & (levers != 0)).any(axis=0)
+        chosen = chosen | (loaded & (gap == 0) & ((levers != 0) & ~held[None]).any(axis=1))
         return jnp.where(right, closed, chosen), position, forces, overlap, right, step + 1
 
     begun = newton(loaded)
@@ -129,12 +171,12 @@ def _carrying(
 
 def _solved(
     influence: Float[Array, "contact contact"],
-    lever: Float[Array, " contact"],
+    levers: Float[Array, "contact free"],
     gap: Float[Array, " contact"],
-    load: Scalar,
+    load: Float[Array, " free"],
     closed: Bool[Array, " contact"],
-) -> tuple[Scalar, Float[Array, " contact"]]:
-    """Position and forces with a given set of closed contacts, differentiable in the others."""
+) -> tuple[Float[Array, " free"], Float[Array, " contact"]]:
+    """Positions and forces with a given set of closed contacts, differentiable in the others."""
     both = closed[:, None] & closed[None, :]
     matrix = jnp.where(both, influence, jnp.eye(closed.shape[0], dtype=influence.dtype))
     factor = cho_factor(jax.lax.stop_gradient(matrix), lower=True)
@@ -144,9 +186,13 @@ def _solved(
             lambda x: matrix @ x, right, lambda _, b: cho_solve(factor, b), symmetric=True
         )
 
-    arms = jnp.where(closed, lever, 0.0)
-    per_turn, at_rest = over(arms), over(jnp.where(closed, gap, 0.0))
-    steepness = arms @ per_turn
-    safe = jnp.where(steepness > 0, steepness, 1.0)
-    position = jnp.where(steepness > 0, (load + arms @ at_rest) / safe, 0.0)
-    return position, jnp.where(closed, per_turn * position - at_rest, 0.0)
+    arms = jnp.where(closed[:, None], levers, 0.0)
+    per_turn = jnp.stack([over(arms[:, column]) for column in range(len(load))], axis=1)
+    at_rest = over(jnp.where(closed, gap, 0.0))
+    steepness, pull = arms.T @ per_turn, load + arms.T @ at_rest
+    held = jnp.diagonal(steepness) > 0
+    safe = steepness + jnp.diag(jnp.where(held, 0.0, 1.0))
+    # one number is divided by: a factorisation of it would be a routine of its own
+    position = pull / safe[0] if len(load) == 1 else jnp.linalg.solve(safe, pull)
+    position = jnp.where(held, position, 0.0)
+    return position, jnp.where(closed, per_turn @ position - at_rest, 0.0)

@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.contact.contacts import ContactSet
-from gearjax.contact.coupled import coupled_balance
+from gearjax.contact.coupled import coupled_balance, coupled_train
 from gearjax.contact.laws import AbstractContact, HardContact
 from gearjax.contact.search import search
 from gearjax.contact.springs import CoupledSprings, LinearSprings
 from gearjax.contact.supported import moved_by, supported, with_supports
+from gearjax.contact.train import closed_first, touching
 from gearjax.typing import Array, Float, Int, Scalar
 
 MAX_SMOOTH_PAIRS = 5  # the smooth equilibrium looks at every subset of each flank
@@ -34,23 +35,28 @@ class Equilibrium(eqx.Module):
         position: displacement of the output from its ideal position [rad], nan where there is none.
         forces: compression of each contact, shape (contact,) [N].
         result: 0 found; 1 no flank can carry the torque; 3 the search did not end.
-        moved: displacements of the bodies that have supports, shape (support,) [m]; ``None`` without supports.
+        moved: displacements in the coordinates after the output's, shape (coordinate,) [m, rad]; ``None`` where the
+            output alone moves.
     """
 
     position: Scalar
     forces: Float[Array, " contact"]
     result: Int[Array, ""]
-    moved: Float[Array, " support"] | None = None
+    moved: Float[Array, " coordinate"] | None = None
 
 
 def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, Scalar | None]:
     """Edges of the play: output positions [rad] at which the first driving and the first back flank touch.
 
     Lower edge ``max_i(gap_i / J_i)`` over driving contacts (Wang et al. 2020, eq. 8), upper edge
-    ``min_i(gap_i / J_i)`` over back contacts (eq. 9), ``None`` without back flanks.
+    ``min_i(gap_i / J_i)`` over back contacts (eq. 9), ``None`` without back flanks. In a train motion is handed on from
+    mesh to mesh (`touching`).
     """
-    scale = _scale(contacts)
     layout = contacts.layout
+    if contacts.free > 1:
+        ends = [touching(contacts, law, side)[0] for side in ((1, -1) if layout.has_back else (1,))]
+        return ends[0], ends[1] if layout.has_back else None
+    scale = _scale(contacts)
     if layout.sides_turn:
         sides = (facing(contacts.lever, contacts.gap, sign, 1 / scale) for sign in (1.0, -1.0))
         lower, upper = (law.maximum(side * scale) / scale for side in sides)
@@ -100,21 +106,26 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
         raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
     if isinstance(springs, CoupledSprings):
         return _coupled(contacts, springs, load)
-    if contacts.supports is None and not contacts.layout.sides_turn and isinstance(springs, LinearSprings):
+    alone = contacts.jacobian.shape[1] == 1
+    if alone and not contacts.layout.sides_turn and isinstance(springs, LinearSprings):
         if isinstance(law, HardContact):
             return _hard(contacts, springs.stiffness, load)
         return _smooth(contacts, springs.stiffness, load, law)
     edge, counted = _from_first_touch(contacts, load)
-    if contacts.supports is None:
+    if alone:
         position, forces, found = search(counted, load, law)
-        return Equilibrium(edge + position, forces, jnp.where(found, 0, 1))
+        return Equilibrium(edge[0] + position, forces, jnp.where(found, 0, 1))
     place, forces, result = supported(counted, load, law)
-    return Equilibrium(edge + place[0], forces, result, place[1:])
+    place = place.at[: contacts.free].add(edge)
+    return Equilibrium(place[0], forces, result, place[1:])
 
 
-def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Scalar, ContactSet]:
-    """Where a load closes the first contact [rad], and the contacts counted from there, so that the forces of a tiny
-    torque are not lost in rounding."""
+def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Float[Array, " free"], ContactSet]:
+    """Where a load closes the first contact, of each mesh in a train [rad], and the contacts counted from there, so
+    that the forces of a tiny torque are not lost in rounding."""
+    if contacts.free > 1:
+        place, apart = closed_first(contacts, load)
+        return place, eqx.tree_at(lambda c: c.gap, contacts, apart)
     lever = contacts.jacobian[:, 0]
     side = jnp.where(load > 0, -1.0, 1.0).astype(contacts.gap.dtype)
     touch = facing(lever, contacts.gap, side, 1 / jnp.mean(jnp.abs(lever)))
@@ -122,15 +133,20 @@ def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Scalar, Conta
     edge = side * touch[first]
     apart = contacts.gap - lever * edge
     apart = jnp.where((jnp.arange(touch.shape[0]) == first) & (jnp.abs(edge) < FAR), 0.0, apart)
-    return edge, eqx.tree_at(lambda c: c.gap, contacts, apart)
+    return edge[None], eqx.tree_at(lambda c: c.gap, contacts, apart)
 
 
 def _coupled(contacts: ContactSet, springs: CoupledSprings, load: Scalar) -> Equilibrium:
     """Springs coupled by a matrix, which what the supports give way by adds to."""
     influence = with_supports(contacts, springs.influence)
-    position, forces, code = coupled_balance(influence, contacts.jacobian[:, 0], contacts.gap, load)
-    moved = None if contacts.supports is None else moved_by(contacts, forces)
-    return Equilibrium(position, forces, jnp.where(code == 2, 3, code), moved)
+    if contacts.free == 1:
+        position, forces, code = coupled_balance(influence, contacts.jacobian[:, 0], contacts.gap, load)
+        place = position[None]
+    else:
+        place, forces, code = coupled_train(influence, contacts, load)
+    moved = [place[1:]] if contacts.supports is None else [place[1:], moved_by(contacts, forces)]
+    moved = None if contacts.jacobian.shape[1] == 1 else jnp.concatenate(moved)
+    return Equilibrium(place[0], forces, jnp.where(code == 2, 3, code), moved)
 
 
 def _scale(contacts: ContactSet) -> Scalar:

@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.contact.contacts import ContactSet
+from gearjax.contact.laws import HardContact
+from gearjax.contact.train import touching
 from gearjax.typing import Array, Int, Scalar
 
 MOST_STEPS = 60
@@ -32,8 +34,19 @@ def least_overlap(contacts: ContactSet) -> Overlap:
     It is the smallest elastic approach that the contacts need to make room for each other, and does not grow without
     bound where a lever vanishes, as the positions do at which such a contact touches. The deepest overlap is a convex
     function of the position, made of straight lines: the lowest crossing of a falling and a rising line is found by
-    crossing the steepest ones, and then each time the line that lies highest there.
+    crossing the steepest ones, and then each time the line that lies highest there. In a train each mesh is looked at
+    by itself, as the shaft behind it turns freely; the worst one is told, the output where its driving flanks touch.
     """
+    if contacts.free == 1:
+        return _of_one_mesh(contacts)
+    each = [(own, _of_one_mesh(contacts.alone(column, own))) for column, own in contacts.stages]
+    worst = jnp.argmax(jnp.stack([found.overlap for _, found in each]))
+    overlaps = jnp.stack([found.overlap for _, found in each])
+    names = jnp.stack([jnp.asarray(own)[found.contact] for own, found in each])
+    return Overlap(overlaps[worst], names[worst], touching(contacts, HardContact(), 1)[0])
+
+
+def _of_one_mesh(contacts: ContactSet) -> Overlap:
     frozen = jax.lax.stop_gradient(contacts)
     lever, gap = frozen.lever, frozen.gap
 

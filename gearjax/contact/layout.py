@@ -22,6 +22,7 @@ class Layout:
             flank, 0 where the sign of its lever tells, for all contacts or for none.
         pair: of each contact, the pair of teeth whose flank it is, counted from 0: its flanks share one stiffness and
             one damper. Every pair has as many contacts as any other.
+        mesh: of each contact, the mesh of a train that it is in, counted from the input; all in one without.
 
     Raises:
         ValueError: sides and pairs of contacts that cannot be.
@@ -29,10 +30,13 @@ class Layout:
 
     side: tuple[int, ...]
     pair: tuple[int, ...]
+    mesh: tuple[int, ...] = ()
 
     def __post_init__(self):
         if len(self.side) != len(self.pair) or not self.side:
             raise ValueError(f"{len(self.side)} sides and {len(self.pair)} pairs: give one of each per contact")
+        if self.mesh and len(self.mesh) != len(self.side):
+            raise ValueError(f"{len(self.side)} sides and {len(self.mesh)} meshes: give one of each per contact")
         if not (set(self.side) == {0} or set(self.side) <= {1, -1}):
             raise ValueError(f"sides are 1 (driving) or -1 (back), or 0 for all, not {sorted(set(self.side))}")
         counts = np.bincount(self.pair)
@@ -99,7 +103,7 @@ class Layout:
     def on_first(self, of_pairs: Array) -> Array:
         """Numbers of each pair at its first contact, zero at its others, along the first and only axis."""
         first = self.flanks[0]
-        if first == slice(0, self.teeth):  # a margin, where a scatter would be a loop
+        if isinstance(first, slice) and first == slice(0, self.teeth):  # a margin, where a scatter would be a loop
             return jnp.pad(of_pairs, (0, len(self.side) - self.teeth))
         return jnp.zeros((len(self.side),), of_pairs.dtype).at[first].set(of_pairs)
 

@@ -1,13 +1,13 @@
 """Equilibrium of contacts between bodies that give way at their supports: several coordinates at once.
 
-The output's position and the displacements ``q`` of the bodies solve
+The positions of the output and of shafts that turn freely, and the displacements of the bodies, together ``q``, solve
 
     K q + J^T f(J q - gap) = Q
 
-with the stiffness ``K`` of the supports, none for the output. The left side is the slope of a convex function, the
-energy of the supports and the springs: Newton's method on it, going no further than it falls, ends at its only minimum.
-Memory grows with the number of contacts. Where springs are coupled by a matrix, what the supports give way by is a part
-of it instead: ``S + J_s K_s^-1 J_s^T``.
+with the stiffness ``K`` of supports and shafts, none for what only contacts hold. The left side is the slope of a
+convex function, the energy of the supports and the springs: Newton's method on it, going no further than it falls, ends
+at its only minimum. Memory grows with the number of contacts. Where springs are coupled by a matrix, what the supports
+give way by is a part of it instead: ``S + J_s K_s^-1 J_s^T``.
 
 The search does not take part in derivatives: more steps of Newton's method from its end carry them (`last_steps`).
 """
@@ -24,6 +24,7 @@ from gearjax.typing import Array, Float, Int, Scalar
 MOST_STEPS = 100
 HALVINGS = 50  # of the length of a step
 ENOUGH = 0.5  # of the slope along a step, that is left at its end where the whole step is taken
+ROUNDING = 4.0  # spacings of the numbers that are added up
 SLIGHTLY = 1e-9  # of all loaded contacts, that count in a step: without any the output would not be held
 
 
@@ -31,14 +32,14 @@ def with_supports(contacts: ContactSet, influence: Float[Array, "contact contact
     """What forces on the contacts make them approach, supports included [m/N]."""
     if contacts.supports is None:
         return influence
-    moving = contacts.jacobian[:, 1:]
+    moving = contacts.jacobian[:, contacts.free :]
     return influence + moving @ cho_solve(cho_factor(contacts.supports, lower=True), moving.T)
 
 
 def moved_by(contacts: ContactSet, forces: Float[Array, " contact"]) -> Float[Array, " support"]:
     """Displacements of the bodies under forces of the contacts [m]."""
     assert contacts.supports is not None
-    return -cho_solve(cho_factor(contacts.supports, lower=True), contacts.jacobian[:, 1:].T @ forces)
+    return -cho_solve(cho_factor(contacts.supports, lower=True), contacts.jacobian[:, contacts.free :].T @ forces)
 
 
 def supported(
@@ -47,21 +48,20 @@ def supported(
     """Displacements where the contacts and supports balance a load, the forces, and a result code.
 
     Args:
-        contacts: with supports, and springs one by one; their gaps count from where the load closes the first contact,
-            and so does the output's position.
+        contacts: with springs one by one; their gaps count from where the load closes the first contact of each mesh,
+            and so do the positions of the output and of shafts that turn freely.
         load: generalised force on the output [N m].
         law: contact law.
 
     Returns:
-        Displacements, the output's first [rad], then those of the bodies [m]; forces [N]; 0 for found, 1 where no
+        Displacements in all coordinates, the output's first [rad, m]; forces [N]; 0 for found, 1 where no
         contact can carry the load, 3 where the search did not end; nan and zeros with 1 and 3.
     """
     frozen, weight = jax.lax.stop_gradient((contacts, load))
     unloaded = weight == 0
     weight = jnp.where(unloaded, -1.0, weight)
-    lever = frozen.jacobian[:, 0]
-    loaded = jnp.where(weight > 0, lever > 0, lever < 0)
-    able = loaded.any()
+    loaded = frozen.loaded(weight)
+    able = jnp.stack([loaded[own].any() for _, own in frozen.stages]).all()
     typical = jnp.full_like(frozen.gap, TYPICAL)
     stiffness = jax.jvp(spring_forces(frozen, law), (typical,), (jnp.ones_like(typical),))[1]
     whole = _bending(frozen, jnp.where(loaded, stiffness, 0.0))
@@ -108,10 +108,19 @@ def _search(
         far = slope(one) > ENOUGH * jnp.abs(way @ excess)
         share = jax.lax.cond(far, lambda: jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1], lambda: one)
         small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
-        return place + share * way, small, step + 1
+        return place + share * way, small | _balanced(contacts, load, law, place, excess), step + 1
 
     place, done, _ = jax.lax.while_loop(unfinished, advance, (start, ~jnp.isfinite(start).all(), 0))
     return place, done & jnp.isfinite(place).all()
+
+
+def _balanced(contacts: ContactSet, load: Scalar, law: AbstractContact, place: Array, excess: Array) -> Array:
+    """Whether what is left is no more than rounding, which very stiff shafts beside soft bearings bring about."""
+    forces = jnp.abs(spring_forces(contacts, law)(contacts.jacobian @ place - contacts.gap))
+    size = (jnp.abs(contacts.jacobian).T @ forces).at[0].add(jnp.abs(load))
+    if contacts.supports is not None:
+        size = size.at[contacts.free :].add(jnp.abs(contacts.supports) @ jnp.abs(place[contacts.free :]))
+    return (jnp.abs(excess) <= ROUNDING * jnp.finfo(excess.dtype).eps * size).all()
 
 
 def _excess(
@@ -121,15 +130,19 @@ def _excess(
     overlap = contacts.jacobian @ place - contacts.gap
     forces, stiffness = jax.jvp(spring_forces(contacts, law), (overlap,), (jnp.ones_like(overlap),))
     carried = contacts.jacobian.T @ forces
-    assert contacts.supports is not None
-    return jnp.concatenate([carried[:1] - load, carried[1:] + contacts.supports @ place[1:]]), stiffness
+    if contacts.supports is None:
+        return carried.at[0].add(-load), stiffness
+    free = contacts.free
+    held = carried[free:] + contacts.supports @ place[free:]
+    return jnp.concatenate([carried[:1] - load, carried[1:free], held]), stiffness
 
 
 def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float[Array, "coordinate coordinate"]:
     """Slope of `_excess` along the coordinates."""
     found = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
-    assert contacts.supports is not None
-    return found.at[1:, 1:].add(contacts.supports)
+    if contacts.supports is None:
+        return found
+    return found.at[contacts.free :, contacts.free :].add(contacts.supports)
 
 
 def _solve(matrix: Array, right: Array, scale: Array) -> Array:

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gearjax.analysis import Motion, TransmissionError
+from gearjax.coordinates import unit_of
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import stage_figure
 from gearjax.results import Case, order_lines, required_run
@@ -70,19 +71,26 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
 
 
 def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
-    """Displacement of each body on its support over time, one row per loaded case; ``None`` without supports."""
+    """What moves besides the output over time, displacements and turns apart, one row per loaded case and kind of them;
+    ``None`` where nothing does."""
     shown = [
         (case, case.result)
         for case in cases
         if isinstance(case.result, TransmissionError | Motion) and case.result.moved is not None
     ]
-    if not shown:
+    rows = []
+    for case, result in shown:
+        curves = list(zip(result.coordinates[1:], np.asarray(result.moved).T, strict=True))
+        for unit, label, size in (("m", "displacement [um]", um), ("rad", "turn [arcmin]", arcmin)):
+            own = [(name, moved / size) for name, moved in curves if unit_of(name) == unit]
+            rows += [(case, label, own)] if own else []
+    if not rows:
         return None
-    figure, axes = new_figure(len(shown), height=2.6)
-    for ax, (case, result) in zip(axes, shown, strict=True):
-        for name, moved in zip(result.coordinates[1:], np.asarray(result.moved).T, strict=True):
-            ax.plot(*thin(required_run(scene).times, moved / um), label=name, linewidth=1.0)
-        finish(ax, f"Bodies on their supports, {case.title}", y="displacement [um]")
+    figure, axes = new_figure(len(rows), height=2.6)
+    for ax, (case, label, curves) in zip(axes, rows, strict=True):
+        for name, moved in curves:
+            ax.plot(*thin(required_run(scene).times, moved), label=name, linewidth=1.0)
+        finish(ax, f"What moves besides the output, {case.title}", y=label)
     return figure
 
 

@@ -26,6 +26,7 @@ from gearjax.analysis.dynamics import growth_rate
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError
+from gearjax.coordinates import unit_of
 from gearjax.files import write_file
 from gearjax.results.profile import FORMATS, export_profile
 from gearjax.run import METRICS, Published, Run
@@ -235,9 +236,12 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
             label = {"units": "N", "long_name": f"contact forces, {case.title}, driving flanks first"}
             variables[f"{name}_force"] = (("time", "contact"), np.asarray(forces), label)
         if isinstance(case.result, TransmissionError | Motion) and case.result.moved is not None:
-            label = {"units": "m", "long_name": f"displacements of bodies on their supports, {case.title}"}
+            moving = case.result.coordinates[1:]
+            units = [unit_of(coordinate) for coordinate in moving]
+            label = {"units": ", ".join(sorted(set(units))), "long_name": f"what else moves, {case.title}"}
             variables[f"{name}_moved"] = (("time", "coordinate"), np.asarray(case.result.moved), label)
-            coordinates["coordinate"] = ("coordinate", list(case.result.coordinates[1:]), {})
+            coordinates["coordinate"] = ("coordinate", list(moving), {})
+            coordinates["coordinate_unit"] = ("coordinate", units, {})
         if isinstance(case.result, Backlash):
             for edge in ("lower", "upper"):
                 label = {"units": "rad", "long_name": f"{edge} edge of the backlash"}

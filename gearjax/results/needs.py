@@ -177,7 +177,7 @@ def _kinds(section: ToleranceSection) -> set[str]:
         return found | {"other"}
     linear = all(m.analysis != "static" for m in still) or scene.springs_apart
     if not scene.layout.sides_turn:
-        return found | {"quick" if linear else "other"}
+        return found | {"quick" if linear and not scene.is_train else "other"}
     return found | {"balances" if linear and _places(section) is not None else "other"}
 
 

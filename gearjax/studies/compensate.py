@@ -291,7 +291,7 @@ class _Task(eqx.Module):
 
         def at(angle: Scalar) -> tuple[Array, Array]:
             contacts = scene.contacts(angle)
-            size = jnp.abs(contacts.lever)
+            size = jnp.abs(contacts.own_levers)
             return jnp.where(size < SHORT_LEVER * size.mean(), contacts.gap, CLEAR), size.mean()
 
         gaps, levers = jax.vmap(at)(self.theta)

@@ -292,7 +292,7 @@ class Objective(eqx.Module):
             scene: the scene.
             temperature: smoothing of the largest values [rad].
         """
-        lever = jnp.abs(scene.contacts(self.theta[0]).lever).mean()
+        lever = jnp.abs(scene.contacts(self.theta[0]).output_levers).mean()
         width = jnp.maximum(WIDTH * temperature * jax.lax.stop_gradient(lever), 1e-15)
         soft = dataclasses.replace(scene, contact=QuadraticContact(width))
         return self._of_samples(soft, lambda values: temperature * jax.nn.logsumexp(values / temperature))

@@ -17,7 +17,7 @@ from gearjax.typing import Array, Float
 
 Where = str | Sequence[str] | Callable[[Scene], Any]
 Bounds = Mapping[str, tuple[float, float]]
-PARTS = ("system", "errors", "backlash", "compliance", "supports", "inertia", "damping", "load", "contact")
+PARTS = ("system", "errors", "backlash", "compliance", "supports", "shafts", "inertia", "damping", "load", "contact")
 OF_BODIES = {"inertia": "body_inertia"}  # where numbers of single bodies are, [inertia.BODY]
 _PROBE = 1e-6  # stands for a zero beside a free number when its influence is tried [SI]
 

@@ -49,10 +49,10 @@ class Tables(NamedTuple):
 
 def is_separable(scene: Scene, free: Free) -> bool:
     """Whether every free number belongs to an error of its own, and the same contacts drive at all times: which of
-    contacts whose levers tell their side do changes with the input angle."""
+    contacts whose levers tell their side do changes with the input angle, and a train's touch as its shafts turn."""
     owners = [tuple(path.split(".")[:2]) for path in free.paths]
     apart = all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
-    return apart and not scene.layout.sides_turn
+    return apart and not scene.layout.sides_turn and not scene.is_train
 
 
 @eqx.filter_jit

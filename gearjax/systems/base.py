@@ -5,8 +5,11 @@ from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from gearjax.contact import Layout, Moved, Movements, Pose, Request
+from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
 from gearjax.structure import Orbit
 from gearjax.typing import Array, Float, Scalar
@@ -42,8 +45,15 @@ class AbstractSystem(eqx.Module):
 
     @property
     def coordinates(self) -> Mapping[str, tuple[str, ...]]:
-        """Bodies that may have supports, with the directions of each: ``x`` along its crank's throw, ``y`` across."""
+        """Bodies that may have supports or be on shafts, with the directions of each: ``x`` along its crank's throw,
+        ``y`` across, ``z`` along the axis, turns about them ``rx``, ``ry`` and ``rz``, ahead as the body turns."""
         return {}
+
+    @property
+    def meshes(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of each mesh, the driving one first, from the input's to the output's: of gear sets whose bodies may
+        be on shafts. The first one turns with the input, the last one with the output."""
+        return ()
 
     @property
     def orbits(self) -> Mapping[str, Orbit]:
@@ -59,6 +69,24 @@ class AbstractSystem(eqx.Module):
     def fastest_order(self) -> float:
         """Turns per turn of the input of what the curves follow fastest; the mesh counts where its teeth are errors."""
         return max((order for name, order in self.orders.items() if name != "mesh"), default=1.0)
+
+    def output(self, theta: Scalar) -> Scalar:
+        """Ideal output angle at an input angle [rad]; of gears that are not circular it does not go in proportion."""
+        return self.orders["output"] * theta
+
+    @property
+    def turns_evenly(self) -> bool:
+        """Whether the ideal output turns in proportion to the input: else its inertia loads the teeth."""
+        still = jnp.zeros_like(self.input_speed)
+        return not depends(lambda theta: jax.jvp(self.output, (theta,), (jnp.ones_like(theta),))[1], still)[0]
+
+    def output_acceleration(self, time: Scalar) -> Scalar:
+        """Acceleration of the ideal output at a time [s], the input turning evenly [rad/s2]."""
+
+        def rate(time: Scalar) -> Scalar:
+            return jax.jvp(lambda at: self.output(self.input_speed * at), (time,), (jnp.ones_like(time),))[1]
+
+        return jax.jvp(rate, (time,), (jnp.ones_like(time),))[1]
 
     def choices(self) -> Mapping[str, "AbstractSystem"]:
         """The same gear set by each choice of how exactly its geometry is followed, the most exact one last; empty

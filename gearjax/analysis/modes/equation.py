@@ -1,6 +1,6 @@
 """The equation of motion of bodies on supports, in all their coordinates, and its rates.
 
-    M q'' + C q' + K q + J^T f = Q(t),     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
+    M q'' + C q' + K q + J^T f = Q(t) - M r phi'',     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
 
 with a damper per pair along its first flank, ``c overlap'``. Coordinates are scaled by `LENGTH_SCALE` on the line of
 action, time by the highest natural frequency, as in `gearjax.analysis.equation`, which is the case of one coordinate.
@@ -11,14 +11,15 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from gearjax.analysis.equation import LENGTH_SCALE, turning_rate
-from gearjax.analysis.tables import depends
 from gearjax.contact import ContactSet, Layout, LinearSprings, equilibrium
+from gearjax.dependence import depends
 from gearjax.scene import Scene
 from gearjax.structure import Structure
-from gearjax.typing import Array, Float, Int, Scalar
+from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 
 class Excitation(NamedTuple):
@@ -48,11 +49,14 @@ class StructureEquation(eqx.Module):
         torque: size of the load [N m].
         structure: masses, supports.
         jacobian: of the contacts at the start, shape (contact, coordinate) [m/rad, -].
+        free: how many coordinates, the first ones, nothing but contacts holds.
+        holds: of each contact the one that it holds, as in a `ContactSet`.
         coefficient: of the damper of each pair [N s/m]; ``None`` without.
         scale: each coordinate per scaled one, shape (coordinate,) [rad, m].
         frequency: highest natural frequency with all contacts closed [rad/s]; scales time.
         contact_rate: fastest rate that forces of the contacts make by themselves, the bodies free [rad/s].
         levers_turn: whether the Jacobian changes over time.
+        turns_evenly: whether the ideal output does.
         layout: sides and pairs of the contacts.
     """
 
@@ -66,6 +70,9 @@ class StructureEquation(eqx.Module):
     contact_rate: Scalar
     levers_turn: bool = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
+    turns_evenly: bool = eqx.field(static=True)
+    free: int = eqx.field(static=True)
+    holds: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "StructureEquation":
@@ -73,14 +80,20 @@ class StructureEquation(eqx.Module):
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
         structure, layout = scene.structure, scene.layout
-        jacobian = scene.contacts(start, "varying").jacobian
+        contacts = scene.contacts(start, "varying")
+        jacobian = contacts.jacobian
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time, "varying").jacobian, start)
         coefficient = None
         if scene.damping is not None:
-            mass = scene.inertia.at_contacts(jacobian[layout.flanks[0], 0])
+            free = contacts.free  # as if nothing gave way, so that stiff supports tend to none
+            mass = _at_pairs(jacobian[layout.flanks[0], :free], structure.mass[:free, :free])
+            if contacts.free == 1:
+                mass = scene.inertia.at_contacts(contacts.output_levers)
             coefficient = scene.damping.coefficient(scene.linear_compliance.mean_stiffness(layout.teeth), mass)
-        of_output = LENGTH_SCALE / jnp.mean(jnp.abs(jacobian[:, 0]))
-        scale = jnp.full_like(structure.push, LENGTH_SCALE).at[0].set(of_output)
+        reach = jnp.abs(jacobian).max(axis=0)
+        arms = jnp.where(np.array(scene.moving.coordinates.turns) & (reach > 0), reach, 1.0)
+        arms = arms.at[0].set(jnp.mean(jnp.abs(contacts.output_levers)))
+        scale = LENGTH_SCALE / arms
         first = jacobian[layout.flanks[0]]
         teeth = scene.linear_compliance.peak_stiffness() * first.T @ first
         moving = jnp.abs(jnp.diagonal(structure.stiffness))
@@ -89,7 +102,11 @@ class StructureEquation(eqx.Module):
         if coefficient is not None:
             drag = _fastest(structure.mass, first.T @ (coefficient[:, None] * first)) ** 2
             contact = jnp.maximum(contact, drag)
-        return cls(scene, torque, structure, jacobian, coefficient, scale, whole, contact, turn, layout)
+        rates = whole, contact, turn
+        return cls(
+            *(scene, torque, structure, jacobian, coefficient, scale, *rates, layout),
+            *(scene.system.turns_evenly, contacts.free, contacts.holds),
+        )
 
     @property
     def pushed(self) -> bool:
@@ -98,10 +115,13 @@ class StructureEquation(eqx.Module):
         return any("x" in support.directions for body, support in supports.items() if body in orbits)
 
     def load(self, time: Scalar) -> Scalar:
-        """Load torque [N m]."""
+        """Load torque, and what the ideal output takes to accelerate [N m]."""
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
-        return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+        torque = self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+        if self.turns_evenly:
+            return torque
+        return torque + self.structure.mass[0, 0] * self.scene.system.output_acceleration(time)
 
     def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
         """Contacts and load at a time [s]; rates where dampers count them or ``moving`` asks for them."""
@@ -193,6 +213,12 @@ class StructureEquation(eqx.Module):
         now = self.excitation(time)
         return now.stiffness * self.scene.contact.penetration(now.jacobian @ place - now.gap)
 
+    def loaded(self, jacobian: Array, load: Scalar) -> Bool[Array, " contact"]:
+        """Contacts that hold against a load torque [N m]."""
+        supports = None if self.free == jacobian.shape[1] else self.structure.stiffness[self.free :, self.free :]
+        none = jnp.zeros(jacobian.shape[0], jacobian.dtype)
+        return ContactSet(jacobian, none, None, self.layout, supports, self.holds).loaded(-load)
+
     def carriers(self, time: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry the torque at a time [s]."""
         return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.load(time))
@@ -202,12 +228,15 @@ class StructureEquation(eqx.Module):
     ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
         """Static equilibrium [rad, m], and the forces of the contacts [N]: centrifugal forces included, nan where there
         is none."""
-        supports, push = self.structure.stiffness[1:, 1:], self.structure.push[1:]
-        pushed = cho_solve(cho_factor(supports, lower=True), push)
-        contacts = ContactSet(jacobian, gap - jacobian[:, 1:] @ pushed, LinearSprings(stiffness), self.layout, supports)
+        free, supports, springs = self.free, None, LinearSprings(stiffness)
+        pushed = self.structure.push
+        if free < len(pushed):
+            supports = self.structure.stiffness[free:, free:]
+            pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
+        contacts = ContactSet(jacobian, gap - jacobian @ pushed, springs, self.layout, supports, self.holds)
         found = equilibrium(contacts, -load, self.scene.contact)
         assert found.moved is not None
-        place = jnp.concatenate([found.position[None], found.moved + pushed])
+        place = jnp.concatenate([found.position[None], found.moved]) + pushed
         return jnp.where(found.result == 0, place, jnp.nan), found.forces
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2 coordinate"]:
@@ -238,6 +267,11 @@ class StructureEquation(eqx.Module):
             turning_rate(scene),
         ]
         return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+
+def _at_pairs(first: Float[Array, "pair coordinate"], mass: Array) -> Float[Array, " pair"]:
+    """What moves with each pair, the others open, as a mass on its line of action [kg]."""
+    return 1 / (first.T * jnp.linalg.solve(mass, first.T)).sum(axis=0)
 
 
 def _fastest(mass: Array, stiffness: Array) -> Scalar:

@@ -41,7 +41,7 @@ class Lines(eqx.Module):
         if equation.layout.sides_turn:
             carries = equation.resting(jacobian, now.gap, now.stiffness, now.load)[1] > 0
         else:
-            carries = (jacobian[:, 0] < 0) == (now.load >= 0)
+            carries = equation.loaded(jacobian, now.load)
         held = jnp.where(carries, mean, 0.0)
         if not apart:
             unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None

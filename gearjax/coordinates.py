@@ -1,0 +1,223 @@
+"""What moves in a scene: the output, shafts that turn freely between two meshes, what supports and shafts hold.
+
+The motions of the bodies are sums of coordinates: a body on a shaft turns with the shaft, and by its own twist against
+the body that the shaft's turn is told of, where the shaft has a torsional stiffness.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from gearjax.checks import ParameterError, SceneError, check_name, nearest
+from gearjax.inertia import OF_WAY
+from gearjax.shafts import Shaft
+from gearjax.supports import TURNS, Support
+
+Meshes = tuple[tuple[str, str], ...]
+"""Bodies of each mesh, the one that drives first, from the input on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Coordinates:
+    """Coordinates of a scene, and the motions of its bodies by them. It has no numbers: it decides what a program is.
+
+    Args:
+        names: the output, then shafts that turn freely from the input on, then what supports and shafts hold.
+        free: how many of them nothing but contacts holds.
+        turns: of each whether it is an angle.
+        motions: motions of bodies that the gear set is asked for, such as ``disc_1.x``, each with the coordinates that
+            add up to it.
+        rotations: of the bodies of a train, each with the coordinates that add up to its turn.
+        holds: of each mesh the free coordinate that its driven body turns with.
+    """
+
+    names: tuple[str, ...]
+    free: int
+    turns: tuple[bool, ...]
+    motions: tuple[tuple[str, tuple[int, ...]], ...]
+    rotations: tuple[tuple[str, tuple[int, ...]], ...]
+    holds: tuple[int, ...]
+
+    @classmethod
+    def of(cls, meshes: Meshes, supports: Mapping[str, Support], shafts: Mapping[str, Shaft]) -> "Coordinates":
+        """Coordinates of a scene.
+
+        Raises:
+            SceneError: bodies of a train are on no shaft, or a shaft turns freely that no mesh drives.
+            ParameterError: a shaft has a body that is in no mesh, or that another one has.
+        """
+        # a program sees dictionaries in the order of their keys
+        supports, shafts = dict(sorted(supports.items())), dict(sorted(shafts.items()))
+        _check_shafts(meshes, shafts)
+        ends = (meshes[0][0], meshes[-1][1]) if meshes else ("", "")
+        for body, support in supports.items():
+            if meshes and body != ends[0] and support.rz is not None:
+                words = f"is for {ends[0]}, whose turn the input holds: what else turns, contacts and shafts hold"
+                raise ParameterError(f"supports.{body}.rz", float(support.rz), words)
+        own = {name: shaft for name, shaft in shafts.items() if not set(ends) & set(shaft.bodies)}
+        driven = {name: [mesh for mesh, (_, body) in enumerate(meshes) if body in own[name].bodies] for name in own}
+        for name in own:
+            if not driven[name]:
+                raise SceneError(f"[shafts.{name}] turns freely: no mesh drives one of its bodies")
+        loose = sorted(own, key=lambda name: driven[name][0])
+        held = [f"{body}.{way}" for body, support in supports.items() for way in support.directions]
+        twists = [
+            f"{body}.twist" for shaft in shafts.values() if shaft.torsion is not None for body in _others(shaft, ends)
+        ]
+        names = ("output", *loose, *held, *twists)
+        turns = tuple(unit_of(name) == "rad" for name in names)
+        base = {ends[0]: (names.index(f"{ends[0]}.rz"),) if f"{ends[0]}.rz" in names else (), ends[1]: (0,)}
+        rotations = dict(base) if meshes else {}
+        for name, shaft in shafts.items():
+            turn = (names.index(name),) if name in own else base[_first(shaft, ends)]
+            for body in shaft.bodies:
+                rotations[body] = turn + ((names.index(f"{body}.twist"),) if f"{body}.twist" in names else ())
+        motions = [(name, (names.index(name),)) for name in held if name != f"{ends[0]}.rz"]
+        motions += [(f"{body}.rz", turn) for body, turn in rotations.items() if turn and body != ends[1]]
+        holds = _holds(meshes, rotations, 1 + len(loose))
+        return cls(names, 1 + len(loose), turns, tuple(motions), tuple(rotations.items()), holds)
+
+    @property
+    def alone(self) -> bool:
+        """Whether the output alone moves."""
+        return len(self.names) == 1
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Motions that the gear set is asked for."""
+        return tuple(name for name, _ in self.motions)
+
+    @property
+    def rigid(self) -> "Coordinates":
+        """What still moves where nothing gives way: the output, and shafts that turn freely."""
+
+        def kept(motions: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+            left = [(name, tuple(place for place in places if place < self.free)) for name, places in motions]
+            return tuple((name, places) for name, places in left if places)
+
+        names, turns = self.names[: self.free], self.turns[: self.free]
+        return Coordinates(names, self.free, turns, kept(self.motions), kept(self.rotations), self.holds)
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Motions of the output and of the bodies per coordinate, shape (1 + motion, coordinate)."""
+        return np.stack([self._row(places) for places in ((0,), *(places for _, places in self.motions))])
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Bodies whose inertia counts by itself, in their order."""
+        moving = dict.fromkeys(name.rpartition(".")[0] for name, _ in (*self.motions, *self._rotations))
+        return tuple(body for body in moving if self.needs(body))
+
+    def needs(self, body: str) -> tuple[str, ...]:
+        """Inertia that a body needs: mass, polar, transverse. What turns with the output alone is counted there."""
+        ways = [
+            name.rpartition(".")[2]
+            for name, places in dict((*self.motions, *self._rotations)).items()
+            if name.rpartition(".")[0] == body and places not in ((), (0,))
+        ]
+        return tuple(dict.fromkeys(OF_WAY[way] for way in ways))
+
+    @property
+    def _rotations(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        return tuple((f"{body}.rz", places) for body, places in self.rotations)
+
+    def along(self, body: str, way: str) -> np.ndarray | None:
+        """Motion of a body per coordinate, shape (coordinate,); ``None`` where it is rigid."""
+        places = dict((*self.motions, *self._rotations)).get(f"{body}.{way}")
+        return self._row(places) if places else None
+
+    def _row(self, places: tuple[int, ...]) -> np.ndarray:
+        found = np.zeros(len(self.names))
+        found[list(places)] = 1.0
+        return found
+
+
+def unit_of(coordinate: str) -> str:
+    """Unit of a coordinate by its name: turns of the output, of shafts and of bodies in rad, displacements in m."""
+    _, dot, way = coordinate.rpartition(".")
+    return "rad" if not dot or way in (*TURNS, "twist") else "m"
+
+
+def check_offered(
+    kind: str, offered: Mapping[str, tuple[str, ...]], supports: Mapping[str, Support], shafts: Mapping[str, Shaft]
+) -> None:
+    """Refuse supports and shafts that a gear set has no place for.
+
+    Args:
+        kind: of the gear set.
+        offered: directions that its bodies can move in.
+        supports, shafts: what is asked for.
+
+    Raises:
+        SceneError: the gear set's bodies do not move.
+        ParameterError: no such body, or it does not move in a direction.
+    """
+    for slot, name in (*(("supports", name) for name in supports), *(("shafts", name) for name in shafts)):
+        if not offered:
+            raise SceneError(f"[{slot}.{name}] is not for a {kind}: its bodies have no coordinates")
+    for body, support in supports.items():
+        if body not in offered:
+            raise ParameterError("supports", body, nearest(body, offered))
+        for way in support.directions:
+            if way not in offered[body]:
+                raise ParameterError(f"supports.{body}.{way}", getattr(support, way), nearest(way, offered[body]))
+    for name, shaft in shafts.items():
+        check_name("shafts", name)
+        if name == "output":
+            raise ParameterError("shafts", name, "is what the output's own turn is called: give another name")
+        turning = [body for body, ways in offered.items() if "rz" in ways]
+        if not turning:
+            raise SceneError(f"[shafts.{name}] is not for a {kind}: its bodies are on no shafts")
+        for body in shaft.bodies:
+            if body not in turning:
+                raise ParameterError(f"shafts.{name}.bodies", body, nearest(body, turning))
+
+
+def _others(shaft: Shaft, ends: tuple[str, str]) -> list[str]:
+    """Bodies of a shaft but the one that its turn is told of."""
+    return [body for body in shaft.bodies if body != _first(shaft, ends)]
+
+
+def _first(shaft: Shaft, ends: tuple[str, str]) -> str:
+    """The body that the turn of a shaft is told of: that of the input or the output, else its first."""
+    return next((body for body in shaft.bodies if body in ends), shaft.bodies[0])
+
+
+def _check_shafts(meshes: Meshes, shafts: Mapping[str, Shaft]) -> None:
+    """Refuse shafts that cannot be, and trains without the shafts they need."""
+    bodies = tuple(dict.fromkeys(body for mesh in meshes for body in mesh))
+    places = [(body, name) for name, shaft in shafts.items() for body in shaft.bodies]
+    for body, name in places:
+        if not meshes:
+            raise SceneError(f"[shafts.{name}] is for a train of wheels: leave it out")
+        if body not in bodies:
+            raise ParameterError(f"shafts.{name}.bodies", body, nearest(body, bodies))
+        for other in (other for at, other in places if at == body and other != name):
+            raise ParameterError(f"shafts.{name}.bodies", body, f"is on [shafts.{other}] already")
+    on = {body for body, _ in places}
+    for body in bodies:
+        if body not in (*on, meshes[0][0], meshes[-1][1]):
+            words = f'list [shafts.NAME] with bodies = ["{body}", ...]'
+            raise SceneError(f"{body} turns with another body of the train: {words}")
+    for name, shaft in shafts.items():
+        if meshes and {meshes[0][0], meshes[-1][1]} <= set(shaft.bodies):
+            raise SceneError(f"[shafts.{name}] joins the input to the output: nothing is left to move")
+
+
+def _holds(meshes: Meshes, rotations: Mapping[str, tuple[int, ...]], free: int) -> tuple[int, ...]:
+    """Of each mesh the free coordinate of its driven body, each handed on to by what comes before it."""
+    found = []
+    for driver, body in meshes:
+        free_of = [next((at for at in rotations[end] if at < free), None) for end in (driver, body)]
+        if free_of[1] is None:
+            raise SceneError(
+                f"the mesh of {driver} and {body} drives the input's shaft: it must turn a shaft behind it"
+            )
+        if free_of[0] is not None and (free_of[0] == 0 or 0 < free_of[1] <= free_of[0]):
+            raise SceneError(
+                f"the mesh of {driver} and {body} drives a shaft that comes before it, seen from the input"
+            )
+        found.append(free_of[1])
+    return tuple(found)
