@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 Scalar = Float[Array, ""]
 
@@ -12,4 +12,4 @@ if TYPE_CHECKING:  # a type checker sees what a constructor takes: anything that
 else:
     Number = Float[Array, "..."]
 
-__all__ = ["Array", "ArrayLike", "Bool", "Float", "Int", "Number", "Scalar"]
+__all__ = ["Array", "ArrayLike", "Bool", "Complex", "Float", "Int", "Number", "Scalar"]

@@ -1,4 +1,4 @@
-"""Periodic response as a Fourier series in every coordinate: harmonic balance.
+"""Periodic response as a Fourier series: harmonic balance, on what the contacts see of a structure.
 
 It solves for a root, by Newton's method of optimistix, and is differentiated by the implicit function theorem.
 """
@@ -12,13 +12,13 @@ import numpy as np
 import optimistix
 
 from gearjax import arguments
-from gearjax.analysis.equation import Equation
-from gearjax.analysis.modes import StructureEquation
+from gearjax.analysis.equation import LENGTH_SCALE, Equation
+from gearjax.analysis.modes import Lines, StructureEquation
 from gearjax.analysis.periodic import Periodic
 from gearjax.analysis.return_map import Problem
 from gearjax.checks import ParameterError, SceneError
 from gearjax.scene import Scene
-from gearjax.typing import Array, ArrayLike, Float, Scalar
+from gearjax.typing import Array, ArrayLike, Complex, Float, Scalar
 
 
 @arguments.checked(harmonics=arguments.whole(1), samples=arguments.whole(3))
@@ -91,49 +91,150 @@ class Series(NamedTuple):
         parts = places, values, rates, np.concatenate([[0.0], order, order]), shares[:, None] * values.T
         return cls(*(jnp.asarray(part, dtype) for part in parts))
 
+    @property
+    def harmonics(self) -> int:
+        """How many."""
+        return len(self.orders) // 2
+
+    def apart(self, numbers: Float[Array, "function column"]) -> tuple[Array, Array, Array]:
+        """Coefficients of the mean, of cosines and of sines."""
+        return numbers[0], numbers[1 : self.harmonics + 1], numbers[self.harmonics + 1 :]
+
     def motion(self, numbers: Float[Array, "function coordinate"], period: Scalar) -> tuple[Array, Array, Array]:
         """Coordinates, velocities and accelerations, shape (n, coordinate)."""
         rate = (2 * jnp.pi / period * self.orders)[:, None]
         return self.values @ numbers, self.rates @ (rate * numbers), -self.values @ (rate**2 * numbers)
 
 
-def _equation(problem: Problem) -> Equation | StructureEquation:
-    of = Equation if problem.scene.output_alone else StructureEquation
-    return of.of(problem.scene, problem.torque)
+class OfOutput:
+    """Coefficients of the output alone, shape (function, 1), and what its equation of motion lacks."""
+
+    def __init__(self, problem: Problem, series: Series):
+        self.equation, self.series, self.period = Equation.of(problem.scene, problem.torque), series, problem.period
+
+    def seen(self, place: Float[Array, "n 1"]) -> Float[Array, "n 1"]:
+        """The curves that are searched for, scaled, of the coordinates."""
+        return place / self.equation.scale
+
+    def resting(self) -> Float[Array, " 1"]:
+        """Scaled coordinates of the static equilibrium."""
+        return self.equation.initial(jnp.zeros_like(self.period), "equilibrium")[:1]
+
+    @property
+    def scale(self) -> Float[Array, " 1"]:
+        """Coordinates per scaled ones."""
+        return self.equation.scale[None]
+
+    def lacking(self, numbers: Float[Array, "function 1"]) -> Float[Array, "function 1"]:
+        """What the equation of motion lacks, as the static displacement that it makes."""
+        equation = self.equation
+
+        def at(time: Scalar, place: Array, speed: Array, acceleration: Array) -> Array:
+            now, size = equation.excitation(time), equation.scale
+            own = equation.acceleration(now, place[0] * size, speed[0] * size) / size
+            return (own - acceleration[0])[None] / equation.frequency**2
+
+        times = self.series.places * self.period
+        return self.series.weights @ jax.vmap(at)(times, *self.series.motion(numbers, self.period))
+
+    def coordinates(self, numbers: Float[Array, "function 1"]) -> Float[Array, "function 1"]:
+        """Coefficients of the coordinates [rad]."""
+        return numbers * self.equation.scale
 
 
-def _lacking(equation: Equation | StructureEquation, time: Scalar, motion: tuple[Array, Array, Array]) -> Array:
-    """What the equation of motion lacks at one time, scaled as the coordinates are, shape (coordinate,)."""
-    place, speed, acceleration = (part * jnp.atleast_1d(equation.scale) for part in motion)
-    if isinstance(equation, StructureEquation):
-        return equation.lacking(equation.excitation(time), place, speed, acceleration) / equation.scale
-    own = equation.acceleration(equation.excitation(time), place[0], speed[0]) - acceleration[0]
-    return (own / (equation.scale * equation.frequency**2))[None]
+class OfStructure:
+    """Coefficients of what the contacts see of a structure (`modes.Lines`), shape (function, line).
+
+    Where levers stand still that is their own approach, whatever moves behind them: with the dynamic stiffness
+    ``Z = K + i w C - w^2 M`` of each harmonic, mean springs of the contacts included, what is seen answers the inputs
+    by the receptance ``L Z^-1 G``.
+    """
+
+    def __init__(self, problem: Problem, series: Series):
+        equation = StructureEquation.of(problem.scene, problem.torque)
+        self.equation, self.series, self.period = equation, series, problem.period
+        self.lines = Lines.of(equation, jnp.zeros_like(problem.period))
+        lengths = jnp.full(self.lines.seen.shape[:1], LENGTH_SCALE, equation.scale.dtype)
+        self.size = lengths if self.lines.apart else equation.scale
+        self.answers = self._answers()
+
+    @property
+    def scale(self) -> Float[Array, " coordinate"]:
+        """Coordinates per scaled ones [rad, m]."""
+        return self.equation.scale
+
+    def seen(self, place: Float[Array, "n coordinate"]) -> Float[Array, "n line"]:
+        """The curves that are searched for, scaled, of the coordinates."""
+        return place @ self.lines.seen.T / self.size[None]
+
+    def resting(self) -> Float[Array, " line"]:
+        """What is seen of the static equilibrium, scaled."""
+        place = self.equation.initial(jnp.zeros_like(self.period), "equilibrium")[0] * self.scale
+        return self.seen(place[None])[0]
+
+    def _answers(self) -> Complex[Array, "harmonic coordinate input"]:
+        """Complex displacement of the coordinates per input of the lines, ``Z^-1 G``, of each harmonic and the mean."""
+        lines, parts, size = self.lines, self.equation.structure, self.scale
+        stiffness, damping = lines.whole
+        rates = 2 * jnp.pi / self.period * jnp.arange(self.series.harmonics + 1).astype(size.dtype)
+
+        def of(rate: Scalar) -> Array:
+            real, imaginary = stiffness - rate**2 * parts.mass, rate * damping
+            both = jnp.outer(size, size)
+            whole = jax.lax.complex(real * both, imaginary * both)
+            found = jnp.linalg.solve(whole, (size[:, None] * lines.acting).astype(whole.dtype))
+            return size.astype(found.dtype)[:, None] * found
+
+        return jax.vmap(of)(rates)
+
+    def _inputs(self, numbers: Float[Array, "function line"]) -> Float[Array, "function input"]:
+        """Coefficients of the inputs that curves lead to."""
+        equation, lines = self.equation, self.lines
+        place, speed, _ = self.series.motion(numbers * self.size[None], self.period)
+
+        def at(time: Scalar, place: Array, speed: Array) -> Array:
+            now = equation.excitation(time)
+            own = lines.inputs(now, place, speed if lines.hears_speed else None)
+            return jnp.concatenate([own, lines.known(now)])
+
+        return self.series.weights @ jax.vmap(at)(self.series.places * self.period, place, speed)
+
+    def lacking(self, numbers: Float[Array, "function line"]) -> Float[Array, "function line"]:
+        """How far curves are from what they lead to."""
+        return self.coordinates(numbers) @ self.lines.seen.T / self.size[None] - numbers
+
+    def coordinates(self, numbers: Float[Array, "function line"]) -> Float[Array, "function coordinate"]:
+        """Coefficients of the coordinates that what is seen leads to [rad, m]."""
+        mean, cosine, sine = self.series.apart(self._inputs(numbers))
+        waves = jax.lax.complex(cosine, -sine)
+        found = jnp.einsum("hci,hi->hc", self.answers[1:], waves)
+        still = (self.answers[0].real @ mean)[None]
+        return jnp.concatenate([still, found.real, -found.imag])
+
+
+def _posed(problem: Problem, series: Series) -> OfOutput | OfStructure:
+    return (OfOutput if problem.scene.output_alone else OfStructure)(problem, series)
 
 
 @eqx.filter_jit
 def _harmonic_balance(problem: Problem, harmonics: int, samples: int, guess: Array | None, max_steps: int) -> Periodic:
-    equation, period = _equation(problem), problem.period
-    series = Series.of(harmonics, samples, period.dtype)
-
-    def left(numbers: Array, problem: Problem) -> Array:
-        """Coefficients of what the equation of motion lacks."""
-        equation, motion = _equation(problem), series.motion(numbers, problem.period)
-        found = jax.vmap(lambda time, *now: _lacking(equation, time, now))(series.places * problem.period, *motion)
-        return series.weights @ found
-
-    scale = jnp.atleast_1d(equation.scale)[None]
+    period, series = problem.period, Series.of(harmonics, samples, problem.period.dtype)
+    posed = _posed(problem, series)
     if guess is None:
-        rest = jnp.atleast_1d(equation.initial(jnp.zeros_like(period), "equilibrium")[0])
+        rest = posed.resting()
         curve = jnp.broadcast_to(rest, (samples, *rest.shape))
     else:
         begins = jnp.linspace(0.0, 1.0, guess.shape[0] + 1).astype(period.dtype)[:-1]
-        curve = jax.vmap(lambda one: jnp.interp(series.places, begins, one), 1, 1)(guess) / scale
-    solver = optimistix.Newton(rtol=1e-10, atol=1e-10)
-    start = series.weights @ curve
+        curve = posed.seen(jax.vmap(lambda one: jnp.interp(series.places, begins, one, period=1.0), 1, 1)(guess))
+    solver, start = optimistix.Newton(rtol=1e-10, atol=1e-10), series.weights @ curve
+
+    def left(numbers: Array, problem: Problem) -> Array:
+        """Coefficients of what the equation of motion lacks."""
+        return _posed(problem, series).lacking(numbers)
+
     numbers = optimistix.root_find(left, solver, start, problem, max_steps=max_steps, throw=False).value
-    rest = jnp.abs(left(numbers, problem)).max() / jnp.abs(numbers).max()
-    place, speed = (part * scale for part in series.motion(numbers, period)[:2])
+    rest = jnp.abs(posed.lacking(numbers)).max() / jnp.abs(numbers).max()
+    place, speed, _ = series.motion(posed.coordinates(numbers), period)
     unknown = jnp.full((2 * place.shape[1],), jnp.nan, period.dtype)
     state, supported = jnp.stack([place[0], speed[0]]), not problem.scene.output_alone
     return Periodic(

@@ -1,7 +1,8 @@
 """Motion of bodies on supports, in all their coordinates."""
 
 from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.analysis.modes.lines import Lines
 from gearjax.analysis.modes.parabola import ExponentialParabola, ForcedTerm
 from gearjax.analysis.modes.steps import Spacing, Steps, march
 
-__all__ = ["ExponentialParabola", "ForcedTerm", "Spacing", "Steps", "StructureEquation", "march"]
+__all__ = ["ExponentialParabola", "ForcedTerm", "Lines", "Spacing", "Steps", "StructureEquation", "march"]

@@ -195,14 +195,6 @@ class StructureEquation(eqx.Module):
         force = self.given(now) - self.on_coordinates(now, *self.pull(now, place, speed))
         return jnp.linalg.solve(parts.mass, force - parts.stiffness @ place - parts.damping @ speed)
 
-    def lacking(self, now: Excitation, place: Array, speed: Array, acceleration: Array) -> Float[Array, " coordinate"]:
-        """What a motion does not balance, as displacements of the structure with its contacts closed [rad, m]."""
-        parts, jacobian = self.structure, now.jacobian
-        force = self.given(now) - self.on_coordinates(now, *self.pull(now, place, speed))
-        force = force - parts.mass @ acceleration - parts.damping @ speed - parts.stiffness @ place
-        closed = parts.stiffness + jacobian.T @ (now.stiffness[:, None] * jacobian)
-        return jnp.linalg.solve(jax.lax.stop_gradient(closed), force)
-
     def rate(self, now: Excitation, state: Float[Array, "2 coordinate"]) -> Float[Array, "2 coordinate"]:
         """Change of the scaled state per scaled time."""
         acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)

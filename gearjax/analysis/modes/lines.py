@@ -58,6 +58,13 @@ class Lines(eqx.Module):
         return cls(equation, jacobian, jnp.concatenate(columns, axis=1), jnp.diag(held), damping, apart)
 
     @property
+    def whole(self) -> tuple[Float[Array, "coordinate coordinate"], Float[Array, "coordinate coordinate"]]:
+        """Stiffness and damping of the structure with what counts with it of the contacts [N/m, N s/m]."""
+        parts, seen = self.equation.structure, self.seen
+        stiffness = parts.stiffness + seen.T @ self.stiffness @ seen
+        return stiffness, parts.damping if self.damping is None else parts.damping + seen.T @ self.damping @ seen
+
+    @property
     def hears_speed(self) -> bool:
         """Whether inputs depend on velocities: where dampers come and go, or their levers turn."""
         damping = self.equation.scene.damping
