@@ -139,23 +139,27 @@ def _scale(contacts: ContactSet) -> Scalar:
 
 
 def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar) -> Equilibrium:
-    lever = contacts.lever
+    lever, number = contacts.lever, contacts.gap.shape[0]
     driving = lever < 0
     first = _first_loaded(contacts.gap / lever, driving, load)
     origin, touch = _counted_from(contacts, first)
-    # reaction[j]: what all the contacts together carry where contact j begins to touch
-    apart = touch[None, :] - touch[:, None]
-    overlap = jnp.maximum(lever[:, None] * apart, 0.0)
-    reaction = ((lever * stiffness)[:, None] * overlap).sum(axis=0)
+    # what all the contacts together carry where each begins to touch
+    strength = lever * stiffness
+    reaction = functools.reduce(
+        jnp.add, [strength[i] * jnp.maximum(lever[i] * (touch - touch[i]), 0.0) for i in range(number)]
+    )
     active = jnp.where(driving, reaction >= load, reaction < load) | first
-    weight = jnp.where(active, lever * lever * stiffness, 0.0)
+    weight = jnp.where(active, lever * strength, 0.0)
     found = active.any()
-    total = jnp.where(found, weight.sum(), 1.0)
-    travel = (load + (apart * weight[None, :]).sum(axis=1)) / total  # of each contact since it touched
-    one = jnp.argmax(active)
-    position = jnp.where(found, origin + touch[one] + travel[one], jnp.nan)
-    forces = jnp.where(active, stiffness * lever * travel, 0.0)
+    total = jnp.where(found, _sum(weight), 1.0)
+    travel = (load + _sum(weight * touch)) / total
+    position = jnp.where(found, origin + travel, jnp.nan)
+    forces = jnp.where(active, strength * (travel - touch), 0.0)
     return Equilibrium(position, forces, jnp.where(found, 0, 1))
+
+
+def _sum(x):
+    return functools.reduce(jnp.add, [x[i] for i in range(x.shape[0])])
 
 
 def _counted_from(contacts: ContactSet, first: Array) -> tuple[Scalar, Array]:
