@@ -98,15 +98,16 @@ def _search(
         def slope(share: Scalar) -> Scalar:
             return way @ _excess(contacts, load, law, place + share * way)[0]
 
-        def halve(_, ends: tuple) -> tuple:
-            low, high = ends
+        def halve(state: tuple) -> tuple:
+            low, high, halved = state
             middle = 0.5 * (low + high)
             falls = slope(middle) < 0
-            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
+            return jnp.where(falls, middle, low), jnp.where(falls, high, middle), halved + 1
 
         zero, one = jnp.zeros_like(load), jnp.ones_like(load)
         far = slope(one) > ENOUGH * jnp.abs(way @ excess)
-        share = jax.lax.cond(far, lambda: jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1], lambda: one)
+        # a loop that is not begun where the whole step is taken; over many angles, a choice would look for all shares
+        share = jax.lax.while_loop(lambda state: far & (state[2] < HALVINGS), halve, (zero, one, 0))[1]
         small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
         return place + share * way, small, step + 1
 
