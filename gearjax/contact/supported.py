@@ -22,7 +22,8 @@ from gearjax.contact.search import ACCURACY, TYPICAL, last_steps, spring_forces
 from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_STEPS = 100
-HALVINGS = 50  # of the length of a step
+HALVINGS = 50  # of the length of a step, at most
+FINE = 1e-3  # of the length of a step, that it is found to
 ENOUGH = 0.5  # of the slope along a step, that is left at its end where the whole step is taken
 SLIGHTLY = 1e-9  # of all loaded contacts, that count in a step: without any the output would not be held
 
@@ -106,8 +107,13 @@ def _search(
 
         zero, one = jnp.zeros_like(load), jnp.ones_like(load)
         far = slope(one) > ENOUGH * jnp.abs(way @ excess)
+
+        def rough(state: tuple) -> Array:
+            low, high, halved = state
+            return far & (high - low > FINE * high) & (halved < HALVINGS)
+
         # a loop that is not begun where the whole step is taken; over many angles, a choice would look for all shares
-        share = jax.lax.while_loop(lambda state: far & (state[2] < HALVINGS), halve, (zero, one, 0))[1]
+        share = jax.lax.while_loop(rough, halve, (zero, one, 0))[1]
         small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
         return place + share * way, small, step + 1
 
