@@ -138,8 +138,8 @@ def angles(name: str, value: Any) -> None:
     if np.abs(found).max() > LARGEST_ANGLE:
         raise ParameterError(name, np.abs(found).max(), f"must be at most {LARGEST_ANGLE:g} rad")
     steps = np.diff(found)
-    whole = steps.size and np.allclose(steps, np.round(steps), rtol=0, atol=1e-6) and steps.min() > 0.5
-    if whole and found[-1] - found[0] > DEGREES:
+    long = steps.size and steps.min() > 0.5 and found[-1] - found[0] > DEGREES
+    if long and np.allclose(steps, np.round(steps), rtol=0, atol=1e-6):
         warnings.warn(
             f"{name} runs from {found[0]:g} to {found[-1]:g} in whole steps: it is in radians; degrees are given as "
             f"{name} * gj.units.deg",

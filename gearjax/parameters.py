@@ -118,7 +118,8 @@ def is_numeric(value: Any) -> bool:
 def strong(value: Any) -> Any:
     """A number as an array with a definite dtype: weakly typed ones would compile anew."""
     leaf = as_leaf(value)
-    return jnp.asarray(leaf, dtype=leaf.dtype)
+    # most are so already, and a copy of each would take as long as a short analysis
+    return jnp.asarray(leaf, dtype=leaf.dtype) if leaf.weak_type else leaf
 
 
 def as_leaf_or_named(value: Any) -> Any:

@@ -140,7 +140,8 @@ class Scene(eqx.Module):
     @property
     def layout(self) -> Layout:
         """Sides and pairs of its contacts."""
-        return self.system.layout(self._request("rigid"))
+        # by way of the classes: equinox makes a module of every bound method, which takes longer than all the rest
+        return type(self.system).layout(self.system, Scene._request(self, "rigid"))
 
     @property
     def has_back(self) -> bool:
@@ -355,7 +356,7 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         SceneError: naming the analysis and the sections to add.
     """
     missing = [slot for slot in slots if getattr(scene, slot) is None]
-    if scene.layout.sides_turn and "backlash" in missing:
+    if "backlash" in missing and scene.layout.sides_turn:
         missing.remove("backlash")  # its contacts touch both flanks
     if missing:
         listed = " and ".join(f"[{slot}]" for slot in missing)

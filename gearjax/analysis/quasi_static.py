@@ -178,7 +178,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
     torque = jnp.asarray(torque, dtype=theta.dtype)
     if torque.ndim and torque.shape != theta.shape:
         raise SceneError(f"torque has shape {torque.shape}: give one number, or one per theta {theta.shape}")
-    if not scene.has_back and is_concrete(torque) and bool((torque < 0).any()):
+    if is_concrete(torque) and (np.asarray(torque) < 0).any() and not scene.has_back:
         raise SceneError(
             f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
         )

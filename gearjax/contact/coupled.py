@@ -125,20 +125,29 @@ def _carrying(
     # what is left of the matrix without this much of its diagonal is positive definite still
     own = 0.5 / (inverse * inverse).sum()
 
-    def newton(closed: Array) -> tuple[Array, Array, Array]:
+    def tried(closed: Array) -> tuple[tuple, Array, Array]:
+        """Position, forces and overlaps with a set of closed contacts, whether it is right, and the next set."""
         position, forces = _solved(influence, levers, gap, load, closed)
-        return position, forces, levers @ position - gap - influence @ forces
+        beyond = levers @ position - gap - influence @ forces
+        reach = rounding * (jnp.abs(influence) @ jnp.abs(forces) + jnp.abs(gap) + jnp.abs(levers @ position))
+        right = jnp.where(closed, forces >= 0, beyond <= reach).all()
+        overlap = jnp.where(closed, own * forces, beyond)  # of the springs of the diagonal part
+        # a contact that overlaps by rounding alone is left out: it would come and go
+        return (position, forces, overlap), right, held(jnp.where(closed, forces > 0, beyond > reach))
 
-    def unfinished(state: tuple) -> Array:
-        *_, done, step = state
-        return ~done & (step < MOST_STEPS)
+    def held(chosen: Array) -> Array:
+        """Something has to hold each coordinate: else the first contact of its side."""
+        lacking = ~((chosen & loaded)[:, None] & (levers != 0)).any(axis=0)
+        return chosen | (loaded & (gap == 0) & ((levers != 0) & lacking[None]).any(axis=1))
 
-    def advance(state: tuple) -> tuple:
-        closed, position, forces, overlap, _, step = state
-        ended, pressed, beyond = newton(closed)
-        reach = rounding * (jnp.abs(influence) @ jnp.abs(pressed) + jnp.abs(gap) + jnp.abs(levers @ ended))
-        right = jnp.where(closed, pressed >= 0, beyond <= reach).all()
-        target = jnp.where(closed, own * pressed, beyond)  # of the springs of the diagonal part
+    def plain(state: tuple) -> tuple:
+        closed, *_, step = state
+        at, right, chosen = tried(closed)
+        return jnp.where(right, closed, chosen), at, right, step + 1
+
+    def damped(state: tuple) -> tuple:
+        closed, (position, forces, overlap), _, step = state
+        (ended, pressed, target), right, chosen = tried(closed)
         turn, push, close = ended - position, pressed - forces, target - overlap
         bend = influence @ push - own * push
 
@@ -154,18 +163,23 @@ def _carrying(
 
         zero, one = jnp.zeros((), gap.dtype), jnp.ones((), gap.dtype)
         best = jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1]
-        share = jnp.where((step < PLAIN_STEPS) | (slope(one) <= 0), one, best)
-        position, forces, overlap = position + share * turn, forces + share * push, overlap + share * close
-        # a whole step leaves contacts out that overlap by rounding alone: they would come and go
-        chosen = jnp.where(share == 1, jnp.where(closed, pressed > 0, beyond > reach), overlap > 0)
-        # something has to hold each coordinate: else the first contact of its side
-        held = ((chosen & loaded)[:, None] & (levers != 0)).any(axis=0)
-        chosen = chosen | (loaded & (gap == 0) & ((levers != 0) & ~held[None]).any(axis=1))
-        return jnp.where(right, closed, chosen), position, forces, overlap, right, step + 1
+        share = jnp.where(slope(one) <= 0, one, best)
+        at = position + share * turn, forces + share * push, overlap + share * close
+        chosen = jnp.where(share == 1, chosen, held(at[2] > 0))
+        return jnp.where(right, closed, chosen), at, right, step + 1
 
-    begun = newton(loaded)
-    start = begun[0], begun[1], jnp.where(loaded, own * begun[1], begun[2])
-    closed, *_, done, _ = jax.lax.while_loop(unfinished, advance, (loaded, *start, jnp.asarray(False), 0))
+    def unfinished(state: tuple) -> Array:
+        *_, done, step = state
+        return ~done & (step < MOST_STEPS)
+
+    # Two loops: one would look for the shares of all steps, over many angles also of those that are whole. Plain steps
+    # start from nothing but a set: a start that is worked out, of the same set at all angles, is one matrix with many
+    # right-hand sides, which a BLAS shares among threads that wait for each other (ten times the time of all the rest)
+    nothing = jnp.zeros_like(load), jnp.zeros_like(gap), jnp.zeros_like(gap)
+    state = jax.lax.while_loop(
+        lambda state: unfinished(state) & (state[-1] < PLAIN_STEPS), plain, (loaded, nothing, jnp.asarray(False), 0)
+    )
+    closed, _, done, _ = jax.lax.while_loop(unfinished, damped, state)
     return closed, done & jnp.isfinite(own)
 
 

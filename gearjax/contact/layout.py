@@ -1,8 +1,8 @@
 """What is known of contacts without their numbers: their sides, and the pairs of teeth that they are flanks of."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
-from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +44,7 @@ class Layout:
             raise ValueError(f"pairs have {counts.min()} to {counts.max()} contacts: every pair needs as many")
 
     @classmethod
+    @functools.cache  # by analyses too, each time that they are called
     def of_flanks(cls, number: int, back: bool) -> "Layout":
         """Driving flanks of a number of pairs, and where asked for their back flanks, in the same order."""
         sides = (1, -1) if back else (1,)
@@ -69,13 +70,13 @@ class Layout:
         """Number of pairs of teeth."""
         return max(self.pair) + 1
 
-    @cached_property
+    @functools.cached_property
     def flanks(self) -> tuple[Place, ...]:
         """The contacts in rows with one of each pair, in the order of the pairs: the first flanks, the second ones."""
         order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)
         return tuple(_place(row) for row in order.T)
 
-    @cached_property
+    @functools.cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
         """Contacts of each pair."""
         found: list[tuple[int, ...]] = [()] * self.teeth

@@ -100,6 +100,7 @@ class BodyView(eqx.Module):
         place: angle of its reference direction from each line of action before, shape (contact,) [rad].
         influence: change of gap per displacement along the line, shape (contact,) [-].
         rim: how single teeth or pins of it are seen; ``None`` for a body without.
+        of_place: sine and cosine of ``place``, shape (contact,), from a system that makes them of single numbers.
 
     Attributes:
         angle: of the reference direction from each line of action, shape (contact,) [rad].
@@ -118,11 +119,13 @@ class BodyView(eqx.Module):
         place: Float[Array, " contact"],
         influence: Float[Array, " contact"],
         rim: Rim | None = None,
+        of_place: tuple[Float[Array, " contact"], Float[Array, " contact"]] | None = None,
     ):
         sine, cosine = jnp.sin(turn), jnp.cos(turn)
         self.angle, self.influence, self.rim = turn + place, influence, rim
-        self.sine = sine * jnp.cos(place) + cosine * jnp.sin(place)
-        self.cosine = cosine * jnp.cos(place) - sine * jnp.sin(place)
+        place_sine, place_cosine = (jnp.sin(place), jnp.cos(place)) if of_place is None else of_place
+        self.sine = sine * place_cosine + cosine * place_sine
+        self.cosine = cosine * place_cosine - sine * place_sine
 
 
 class Movements(eqx.Module):

@@ -22,7 +22,8 @@ from gearjax.contact.search import ACCURACY, TYPICAL, last_steps, spring_forces
 from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_STEPS = 100
-HALVINGS = 50  # of the length of a step
+HALVINGS = 50  # of the length of a step, at most
+FINE = 1e-3  # of the length of a step, that it is found to
 ENOUGH = 0.5  # of the slope along a step, that is left at its end where the whole step is taken
 ROUNDING = 4.0  # spacings of the numbers that are added up
 SLIGHTLY = 1e-9  # of all loaded contacts, that count in a step: without any the output would not be held
@@ -98,15 +99,21 @@ def _search(
         def slope(share: Scalar) -> Scalar:
             return way @ _excess(contacts, load, law, place + share * way)[0]
 
-        def halve(_, ends: tuple) -> tuple:
-            low, high = ends
+        def halve(state: tuple) -> tuple:
+            low, high, halved = state
             middle = 0.5 * (low + high)
             falls = slope(middle) < 0
-            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
+            return jnp.where(falls, middle, low), jnp.where(falls, high, middle), halved + 1
 
         zero, one = jnp.zeros_like(load), jnp.ones_like(load)
         far = slope(one) > ENOUGH * jnp.abs(way @ excess)
-        share = jax.lax.cond(far, lambda: jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1], lambda: one)
+
+        def rough(state: tuple) -> Array:
+            low, high, halved = state
+            return far & (high - low > FINE * high) & (halved < HALVINGS)
+
+        # a loop that is not begun where the whole step is taken; over many angles, a choice would look for all shares
+        share = jax.lax.while_loop(rough, halve, (zero, one, 0))[1]
         small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
         return place + share * way, small | _balanced(contacts, load, law, place, excess), step + 1
 

@@ -148,12 +148,17 @@ class TwoKV(AbstractSystem):
         order = self.orders["crank" if body == "output_wheel" else "planet"]
         side, planet = np.array(layout.side), np.array(layout.pair)
         dtype = self.working_pressure_angle.dtype
-        place = jnp.asarray(-side, dtype) * self.working_pressure_angle
-        if not body.startswith("planet_"):
-            place = place - jnp.asarray(planet * (2 * math.pi / self.planets), dtype)
-            return BodyView(order * theta, place, jnp.asarray(-side, dtype))
-        own = planet == int(body.removeprefix("planet_")) - 1
-        return BodyView(order * theta, place, jnp.asarray(-side * own, dtype))
+        if body.startswith("planet_"):
+            behind, seen = np.zeros(len(side)), planet == int(body.removeprefix("planet_")) - 1
+        else:
+            behind, seen = planet * (2 * math.pi / self.planets), np.ones(len(side))
+        place = jnp.asarray(-side, dtype) * self.working_pressure_angle - jnp.asarray(behind, dtype)
+        # by addition, from the sines of one number: XLA works sines of the places out again at every input angle
+        sine, cosine = jnp.sin(self.working_pressure_angle), jnp.cos(self.working_pressure_angle)
+        ahead, across = jnp.asarray(np.cos(behind), dtype), jnp.asarray(np.sin(behind), dtype)
+        flank = jnp.asarray(side, dtype)
+        of_place = -(flank * ahead * sine + across * cosine), ahead * cosine - flank * across * sine
+        return BodyView(order * theta, place, jnp.asarray(-side * seen, dtype), of_place=of_place)
 
     def _moving(self, coordinate: str, layout: Layout) -> Float[Array, " contact"]:
         """Change of overlap per displacement of a planet wheel [-]."""
