@@ -181,6 +181,43 @@ def test_a_sweep_ends_where_shooting_is():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("speed", "periods"), [(490.0, 3), (500.0, 1)])
+def test_what_it_settles_to(speed, periods):
+    """The motion that long integration ends at, of three periods at one speed, found without being told so."""
+    scene, torque, _ = separating("two_kv")
+    scene = at_speed(scene, speed)
+    period = mesh_period(scene)
+    found = gj.periodic_motion(scene, torque, period, steps=256)
+    assert int(found.result) == 0
+    assert bool(found.stable)
+    assert found.periods == periods
+    assert len(found.ts) == 256 * periods
+    moved = found.start * (1 + 1e-4)  # a disturbance dies out: the motion is what integration ends at
+    again = gj.shooting(scene, torque, periods * period, steps=periods * 256, guess=moved, settle=100, max_steps=1)
+    np.testing.assert_allclose(again.q, found.q, rtol=0, atol=1e-7 * float(abs(found.q[:, 0]).max()))
+    once = gj.shooting(scene, torque, period, steps=256, guess=found.start)
+    assert (float(abs(once.te[0] - found.te[0])) > 1e-3 * float(jnp.ptp(found.te))) == (periods == 3)
+    with pytest.raises(gj.SceneError, match="use shooting under jit"):
+        jax.jit(lambda load: gj.periodic_motion(scene, load, period).te)(torque)
+
+
+@pytest.mark.slow
+def test_what_repeats_later_or_never():
+    """The 2K-V under a torque that alternates at the mesh frequency: after two periods, after five, chaotic."""
+    scene = gj.load("configs/two_kv/wang_2020.toml")
+    scene = dataclasses.replace(scene, errors={}, load=gj.SinusoidalLoad("mesh"), run=None)
+    period = mesh_period(scene)
+    twice = gj.periodic_motion(scene, 100.0, period, steps=256)
+    assert (int(twice.result), twice.periods) == (0, 2)
+    often = gj.periodic_motion(scene, 30.0, period, steps=1024, longest=5)
+    assert (int(often.result), often.periods) == (0, 5)
+    never = gj.periodic_motion(scene, 10.0, period, steps=256, settle=60)
+    assert (int(never.result), never.periods) == (2, 4)
+    assert len(never.ts) == 1024
+    assert float(gj.growth_rate(scene, np.linspace(0.0, 400 * period, 4001), 10.0)) > 0
+
+
+@pytest.mark.slow
 def test_it_tends_to_the_output_alone():
     """As supports stiffen, the difference falls in proportion to their compliance."""
     changes = {"errors": {}, "compliance": gj.HarmonicStiffness(2e8, [0.3], [0.0]), "damping": ALWAYS}

@@ -9,6 +9,7 @@ from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.periodic import Periodic, Sweep, shooting, speed_sweep
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, interference, transmission_error
+from gearjax.analysis.repeats import periodic_motion
 from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
@@ -39,6 +40,7 @@ __all__ = [
     "interference",
     "lost_motion",
     "order_spectrum",
+    "periodic_motion",
     "shooting",
     "simulate",
     "speed_sweep",

@@ -29,10 +29,11 @@ class Periodic(eqx.Module):
         multipliers: Floquet multipliers, complex, two for each coordinate, shape (2 coordinate,): the motion is stable
             where all are within the unit circle. Without derivatives, and not a number from harmonic balance.
         residual: what is left of the equation, relative to the motion.
-        result: 0 converged, 1 not.
+        result: 0 converged, 1 not; of `periodic_motion` 2 where it never repeats.
         start: what ``guess`` of `shooting` is, where the period begins: shape (2,), with supports (2, coordinate).
         moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any.
         coordinates: names of what moves: the output, then those displacements.
+        periods: after how many periods of what drives it the motion repeats.
     """
 
     ts: Float[Array, " n"]
@@ -44,6 +45,7 @@ class Periodic(eqx.Module):
     start: Float[Array, "2 ..."]
     moved: Float[Array, "n support"] | None = None
     coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
+    periods: int = eqx.field(static=True, default=1)
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
@@ -106,11 +108,13 @@ def shooting(
         if jnp.shape(guess) != wanted:
             raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {wanted}, {words} and the rate of each")
         guess = jnp.asarray(guess, scene.dtype).reshape(2, -1)
-    return _shooting(problem, Cut.of(problem, steps), guess, settle, max_steps)
+    return shoot(problem, Cut.of(problem, steps), guess, settle, max_steps)
 
 
 @eqx.filter_jit
-def _shooting(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_steps: int) -> Periodic:
+def shoot(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_steps: int) -> Periodic:
+    """Newton's method on the start of a period; arguments as for `shooting`, the guess of shape (2, coordinate).
+    Without steps the motion is as it is from there."""
     motion = return_map(problem, cut)
     start = motion.resting() if guess is None else guess / motion.scale
     if settle:
@@ -119,9 +123,9 @@ def _shooting(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_
     def lacking(state: Array, problem: Problem) -> Array:
         return return_map(problem, cut).end(state) - state
 
-    solver = optimistix.Newton(rtol=1e-10, atol=1e-10)
-    solution = optimistix.root_find(lacking, solver, start, problem, max_steps=max_steps, throw=False)
-    state = solution.value
+    state, solver = start, optimistix.Newton(rtol=1e-10, atol=1e-10)
+    if max_steps:
+        state = optimistix.root_find(lacking, solver, start, problem, max_steps=max_steps, throw=False).value
     found = motion.course(state)
     left = jnp.abs(found.states[-1] - state).max()
     size = jnp.abs(found.states[:, 0]).max()

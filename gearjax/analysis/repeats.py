@@ -1,0 +1,126 @@
+"""The motion that a scene settles to, after how many periods it repeats, or that it does not.
+
+Integration never has an inconsistent contact, where Newton's method from afar would: so the motion is integrated until
+it comes back to where it was, a period before or some, and Newton's method makes exact what it came back to.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import arguments
+from gearjax.analysis.periodic import Periodic, shoot
+from gearjax.analysis.return_map import Cut, Problem, return_map
+from gearjax.checks import SceneError, is_concrete
+from gearjax.scene import Scene
+from gearjax.typing import Array, ArrayLike
+
+ROUND = 12  # periods that are integrated before the returns are looked at
+RETURNED = 1e-3  # of the motion, distance of a return from which Newton's method goes on
+SAME = 1e-4  # of the motion, how far Newton's method may go on from there
+
+
+@arguments.checked(steps=arguments.whole(8), longest=arguments.whole(1), settle=arguments.whole(1))
+def periodic_motion(
+    scene: Scene,
+    torque: ArrayLike,
+    period: ArrayLike,
+    *,
+    steps: int = 512,
+    longest: int = 4,
+    settle: int = 240,
+) -> Periodic:
+    """The periodic motion that a scene settles to from its equilibrium, over one period or several.
+
+    A motion with impacts may repeat after two or three periods of what drives it only, or never. It is integrated from
+    where a linear structure would be periodic, until it returns; `shooting` then finds it exactly, with multipliers and
+    implicit derivatives. Unstable motions, which `shooting` may end at, are not returned.
+
+    Args:
+        scene: the scene, with compliance, load and inertia; not under `jax.jit` or `jax.vmap`.
+        torque: size of the load torque [N m].
+        period: common period of everything that drives it [s].
+        steps: per period, as for `shooting`, a multiple of 8.
+        longest: periods after which it may repeat, at most.
+        settle: periods that are integrated at most.
+
+    Returns:
+        The motion over ``periods`` periods; with ``result`` 2, over the last ones, where it did not return to itself:
+        `growth_rate` tells whether it is chaotic.
+
+    Raises:
+        SceneError: the scene lacks a part, steps is no multiple of 8, or the numbers are traced.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> period = 1 / (scene.system.orders["mesh"] * float(scene.system.input_speed) / (2 * 3.141592653589793))
+        >>> calm = gj.Scene(scene.system, compliance=scene.compliance, load=scene.load, inertia=scene.inertia,
+        ...                 damping=scene.damping)
+        >>> gj.periodic_motion(calm, 100.0, period, steps=64).periods
+        1
+    """
+    if steps % 8:
+        raise SceneError(f"steps = {steps}: must be a multiple of 8")
+    problem = Problem.of(scene, torque, period)
+    if not is_concrete(problem):
+        raise SceneError("periodic_motion looks at its numbers as it goes: use shooting under jit, vmap and gradients")
+    cut = Cut.of(problem, steps)
+    state = _linear_start(problem, cut)
+    for _ in range(-(-settle // ROUND)):
+        state, ends = _some(problem, cut, state, max(ROUND, longest + 1))
+        ends = np.asarray(ends)
+        away = [_distance(ends[-1], ends[-1 - periods]) for periods in range(1, longest + 1)]
+        for periods in (number for number, distance in enumerate(away, start=1) if distance < RETURNED):
+            found = _shot(problem, steps, state, periods)
+            begins = np.asarray(found.start).reshape(2, -1) / np.asarray(_scale(problem, cut))
+            near = _distance(begins, ends[-1]) < max(SAME, 10 * away[periods - 1])
+            if int(found.result) == 0 and bool(found.stable) and near:
+                return found
+    return dataclasses.replace(_shot(problem, steps, state, longest, search=0), result=jnp.asarray(2))
+
+
+def _distance(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest distance of two scaled states, of the size of the motion."""
+    far = float(np.abs(one - other).max() / np.abs(one[0]).max())
+    return far if np.isfinite(far) else np.inf
+
+
+def _shot(problem: Problem, steps: int, state: Array, periods: int, search: int = 40) -> Periodic:
+    """Newton's method from a state, over some periods."""
+    several = problem._replace(period=problem.period * periods)
+    guess = state * _scale(problem, Cut.of(problem, steps))
+    found = shoot(several, Cut.of(several, periods * steps), guess, 0, search)
+    return dataclasses.replace(found, periods=periods)
+
+
+@eqx.filter_jit
+def _scale(problem: Problem, cut: Cut) -> Array:
+    return return_map(problem, cut).scale
+
+
+@eqx.filter_jit
+def _linear_start(problem: Problem, cut: Cut) -> Array:
+    """Where the motion would be periodic if what is closed at the start stayed so: one step of Newton's method."""
+    motion = return_map(problem, cut)
+    begin = motion.resting()
+    slope = jax.jacfwd(lambda flat: motion.end(flat.reshape(begin.shape)).ravel())(begin.ravel())
+    lacking = (motion.end(begin) - begin).ravel()
+    start = begin + jnp.linalg.solve(jnp.eye(len(lacking), dtype=begin.dtype) - slope, lacking).reshape(begin.shape)
+    return jnp.where(jnp.isfinite(start).all(), start, begin)
+
+
+@eqx.filter_jit
+def _some(problem: Problem, cut: Cut, state: Array, number: int) -> tuple[Array, Array]:
+    """The state after some periods, and after each of them, the first one too."""
+    motion = return_map(problem, cut)
+
+    def once(state: Array, _: None) -> tuple[Array, Array]:
+        end = motion.end(state)
+        return end, end
+
+    end, ends = jax.lax.scan(once, state, None, length=number)
+    return end, jnp.concatenate([state[None], ends])
