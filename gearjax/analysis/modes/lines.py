@@ -10,7 +10,6 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax.analysis.modes.equation import StructureEquation
-from gearjax.analysis.modes.parabola import Scaled
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -86,13 +85,17 @@ class Lines(eqx.Module):
         damping = self.equation.scene.damping
         return damping is not None and (damping.acting == "contact" or not self.apart)
 
-    def sights(self, scaled: Scaled) -> Float[Array, "sight state"]:
-        """What inputs depend on, per state: s, and where `hears_speed` its rate; of contacts at the first flanks, which
-        alone have dampers."""
+    def sights(self, place: Float[Array, "coordinate *any"], speed: Float[Array, "coordinate *any"]) -> Array:
+        """What inputs depend on: s, and where `hears_speed` its rate; of contacts at the first flanks, which alone have
+        dampers.
+
+        Args:
+            place, speed: of the coordinates, or per number of a state.
+        """
         if not self.hears_speed:
-            return self.seen @ scaled.place
+            return self.seen @ place
         heard = self.seen[self.equation.layout.flanks[0]] if self.apart else self.seen
-        return jnp.concatenate([self.seen @ scaled.place, heard @ scaled.speed])
+        return jnp.concatenate([self.seen @ place, heard @ speed])
 
     def driving(self, time: Scalar) -> Driving:
         """What drives the steps at a time [s]: without what stands still."""
@@ -177,7 +180,7 @@ class Lines(eqx.Module):
         return kink if now.lever is None else now.lever @ kink
 
 
-def total(columns: Float[Array, "column ..."], numbers: Float[Array, " column"]) -> Float[Array, "..."]:
+def total(columns: Float[Array, "column ..."], numbers: Float[Array, "column ..."]) -> Float[Array, "..."]:
     """A product that fuses with what is around it, written out: a sum of vectors."""
     found = columns[0] * numbers[0]
     for column in range(1, len(columns)):

@@ -29,14 +29,14 @@ from gearjax.analysis.solvers import highest_between
 from gearjax.contact import HardContact
 from gearjax.typing import Array, Float, Scalar
 
-import os
-LONGEST_BLOCK = int(os.environ.get("LB", 16))  # steps whose excitation is worked out together
-UNROLL = int(os.environ.get("UN", 4))  # of them that are written out
+AT_ONCE = 16  # steps whose excitation is worked out together, where it is at each, or of many contacts
+OF_FEW = 96  # of few contacts, between nodes: blocks have a price of their own
+UNROLL = 4  # steps that are written out: as installed, one by one takes 1.4 times as long; with options, the same
 
 
-def block_length(each: int) -> int:
-    """Steps of a block, where there are some between samples."""
-    return next(n for n in range(LONGEST_BLOCK, 0, -1) if each % n == 0)
+def divisor(number: int, most: int) -> int:
+    """The largest one that is not above a bound."""
+    return next(n for n in range(min(number, most), 0, -1) if number % n == 0)
 
 
 class Products(NamedTuple):
@@ -60,7 +60,7 @@ class Products(NamedTuple):
     @classmethod
     def of(cls, lines: Lines, scaled: Scaled, part: Weights, known: Array | None) -> "Products":
         """Those of a step; known inputs where they stand still."""
-        number, sight = lines.seen.shape[0], lines.sights(scaled)
+        number, sight = lines.seen.shape[0], lines.sights(scaled.place, scaled.speed)
 
         def rows(expected: Array, found: Array) -> Array:
             return jnp.concatenate([sight @ expected, sight @ found, found])
@@ -82,7 +82,6 @@ class Steps(eqx.Module):
         scaled: its structure, with mean springs and dampers.
         products: of a step.
         begin, step: time of the start, and of a step [s].
-        length: of a block.
     """
 
     lines: Lines
@@ -90,11 +89,10 @@ class Steps(eqx.Module):
     products: Products
     begin: Scalar
     step: Scalar
-    length: int = eqx.field(static=True)
 
     @classmethod
-    def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar, each: int) -> "Steps":
-        """Steps of a record with a number of them between samples."""
+    def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar) -> "Steps":
+        """Steps of a length, with what carries at the start."""
         lines = Lines.of(equation, begin)
         parts, seen = equation.structure, lines.seen
         stiffness = parts.stiffness + seen.T @ lines.stiffness @ seen
@@ -103,7 +101,7 @@ class Steps(eqx.Module):
         part = weights(scaled.matrix, scaled.inputs @ lines.acting)
         (changes,) = tables.depends(lambda time: lines.known(lines.driving(time)), begin)
         known = None if changes else lines.known(lines.driving(begin))
-        return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step, block_length(each))
+        return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step)
 
     def start(self, place: Array, speed: Array) -> tuple[Array, tuple[Array, Array], Array]:
         """State with the inputs of the lines now and a step before, known inputs now and a step before, and the overlap
@@ -112,18 +110,16 @@ class Steps(eqx.Module):
         A start whose inputs have no slope would make the whole motion first order.
         """
         equation, lines = self.lines.equation, self.lines
-        sight = lines.sights(self.scaled) @ self.scaled.back
 
         def inputs(time: Scalar, place: Array, speed: Array) -> tuple[Array, Array]:
             now = lines.driving(time)
-            return lines.inputs(now, sight @ jnp.concatenate([place, speed])), lines.known(now)
+            return lines.inputs(now, lines.sights(place, speed)), lines.known(now)
 
         along = jnp.ones_like(self.begin), speed, equation.acceleration(equation.excitation(self.begin), place, speed)
         here, slope = jax.jvp(inputs, (self.begin, place, speed), along)
         (own, known), (own_before, known_before) = here, jax.tree.map(lambda x, dx: x - self.step * dx, here, slope)
-        coordinates = jnp.concatenate([place, speed])
-        state = jnp.concatenate([self.scaled.back @ coordinates, own, own_before])
-        return state, (known, known_before), lines.overlap(lines.driving(self.begin), sight @ coordinates)
+        state = jnp.concatenate([self.scaled.back @ jnp.concatenate([place, speed]), own, own_before])
+        return state, (known, known_before), lines.overlap(lines.driving(self.begin), lines.sights(place, speed))
 
     def advance(self, carry: tuple, now: Driving) -> tuple[tuple, Array]:
         """A step, from what drives it at its end: what `start` gives after it, and its state."""
@@ -134,8 +130,7 @@ class Steps(eqx.Module):
         if products.given is not None:
             coming = coming + products.given
         else:
-            for part, one in zip(products.known, (new, *known), strict=True):
-                coming = coming + total(part.T, one)
+            coming = sum((part @ one for part, one in zip(products.known, (new, *known), strict=True)), coming)
         after = lines.inputs(now, coming[:sights])
         found = coming[sights:] + products.after @ after
         if isinstance(lines.equation.scene.contact, HardContact):
@@ -170,7 +165,7 @@ class Spacing(NamedTuple):
 
     Args:
         samples, each: number of samples, and of steps between them.
-        span: steps whose excitation is worked out together, a multiple of those of a block.
+        span: steps whose excitation is worked out together.
         nodes: of the polynomial through it; ``None`` where it is worked out at each step.
     """
 
@@ -188,11 +183,11 @@ class Spacing(NamedTuple):
             phase: of what drives the motion fastest, per step [rad]; ``None`` where it is not known.
             dtype: of the numbers.
         """
-        length, accuracy = block_length(each), tables.accuracy(dtype)
-        best = cls(samples, each, length, None)
+        accuracy = tables.accuracy(dtype)
+        best = cls(samples, each, divisor(each, AT_ONCE), None)
         if phase is None:
             return best
-        for span in (n * length for n in range(1, each // length + 1) if (each // length) % n == 0):
+        for span in (n for n in range(1, each + 1) if each % n == 0):
             enough = (k for k in range(4, tables.MOST_NODES + 1) if tables.reach(k, accuracy) >= phase * span)
             nodes = next(enough, span)
             if nodes < span and nodes / span < (1.0 if best.nodes is None else best.nodes / best.span):
@@ -202,36 +197,37 @@ class Spacing(NamedTuple):
 
 def march(steps: Steps, place: Array, speed: Array, spacing: Spacing) -> March:
     """Motion from coordinates and velocities over samples with some steps between them."""
-    seconds = steps.step * spacing.each
-    shape = spacing.span // steps.length, steps.length
+    seconds, few = steps.step * spacing.each, steps.lines.apart
 
-    def block(carry: tuple, rows: Any) -> tuple[tuple, Array]:
-        return jax.lax.scan(lambda carry, now: steps.advance(carry, now), carry, rows, unroll=min(UNROLL, steps.length))
+    def along(carry: tuple, rows: Driving) -> tuple[tuple, Array]:
+        return jax.lax.scan(lambda carry, row: steps.advance(carry, row), carry, rows, unroll=UNROLL)
 
-    # worked out again where a derivative runs backwards: its memory grows with blocks, not with steps
+    def driven(carry: tuple, origin: Array) -> tuple[tuple, Array]:
+        """The steps of a span: their states."""
+        ends = np.arange(1, spacing.span + 1, dtype=float)
+        if spacing.nodes is None:
+            times = origin + jnp.asarray(ends, origin.dtype) * steps.step
+            return along(carry, jax.vmap(steps.lines.driving)(times))
+        places = jnp.asarray(tables.nodes(spacing.span, spacing.nodes), origin.dtype)
+        table, unpacked = packed(jax.vmap(steps.lines.driving)(origin + places * steps.step))
+        block = divisor(spacing.span, OF_FEW if few else AT_ONCE)
+        shares = tables.weights(spacing.span, spacing.nodes, ends).reshape(-1, block, spacing.nodes)
+
+        def between(carry: tuple, share: Array) -> tuple[tuple, Array]:
+            # written out it is no call, but many contacts then take twice the time of one
+            return along(carry, unpacked(total(table[:, None], share.T[:, :, None]) if few else share @ table))
+
+        carry, states = jax.lax.scan(between, carry, jnp.asarray(shares, origin.dtype))
+        return carry, states.reshape(spacing.span, -1)
+
+    # worked out again where a derivative runs backwards: its memory grows with spans, not with steps
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def span(inner: tuple, origin: Array) -> tuple[tuple, None]:
         carry, last, highest, lowest = inner
-        ends = jnp.arange(1, spacing.span + 1).astype(origin.dtype).reshape(shape)
-        if spacing.nodes is None:
-
-            def direct(inner: tuple, ends: Array) -> tuple[tuple, Array]:
-                return block(inner, jax.vmap(steps.lines.driving)(origin + ends * steps.step))
-
-            carry, states = jax.lax.scan(direct, carry, ends)
-        else:
-            places = jnp.asarray(tables.nodes(spacing.span, spacing.nodes), origin.dtype)
-            table, unpack = packed(jax.vmap(steps.lines.driving)(origin + places * steps.step))
-            at = np.arange(1, spacing.span + 1, dtype=float)
-            shares = tables.weights(spacing.span, spacing.nodes, at).reshape(*shape, -1)
-
-            def between(carry: tuple, share: Array) -> tuple[tuple, Array]:
-                return block(carry, unpack(share @ table))
-
-            carry, states = jax.lax.scan(between, carry, jnp.asarray(shares, origin.dtype))
-        position, slope = steps.output(jnp.concatenate([last[None], states.reshape(-1, states.shape[-1])]))
+        carry, states = driven(carry, origin)
+        position, slope = steps.output(jnp.concatenate([last[None], states]))
         highest, lowest = jnp.maximum(highest, peak(position, slope)), jnp.minimum(lowest, -peak(-position, -slope))
-        return (carry, states[-1, -1], highest, lowest), None
+        return (carry, states[-1], highest, lowest), None
 
     def interval(carry: tuple, number: Array) -> tuple[tuple, tuple]:
         parts = jnp.arange(spacing.each // spacing.span).astype(seconds.dtype)
@@ -257,11 +253,9 @@ def packed(driving: Driving) -> tuple[Float[Array, "time number"], Callable[[Arr
     leaves, tree = jax.tree.flatten(driving)
     ends = np.cumsum([0, *(leaf[0].size for leaf in leaves)])
 
-    def unpack(rows: Array) -> Driving:
-        parts = [
-            rows[:, begin:end].reshape(len(rows), *leaf.shape[1:])
-            for begin, end, leaf in zip(ends[:-1], ends[1:], leaves, strict=True)
-        ]
-        return jax.tree.unflatten(tree, parts)
+    def unpacked(rows: Array) -> Driving:
+        parts = zip(ends[:-1], ends[1:], leaves, strict=True)
+        own = [rows[:, begin:end].reshape(len(rows), *leaf.shape[1:]) for begin, end, leaf in parts]
+        return jax.tree.unflatten(tree, own)
 
-    return jnp.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1), unpack
+    return jnp.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1), unpacked
