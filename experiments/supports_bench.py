@@ -102,7 +102,7 @@ def derivatives(scene: gj.Scene, ts: np.ndarray, torque: float, number: int) -> 
 
     def numbers(scene: gj.Scene) -> list[Any]:
         own = scene.body_inertia[body].mass, scene.supports[body].x, scene.supports[body].x_damping
-        return [*own, scene.inertia.mass]
+        return [*own, jax.tree.leaves(scene.inertia)[0]]
 
     def loss(factors: jax.Array) -> jax.Array:
         changed = [known * factor for known, factor in zip(numbers(scene), factors, strict=True)]

@@ -69,8 +69,8 @@ class Products(NamedTuple):
         own = rows(now + 2 * after, now)[:, :number], rows(before - after, before)[:, :number]
         free = jnp.concatenate([rows(kept, kept), *own], axis=1)
         last, kink = (jnp.concatenate([sight @ one, one])[:, :number] for one in (after, part.kink))
-        of_known = tuple(rows(one, one)[:, number:] for one in (after, now, before))
-        given = None if known is None else sum(of_known) @ known
+        of_known = rows(after, after)[:, number:], rows(now, now)[:, number:], rows(before, before)[:, number:]
+        given = None if known is None else (of_known[0] + of_known[1] + of_known[2]) @ known
         return cls(free, last, kink, of_known, given)
 
 
