@@ -192,7 +192,7 @@ def test_energy_is_kept():
     assert (forces > 0).any(axis=0).sum() >= 2
     assert (np.diff((forces > 0).astype(int), axis=0) != 0).any()
     step, still = jnp.asarray(1e-4 / 64), jnp.zeros_like(equation.scale)
-    steps = jax.jit(lambda: Steps.of(equation, jnp.zeros(()), step, 64))()
+    steps = jax.jit(lambda: Steps.of(equation, jnp.zeros(()), step))()
     spacing = Spacing.of(101, 64, None, still.dtype)
     states = jax.jit(lambda: march(steps, still, still, spacing).states)()
     place, velocity = np.asarray(states[:, 0]), np.asarray(states[:, 1])

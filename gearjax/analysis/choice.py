@@ -23,7 +23,6 @@ MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
 STEP = 0.4  # of the longest one, by default
 MOST_STEPS = 1_000_000_000
 WINDOW, FEWEST = (3000, 2000), 8  # steps after the warm-up of many windows and of few, and windows that pay
-FEW = 8  # contacts
 FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
 APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
 
@@ -163,11 +162,10 @@ def method_of(
 
 
 def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
-    """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known, or of no use: few contacts
-    are looked at each step in less time than between nodes."""
+    """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known."""
     assert scene.load is not None
     system, compliance = scene.system, scene.linear_compliance
-    if len(scene.layout.side) <= FEW or not is_concrete((ts, system.input_speed, scene.load)):
+    if not is_concrete((ts, system.input_speed, scene.load)):
         return None
     with jax.ensure_compile_time_eval():
         mesh = compliance.harmonics * system.orders["mesh"]

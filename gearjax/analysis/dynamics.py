@@ -154,7 +154,7 @@ def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: ma
 
 def _steps(equation: StructureEquation, ts: Array, spacing: modes.Spacing) -> Steps:
     """Even steps of a record."""
-    return Steps.of(equation, ts[0], (ts[-1] - ts[0]) / ((ts.shape[0] - 1) * spacing.each), spacing.each)
+    return Steps.of(equation, ts[0], (ts[-1] - ts[0]) / ((ts.shape[0] - 1) * spacing.each))
 
 
 def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) -> tuple[Drive, tuple, Array]:

@@ -129,7 +129,7 @@ class OfStructure(NamedTuple):
 
     def _march(self, state: Array, spacing: modes.Spacing) -> Course:
         place, speed = state * self.scale
-        steps = Steps.of(self.equation, jnp.zeros_like(self.period), self.period / self.steps, spacing.each)
+        steps = Steps.of(self.equation, jnp.zeros_like(self.period), self.period / self.steps)
         found = modes.march(steps, place, speed, spacing)
         output = self.equation.scale[0]
         return Course(found.states / self.scale[None], found.highest / output, found.lowest / output)

@@ -4,11 +4,33 @@ L has a row per contact where the levers of few contacts stand still (G then has
 else it is the identity and u holds generalised forces. Letters are those of `gearjax.analysis.modes.steps`.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from gearjax.analysis.modes.equation import Excitation, StructureEquation
+from gearjax.analysis.modes.equation import StructureEquation
 from gearjax.typing import Array, Float, Scalar
+
+
+class Driving(NamedTuple):
+    """What drives a step, at its end: contacts last, so that a sum over coordinates is one of vectors.
+
+    Args:
+        lever: J, shape (coordinate, contact) [m/rad, -]; ``None`` where lines are contacts.
+        gap: shape (contact,) [m].
+        lever_rate: of first flanks, shape (coordinate, pair) [m/rad s, 1/s]; ``None`` with ``lever``, or no dampers.
+        gap_rate: of first flanks, shape (pair,) [m/s]; ``None`` without dampers.
+        stiffness: shape (contact,) [N/m].
+        load: load torque [N m].
+    """
+
+    lever: Array | None
+    gap: Array
+    lever_rate: Array | None
+    gap_rate: Array | None
+    stiffness: Array
+    load: Array
 
 
 class Lines(eqx.Module):
@@ -70,71 +92,104 @@ class Lines(eqx.Module):
         damping = self.equation.scene.damping
         return damping is not None and (damping.acting == "contact" or not self.apart)
 
-    def overlap(self, now: Excitation, seen: Array) -> Float[Array, " contact"]:
+    def sights(self, place: Float[Array, "coordinate *any"], speed: Float[Array, "coordinate *any"]) -> Array:
+        """What inputs depend on: s, and where `hears_speed` its rate; of contacts at the first flanks, which alone have
+        dampers.
+
+        Args:
+            place, speed: of the coordinates, or per number of a state.
+        """
+        if not self.hears_speed:
+            return self.seen @ place
+        heard = self.seen[self.equation.layout.flanks[0]] if self.apart else self.seen
+        return jnp.concatenate([self.seen @ place, heard @ speed])
+
+    def driving(self, time: Scalar) -> Driving:
+        """What drives the steps at a time [s]: without what stands still."""
+        now, first = self.equation.excitation(time), self.equation.layout.flanks[0]
+        heard = None if now.gap_rate is None else now.gap_rate[first]
+        if self.apart:
+            return Driving(None, now.gap, None, heard, now.stiffness, now.load)
+        rate = None if now.jacobian_rate is None else now.jacobian_rate[first].T
+        return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.load)
+
+    def overlap(self, now: Driving, sight: Array) -> Float[Array, " contact"]:
         """Overlap of the contacts [m]."""
-        return (seen if self.apart else now.jacobian @ seen) - now.gap
+        seen = sight[: len(self.seen)]
+        return (seen if now.lever is None else total(now.lever, seen)) - now.gap
 
-    def approach(self, now: Excitation, seen: Array, speed: Array | None) -> Float[Array, " pair"] | None:
+    def approach(self, now: Driving, sight: Array) -> Float[Array, " pair"] | None:
         """Rate of overlap along the dampers [m/s]; where they always act, without the part of the moving structure."""
-        if self.equation.coefficient is None:
+        if now.gap_rate is None:
             return None
-        assert now.gap_rate is not None
-        if not self.apart:
-            assert speed is not None
-            return self.equation.approach(now, seen, speed)
-        first = self.equation.layout.flanks[0]
-        return -now.gap_rate[first] if speed is None else speed[first] - now.gap_rate[first]
+        if not self.hears_speed:
+            return -now.gap_rate
+        seen, heard = sight[: len(self.seen)], sight[len(self.seen) :]
+        if now.lever is None:
+            return heard - now.gap_rate
+        assert now.lever_rate is not None
+        return total(now.lever[:, self.equation.layout.flanks[0]], heard) + total(now.lever_rate, seen) - now.gap_rate
 
-    def known(self, now: Excitation) -> Float[Array, " known"]:
+    def known(self, now: Driving) -> Float[Array, " known"]:
         """Inputs that do not depend on the motion, where lines are contacts: load torque and centrifugal forces."""
         if not self.apart:
             return jnp.zeros((0,), now.load.dtype)
         return jnp.stack([now.load, jnp.ones_like(now.load)]) if self.equation.pushed else now.load[None]
 
-    def inputs(self, now: Excitation, seen: Array, speed: Array | None) -> Float[Array, " line"]:
+    def inputs(self, now: Driving, sight: Array) -> Float[Array, " line"]:
         """The inputs u of the lines [N, N m].
 
         Args:
             now: what drives the motion.
-            seen, speed: s and its rate, shape (line,); the rate only where `hears_speed`.
+            sight: as of `sights`.
         """
-        equation = self.equation
-        overlap = self.overlap(now, seen)
-        elastic, damping = equation.elastic(now, overlap), self.approach(now, seen, speed)
-        damping = equation.resistance(overlap, damping)
-        kept = times(self.stiffness, seen)
-        if speed is not None and self.damping is not None:
-            kept = kept + times(self.damping, speed)
-        if not self.apart:
-            return kept + equation.given(now) - equation.on_coordinates(now, elastic, damping)
-        return kept - elastic if damping is None else kept - elastic - equation.layout.on_first(damping)
+        equation, seen = self.equation, sight[: len(self.seen)]
+        overlap = self.overlap(now, sight)
+        force = now.stiffness * equation.scene.contact.penetration(overlap)
+        damping = equation.resistance(overlap, self.approach(now, sight))
+        if damping is not None:
+            force = force + equation.layout.on_first(damping)
+        kept = self._of_mean(self.stiffness, seen)
+        if self.hears_speed and self.damping is not None:
+            heard = sight[len(self.seen) :]
+            kept = kept + self._of_mean(self.damping, equation.layout.on_first(heard) if self.apart else heard)
+        if now.lever is None:
+            return kept - force
+        first = jnp.zeros_like(seen).at[0].set(1.0)
+        return kept + equation.structure.push - now.load * first - now.lever @ force
 
-    def missed(self, now: Excitation, before: Array, seen: Array, speed: Array | None) -> Float[Array, " line"]:
+    def _of_mean(self, mean: Array, seen: Array) -> Array:
+        """What mean springs or dampers hold; those of contacts do not see each other."""
+        return jnp.diagonal(mean) * seen if self.apart else total(mean, seen)
+
+    def missed(self, now: Driving, before: Array, sight: Array) -> Float[Array, " line"]:
         """What the parabola misses where contacts open or close within the step [N, N m].
 
         Args:
             now: what drives the motion at the end of the step.
             before: overlap at its beginning, shape (contact,) [m].
-            seen, speed: at its end.
+            sight: at its end.
         """
-        equation, overlap = self.equation, self.overlap(now, seen)
+        equation, overlap = self.equation, self.overlap(now, sight)
         crossed = (before > 0) != (overlap > 0)
         size = jnp.abs(overlap - before)
         share = jnp.where(crossed, jnp.abs(before) / jnp.where(crossed, size, 1.0), 1.0)
         kink = jnp.where(crossed, -now.stiffness * size * (1 / 12 - 0.5 * share * (1 - share)), 0.0)
-        jump = None
         if equation.scene.damping is not None and equation.scene.damping.acting == "contact":
             turn = equation.engaged(before) - equation.engaged(overlap)
-            when = jnp.stack([share[flank] for flank in equation.layout.flanks]).min(axis=0)
-            approach = self.approach(now, seen, speed)
+            when = share[equation.layout.flanks[0]]
+            for flank in equation.layout.flanks[1:]:
+                when = jnp.minimum(when, share[flank])
+            approach = self.approach(now, sight)
             assert approach is not None
             assert equation.coefficient is not None
-            jump = equation.coefficient * turn * approach * (0.5 - when)
-        if not self.apart:
-            return equation.on_coordinates(now, kink, jump)
-        return kink if jump is None else kink + equation.layout.on_first(jump)
+            kink = kink + equation.layout.on_first(equation.coefficient * turn * approach * (0.5 - when))
+        return kink if now.lever is None else now.lever @ kink
 
 
-def times(matrix: Float[Array, "... row column"], vector: Float[Array, " column"]) -> Float[Array, "... row"]:
-    """A product that fuses with what is around it: within a loop, XLA would call a routine for each small one."""
-    return (matrix * jnp.broadcast_to(vector, matrix.shape)).sum(axis=-1)
+def total(columns: Float[Array, "column ..."], numbers: Float[Array, "column ..."]) -> Float[Array, "..."]:
+    """A product that fuses with what is around it, written out: a sum of vectors."""
+    found = columns[0] * numbers[0]
+    for column in range(1, len(columns)):
+        found = found + columns[column] * numbers[column]
+    return found

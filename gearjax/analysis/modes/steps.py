@@ -8,11 +8,12 @@ small and changes slowly:
 What L and u are, `gearjax.analysis.modes.lines` tells. Steps are those of `gearjax.analysis.modes.parabola`, the inputs
 taken at the s that their last two values lead to.
 
-A block of steps is a shift register: what will be seen of the state, without the inputs to come, is one product for the
-whole block; each step adds its response to what the others will see. Only that stands between one step and the next.
+A step is three small products, with what the contacts do in between: of the state, then of the inputs at its end, then
+of what a parabola misses there. Their rows are sights (what the inputs depend on) and the state.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,87 +22,56 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import tables
-from gearjax.analysis.modes.equation import Excitation, StructureEquation
-from gearjax.analysis.modes.lines import Lines, times
+from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.analysis.modes.lines import Driving, Lines, total
 from gearjax.analysis.modes.parabola import Scaled, Weights, weights
 from gearjax.analysis.solvers import highest_between
 from gearjax.contact import HardContact
 from gearjax.typing import Array, Float, Scalar
 
-LONGEST_BLOCK = 16  # steps of a register
-UNROLL = 4  # steps of it that are written out
+AT_ONCE = 16  # steps whose excitation is worked out together, where it is at each, or of many contacts
+OF_FEW = 96  # of few contacts, between nodes: blocks have a price of their own
+UNROLL = 4  # steps that are written out: as installed, one by one takes 1.4 times as long; with options, the same
 
 
-def block_length(each: int) -> int:
-    """Steps of a block, where there are some between samples."""
-    return next(n for n in range(LONGEST_BLOCK, 0, -1) if each % n == 0)
+def divisor(number: int, most: int) -> int:
+    """The largest one that is not above a bound."""
+    return next(n for n in range(min(number, most), 0, -1) if number % n == 0)
 
 
-class Register(NamedTuple):
-    """A block of steps as products; a state stands with the inputs now and a step before.
+class Products(NamedTuple):
+    """What a step makes of the state with the inputs of the lines now and a step before.
 
     Args:
-        free: what will be seen of a state at each step, shape (step, sight, state).
-        echo: what is seen of a line's input, at its own step and those after, shape (step, sight, line).
-        known: what is seen at each step of known inputs at each step, shape (step sight, step known).
-        kink: what is seen of what a parabola misses, shape (step, sight, line).
-        last: the state after the block of that before it, and of inputs and misses, latest last.
-        told: position and velocity per step of the output at each step, of the same three.
+        free: without the inputs at its end: sights at the inputs that the last two lead to, sights, and the state,
+            shape (2 sight + state, state + 2 line).
+        after: of the inputs at its end: sights and the state, shape (sight + state, line).
+        kink: of what a parabola misses, shape (sight + state, line).
+        known: of known inputs at its end, now, and a step before, rows as of ``free``, each of shape (row, known).
+        given: what known inputs make where they stand still, shape (2 sight + state,); ``None`` where they change.
     """
 
     free: Array
-    echo: Array
-    known: Array
+    after: Array
     kink: Array
-    last: tuple[Array, Array, Array]
-    told: tuple[Array, Array, Array]
+    known: tuple[Array, Array, Array]
+    given: Array | None
 
     @classmethod
-    def of(cls, lines: Lines, scaled: Scaled, step: Scalar, part: Weights, length: int) -> "Register":
-        """Products of a block of some steps."""
-        states, inputs = part.after.shape
-        number = lines.seen.shape[0]
-        unit, nothing = jnp.eye(inputs, dtype=part.kept.dtype), jnp.zeros((inputs, inputs), part.kept.dtype)
-        wide = jnp.zeros((inputs, states), part.kept.dtype)
-        once = jnp.block([[part.kept, part.now, part.before], [wide, nothing, nothing], [wide, unit, nothing]])
-        entry = jnp.concatenate([part.after, unit, nothing])
-        bump = jnp.concatenate([part.kink, nothing, nothing])[:, :number]
-        sights = (
-            [lines.seen @ scaled.place, lines.seen @ scaled.speed] if lines.hears_speed else [lines.seen @ scaled.place]
-        )
-        sight = _widened(jnp.concatenate(sights), 2 * inputs)
-        output = _widened(jnp.stack([scaled.place[0], step * scaled.speed[0]]), 2 * inputs)
+    def of(cls, lines: Lines, scaled: Scaled, part: Weights, known: Array | None) -> "Products":
+        """Those of a step; known inputs where they stand still."""
+        number, sight = lines.seen.shape[0], lines.sights(scaled.place, scaled.speed)
 
-        def further(power: Array, _: None) -> tuple[Array, Array]:
-            return once @ power, power
+        def rows(expected: Array, found: Array) -> Array:
+            return jnp.concatenate([sight @ expected, sight @ found, found])
 
-        end, powers = jax.lax.scan(further, jnp.eye(len(once), dtype=once.dtype), None, length=length)
-        after = powers @ once
-        backwards = powers[::-1]
-        last = end, _side_by_side(backwards @ entry), _side_by_side(backwards @ bump)
-        shown = output @ powers
-        told = (output @ after).reshape(2 * length, -1), _toeplitz(shown @ entry), _toeplitz(shown @ bump)
-        seen = sight @ powers
-        return cls(
-            sight @ after, seen @ entry[:, :number], _toeplitz(seen @ entry[:, number:]), seen @ bump, last, told
-        )
-
-
-def _widened(rows: Array, by: int) -> Array:
-    """Rows of a state that do not look at the inputs that stand with it."""
-    return jnp.pad(rows, ((0, 0), (0, by)))
-
-
-def _side_by_side(columns: Float[Array, "step row column"]) -> Float[Array, "row step_column"]:
-    return columns.transpose(1, 0, 2).reshape(columns.shape[1], -1)
-
-
-def _toeplitz(responses: Float[Array, "step row column"]) -> Float[Array, "step_row step_column"]:
-    """What is seen at each step of what enters at each step, before or at it."""
-    length, rows, columns = responses.shape
-    later = jnp.arange(length)[:, None] - jnp.arange(length)[None, :]
-    found = jnp.where((later >= 0)[:, :, None, None], responses[jnp.maximum(later, 0)], 0.0)
-    return found.transpose(0, 2, 1, 3).reshape(length * rows, length * columns)
+        kept, after, now, before = part
+        own = rows(now + 2 * after, now)[:, :number], rows(before - after, before)[:, :number]
+        free = jnp.concatenate([rows(kept, kept), *own], axis=1)
+        last, kink = (jnp.concatenate([sight @ one, one])[:, :number] for one in (after, part.kink))
+        of_known = rows(after, after)[:, number:], rows(now, now)[:, number:], rows(before, before)[:, number:]
+        given = None if known is None else (of_known[0] + of_known[1] + of_known[2]) @ known
+        return cls(free, last, kink, of_known, given)
 
 
 class Steps(eqx.Module):
@@ -110,98 +80,75 @@ class Steps(eqx.Module):
     Args:
         lines: of its contacts.
         scaled: its structure, with mean springs and dampers.
-        products: of a block of steps.
+        products: of a step.
         begin, step: time of the start, and of a step [s].
-        length: of a block.
     """
 
     lines: Lines
     scaled: Scaled
-    products: Register
+    products: Products
     begin: Scalar
     step: Scalar
-    length: int = eqx.field(static=True)
 
     @classmethod
-    def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar, each: int) -> "Steps":
-        """Steps of a record with a number of them between samples."""
+    def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar) -> "Steps":
+        """Steps of a length, with what carries at the start."""
         lines = Lines.of(equation, begin)
         parts, seen = equation.structure, lines.seen
         stiffness = parts.stiffness + seen.T @ lines.stiffness @ seen
         damping = parts.damping if lines.damping is None else parts.damping + seen.T @ lines.damping @ seen
         scaled = Scaled.of(parts, stiffness, damping, step)
         part = weights(scaled.matrix, scaled.inputs @ lines.acting)
-        length = block_length(each)
-        return cls(lines, scaled, Register.of(lines, scaled, step, part, length), begin, step, length)
+        (changes,) = tables.depends(lambda time: lines.known(lines.driving(time)), begin)
+        known = None if changes else lines.known(lines.driving(begin))
+        return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step)
 
-    def start(self, place: Array, speed: Array) -> tuple[Array, Array]:
-        """State with its inputs now and a step before, and the overlap of the contacts, from the coordinates.
+    def start(self, place: Array, speed: Array) -> tuple[Array, tuple[Array, Array], Array]:
+        """State with the inputs of the lines now and a step before, known inputs now and a step before, and the overlap
+        of the contacts, from the coordinates.
 
         A start whose inputs have no slope would make the whole motion first order.
         """
-        equation = self.lines.equation
-        now = equation.excitation(self.begin)
+        equation, lines = self.lines.equation, self.lines
 
-        def inputs(time: Scalar, place: Array, speed: Array) -> Array:
-            seen, heard = (self.lines.seen @ part for part in (place, speed))
-            now = equation.excitation(time)
-            own = self.lines.inputs(now, seen, heard if self.lines.hears_speed else None)
-            return jnp.concatenate([own, self.lines.known(now)])
+        def inputs(time: Scalar, place: Array, speed: Array) -> tuple[Array, Array]:
+            now = lines.driving(time)
+            return lines.inputs(now, lines.sights(place, speed)), lines.known(now)
 
-        along = jnp.ones_like(self.begin), speed, equation.acceleration(now, place, speed)
+        along = jnp.ones_like(self.begin), speed, equation.acceleration(equation.excitation(self.begin), place, speed)
         here, slope = jax.jvp(inputs, (self.begin, place, speed), along)
-        state = self.scaled.back @ jnp.concatenate([place, speed])
-        whole = jnp.concatenate([state, here, here - self.step * slope])
-        return whole, self.lines.overlap(now, self.lines.seen @ place)
+        (own, known), (own_before, known_before) = here, jax.tree.map(lambda x, dx: x - self.step * dx, here, slope)
+        state = jnp.concatenate([self.scaled.back @ jnp.concatenate([place, speed]), own, own_before])
+        return state, (known, known_before), lines.overlap(lines.driving(self.begin), lines.sights(place, speed))
 
-    def block(self, carry: tuple[Array, Array], rows: Excitation) -> tuple[tuple[Array, Array], Array]:
-        """A block of steps, from what drives it at their ends: what `start` gives after it, and position and velocity
-        per step of the output at each step, shape (step, 2) [rad]."""
-        lines, register = self.lines, self.products
-        state, overlap = carry
-        inputs, number = lines.acting.shape[1], lines.seen.shape[0]
-        now, before = state[-2 * inputs : -inputs][:number], state[-inputs:][:number]
-        known = jax.vmap(lines.known)(rows)
-        hard = isinstance(lines.equation.scene.contact, HardContact)
-
-        def sighted(sight: Array) -> tuple[Array, Array | None]:
-            return sight[:number], sight[number:] if lines.hears_speed else None
-
-        def step(inner: tuple, row: Excitation) -> tuple[tuple, tuple[Array, Array]]:
-            coming, now, before, overlap = inner
-            ahead = coming[0] + times(register.echo[0], 2 * now - before)
-            after = lines.inputs(row, *sighted(ahead))
-            coming = coming + times(register.echo, after)
-            missed = jnp.zeros((number,), after.dtype)
-            if hard:
-                missed = lines.missed(row, overlap, *sighted(coming[0]))
-                coming = coming + times(register.kink, missed)
-                overlap = lines.overlap(row, sighted(coming[0])[0])
-            shifted = jnp.pad(coming[1:], ((0, 1), (0, 0)))
-            return (shifted, after, now, overlap), (after, missed)
-
-        free = register.free @ state + (register.known @ known.ravel()).reshape(self.length, -1)
-        (*_, overlap), (own, all_missed) = jax.lax.scan(
-            step, (free, now, before, overlap), rows, unroll=min(UNROLL, self.length)
-        )
-        parts = state, jnp.concatenate([own, known], axis=1).ravel(), all_missed.ravel()
-        parts, sides = (parts, (0, 1, 2)) if hard else (parts[:2], (0, 1))
-        after = sum(
-            (register.last[side] @ part for side, part in zip(sides, parts, strict=True)), jnp.zeros_like(state)
-        )
-        nothing = jnp.zeros((2 * self.length,), state.dtype)
-        told = sum((register.told[side] @ part for side, part in zip(sides, parts, strict=True)), nothing)
-        return (after, overlap), told.reshape(self.length, 2)
-
-    def driven(self, time: Scalar) -> Excitation:
-        """What drives the steps: without what stands still."""
-        now = self.lines.equation.excitation(time)
-        return now._replace(jacobian=None, jacobian_rate=None) if self.lines.apart else now
+    def advance(self, carry: tuple, now: Driving) -> tuple[tuple, Array]:
+        """A step, from what drives it at its end: what `start` gives after it, and its state."""
+        lines, products, (state, known, overlap) = self.lines, self.products, carry
+        number, states = lines.seen.shape[0], self.scaled.place.shape[1]
+        sights = len(products.after) - states
+        coming, new = products.free @ state, lines.known(now)
+        if products.given is not None:
+            coming = coming + products.given
+        else:
+            coming = sum((part @ one for part, one in zip(products.known, (new, *known), strict=True)), coming)
+        after = lines.inputs(now, coming[:sights])
+        found = coming[sights:] + products.after @ after
+        if isinstance(lines.equation.scene.contact, HardContact):
+            missed = lines.missed(now, overlap, found[:sights])
+            found = found + products.kink @ missed
+            overlap = lines.overlap(now, found[:sights])
+        whole = jnp.concatenate([found[sights:], after, state[states : states + number]])
+        return (whole, (new, known[0]), overlap), found[sights:]
 
     def coordinates(self, state: Array) -> Float[Array, "2 coordinate"]:
         """Coordinates and their velocities."""
         alone = state[: self.scaled.place.shape[1]]
         return jnp.stack([self.scaled.place @ alone, self.scaled.speed @ alone])
+
+    def output(self, states: Float[Array, "step state"]) -> tuple[Float[Array, " step"], Float[Array, " step"]]:
+        """Position [rad], and velocity per step, of the output."""
+        half = self.scaled.place.shape[0]
+        return states[:, 0] * self.scaled.place[0, 0], states[:, half] * (self.scaled.speed[0, half] * self.step)
 
 
 class March(NamedTuple):
@@ -218,7 +165,7 @@ class Spacing(NamedTuple):
 
     Args:
         samples, each: number of samples, and of steps between them.
-        span: steps whose excitation is worked out together, a multiple of those of a block.
+        span: steps whose excitation is worked out together.
         nodes: of the polynomial through it; ``None`` where it is worked out at each step.
     """
 
@@ -236,11 +183,11 @@ class Spacing(NamedTuple):
             phase: of what drives the motion fastest, per step [rad]; ``None`` where it is not known.
             dtype: of the numbers.
         """
-        length, accuracy = block_length(each), tables.accuracy(dtype)
-        best = cls(samples, each, length, None)
+        accuracy = tables.accuracy(dtype)
+        best = cls(samples, each, divisor(each, AT_ONCE), None)
         if phase is None:
             return best
-        for span in (n * length for n in range(1, each // length + 1) if (each // length) % n == 0):
+        for span in (n for n in range(1, each + 1) if each % n == 0):
             enough = (k for k in range(4, tables.MOST_NODES + 1) if tables.reach(k, accuracy) >= phase * span)
             nodes = next(enough, span)
             if nodes < span and nodes / span < (1.0 if best.nodes is None else best.nodes / best.span):
@@ -250,47 +197,65 @@ class Spacing(NamedTuple):
 
 def march(steps: Steps, place: Array, speed: Array, spacing: Spacing) -> March:
     """Motion from coordinates and velocities over samples with some steps between them."""
-    blocks = spacing.span // steps.length
-    seconds = steps.step * spacing.each
+    seconds, few = steps.step * spacing.each, steps.lines.apart
 
-    def block(inner: tuple, rows: Excitation) -> tuple[tuple, None]:
-        carry, told, highest, lowest = inner
-        carry, found = steps.block(carry, rows)
-        earlier = jnp.concatenate([told[None], found[:-1]])
-        one = jnp.ones_like(told[0])
-        high = highest_between(earlier[:, 0], found[:, 0], earlier[:, 1], found[:, 1], one)
-        low = -highest_between(-earlier[:, 0], -found[:, 0], -earlier[:, 1], -found[:, 1], one)
-        return (carry, found[-1], jnp.maximum(highest, high.max()), jnp.minimum(lowest, low.min())), None
+    def along(carry: tuple, rows: Driving) -> tuple[tuple, Array]:
+        return jax.lax.scan(lambda carry, row: steps.advance(carry, row), carry, rows, unroll=UNROLL)
 
-    # worked out again where a derivative runs backwards: its memory grows with blocks, not with steps
+    def driven(carry: tuple, origin: Array) -> tuple[tuple, Array]:
+        """The steps of a span: their states."""
+        ends = np.arange(1, spacing.span + 1, dtype=float)
+        if spacing.nodes is None:
+            times = origin + jnp.asarray(ends, origin.dtype) * steps.step
+            return along(carry, jax.vmap(steps.lines.driving)(times))
+        places = jnp.asarray(tables.nodes(spacing.span, spacing.nodes), origin.dtype)
+        table, unpacked = packed(jax.vmap(steps.lines.driving)(origin + places * steps.step))
+        block = divisor(spacing.span, OF_FEW if few else AT_ONCE)
+        shares = tables.weights(spacing.span, spacing.nodes, ends).reshape(-1, block, spacing.nodes)
+
+        def between(carry: tuple, share: Array) -> tuple[tuple, Array]:
+            # written out it is no call, but many contacts then take twice the time of one
+            return along(carry, unpacked(total(table[:, None], share.T[:, :, None]) if few else share @ table))
+
+        carry, states = jax.lax.scan(between, carry, jnp.asarray(shares, origin.dtype))
+        return carry, states.reshape(spacing.span, -1)
+
+    # worked out again where a derivative runs backwards: its memory grows with spans, not with steps
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def span(inner: tuple, origin: Array) -> tuple[tuple, None]:
-        ends = jnp.arange(1, spacing.span + 1).astype(origin.dtype).reshape(blocks, steps.length)
-        if spacing.nodes is None:
+        carry, last, highest, lowest = inner
+        carry, states = driven(carry, origin)
+        position, slope = steps.output(jnp.concatenate([last[None], states]))
+        highest, lowest = jnp.maximum(highest, peak(position, slope)), jnp.minimum(lowest, -peak(-position, -slope))
+        return (carry, states[-1], highest, lowest), None
 
-            def direct(inner: tuple, ends: Array) -> tuple[tuple, None]:
-                return block(inner, jax.vmap(steps.driven)(origin + ends * steps.step))
-
-            return jax.lax.scan(direct, inner, ends)
-        places = jnp.asarray(tables.nodes(spacing.span, spacing.nodes), origin.dtype)
-        known = jax.vmap(steps.driven)(origin + places * steps.step)
-        at = np.arange(1, spacing.span + 1, dtype=float)
-        shares = tables.weights(spacing.span, spacing.nodes, at).reshape(blocks, steps.length, -1)
-
-        def between(inner: tuple, share: Array) -> tuple[tuple, None]:
-            return block(inner, jax.tree.map(lambda leaf: jnp.tensordot(share, leaf, 1), known))
-
-        return jax.lax.scan(between, inner, jnp.asarray(shares, origin.dtype))
-
-    def interval(outer: tuple, number: Array) -> tuple[tuple, tuple]:
-        carry, told = outer
+    def interval(carry: tuple, number: Array) -> tuple[tuple, tuple]:
         parts = jnp.arange(spacing.each // spacing.span).astype(seconds.dtype)
         origins = steps.begin + number.astype(seconds.dtype) * seconds + parts * (spacing.span * steps.step)
-        (carry, told, highest, lowest), _ = jax.lax.scan(span, (carry, told, told[0], told[0]), origins)
-        return (carry, told), (steps.coordinates(carry[0]), highest, lowest)
+        last = carry[0][: steps.scaled.place.shape[1]]
+        now = last[0] * steps.scaled.place[0, 0]
+        (carry, _, highest, lowest), _ = jax.lax.scan(span, (carry, last, now, now), origins)
+        return carry, (steps.coordinates(carry[0]), highest, lowest)
 
-    told = jnp.stack([place[0], speed[0] * steps.step])
     numbers = jnp.arange(spacing.samples - 1)
-    _, (states, highest, lowest) = jax.lax.scan(interval, (steps.start(place, speed), told), numbers)
+    _, (states, highest, lowest) = jax.lax.scan(interval, steps.start(place, speed), numbers)
     parts = (jnp.stack([place, speed]), states), (place[0], highest), (place[0], lowest)
     return March(*(jnp.concatenate([first[None], rest]) for first, rest in parts))
+
+
+def peak(position: Float[Array, " n"], slope: Float[Array, " n"]) -> Scalar:
+    """Highest value on the steps between positions, from their slopes per step."""
+    return highest_between(position[:-1], position[1:], slope[:-1], slope[1:], jnp.ones_like(position[1:])).max()
+
+
+def packed(driving: Driving) -> tuple[Float[Array, "time number"], Callable[[Array], Driving]]:
+    """Numbers of several times as the rows of one table, and what such rows mean."""
+    leaves, tree = jax.tree.flatten(driving)
+    ends = np.cumsum([0, *(leaf[0].size for leaf in leaves)])
+
+    def unpacked(rows: Array) -> Driving:
+        parts = zip(ends[:-1], ends[1:], leaves, strict=True)
+        own = [rows[:, begin:end].reshape(len(rows), *leaf.shape[1:]) for begin, end, leaf in parts]
+        return jax.tree.unflatten(tree, own)
+
+    return jnp.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1), unpacked
