@@ -189,15 +189,14 @@ class OfStructure:
 
     def _inputs(self, numbers: Float[Array, "function line"]) -> Float[Array, "function input"]:
         """Coefficients of the inputs that curves lead to."""
-        equation, lines = self.equation, self.lines
-        place, speed, _ = self.series.motion(numbers * self.size[None], self.period)
+        lines = self.lines
+        seen, rate, _ = self.series.motion(numbers * self.size[None], self.period)
 
-        def at(time: Scalar, place: Array, speed: Array) -> Array:
-            now = equation.excitation(time)
-            own = lines.inputs(now, place, speed if lines.hears_speed else None)
-            return jnp.concatenate([own, lines.known(now)])
+        def at(time: Scalar, seen: Array, rate: Array) -> Array:
+            now = lines.driving(time)
+            return jnp.concatenate([lines.inputs(now, lines.sight(seen, rate)), lines.known(now)])
 
-        return self.series.weights @ jax.vmap(at)(self.series.places * self.period, place, speed)
+        return self.series.weights @ jax.vmap(at)(self.series.places * self.period, seen, rate)
 
     def lacking(self, numbers: Float[Array, "function line"]) -> Float[Array, "function line"]:
         """How far curves are from what they lead to."""

@@ -104,6 +104,12 @@ class Lines(eqx.Module):
         heard = self.seen[self.equation.layout.flanks[0]] if self.apart else self.seen
         return jnp.concatenate([self.seen @ place, heard @ speed])
 
+    def sight(self, seen: Float[Array, " line"], rate: Float[Array, " line"]) -> Array:
+        """The same of s and its rate at all lines."""
+        if not self.hears_speed:
+            return seen
+        return jnp.concatenate([seen, rate[self.equation.layout.flanks[0]] if self.apart else rate])
+
     def driving(self, time: Scalar) -> Driving:
         """What drives the steps at a time [s]: without what stands still."""
         now, first = self.equation.excitation(time), self.equation.layout.flanks[0]

@@ -27,6 +27,7 @@ from gearjax.analysis.modes.lines import Driving, Lines, total
 from gearjax.analysis.modes.parabola import Scaled, Weights, weights
 from gearjax.analysis.solvers import highest_between
 from gearjax.contact import HardContact
+from gearjax.dependence import depends
 from gearjax.typing import Array, Float, Scalar
 
 AT_ONCE = 16  # steps whose excitation is worked out together, where it is at each, or of many contacts
@@ -94,12 +95,9 @@ class Steps(eqx.Module):
     def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar) -> "Steps":
         """Steps of a length, with what carries at the start."""
         lines = Lines.of(equation, begin)
-        parts, seen = equation.structure, lines.seen
-        stiffness = parts.stiffness + seen.T @ lines.stiffness @ seen
-        damping = parts.damping if lines.damping is None else parts.damping + seen.T @ lines.damping @ seen
-        scaled = Scaled.of(parts, stiffness, damping, step)
+        scaled = Scaled.of(equation.structure, *lines.whole, step)
         part = weights(scaled.matrix, scaled.inputs @ lines.acting)
-        (changes,) = tables.depends(lambda time: lines.known(lines.driving(time)), begin)
+        (changes,) = depends(lambda time: lines.known(lines.driving(time)), begin)
         known = None if changes else lines.known(lines.driving(begin))
         return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step)
 
