@@ -4,7 +4,11 @@ The shipped examples, whose output alone moves: dampers that act in contact and 
 (RV). Both schemes as programs of the same scene; errors are the largest of the output against Dopri8 at 1e-12, relative
 to its travel; ratios at equal error interpolate along powers between step lengths.
 
-RESULT
+What was found: not for all, so both stay. Levers that stand still (2K-V): constant modes take 2 to 6 times as long as
+the march at equal error, 2 to 7 times as long as its windows, 10 to 12 times for a gradient backwards, and 30 to 70
+times for 64 lanes, which the march lays last. Levers that turn (RV): with 48 steps a sample their error is a hundredth
+of that of the march with 192, in a third of its time, and a gradient takes 0.2 (reverse) to 0.4 (forward) of the time
+at equal steps; lanes as long. Such scenes are those that constant modes could take over.
 
     python experiments/one_scheme_bench.py [--repeats 5] [--only two_kv]
 
@@ -132,7 +136,7 @@ if __name__ == "__main__":
     given = parser.parse_args()
     examples = {
         "two_kv/wang_2020.toml": (100.0, 1.0, 201, (8, 16, 32, 64)),
-        "rv_cycloidal/hu_2020.toml": (784.0, 0.004, 41, (48, 96, 192)),
+        "rv_cycloidal/hu_2020.toml": (784.0, 0.002, 21, (48, 96, 192)),
     }
     for name, (torque, duration, samples, per_sample) in examples.items():
         if given.only in name:

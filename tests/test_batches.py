@@ -173,7 +173,7 @@ def test_many_pairs_are_one_vector_in_a_batch_too(scene, monkeypatch):
 
     torques = jnp.array([30.0, 100.0, 300.0])
     expected = [jax.jit(run)(torque) for torque in torques]
-    monkeypatch.setattr("gearjax.analysis.oscillator.FEW", 1)
+    monkeypatch.setattr("gearjax.analysis.fast.oscillator.FEW", 1)
     jax.clear_caches()
     np.testing.assert_allclose(jax.jit(jax.vmap(run))(torques), expected, rtol=1e-12)
     jax.clear_caches()

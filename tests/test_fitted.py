@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis import march, tables
+from gearjax.analysis import tables
 from gearjax.analysis.equation import Equation, turning_rate
-from gearjax.analysis.fitted import ExponentialFit, OscillatorTerm, State
-from gearjax.analysis.oscillator import Oscillator
-from gearjax.analysis.signals import Drive, at_nodes
+from gearjax.analysis.fast import march
+from gearjax.analysis.fast.fitted import ExponentialFit, OscillatorTerm, State
+from gearjax.analysis.fast.oscillator import Oscillator
+from gearjax.analysis.fast.signals import Drive, at_nodes
 from gearjax.units import arcmin
 from tests.test_dynamics import ALPHA, MASS, PHASE, RADIUS, SIZE, STIFFNESS, TORQUE, exact, oscillator, still
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gearjax.analysis.fast.recurrence import recur
 from gearjax.analysis.metrics import top
-from gearjax.analysis.recurrence import recur
 
 STEPS = 30
 

@@ -1,7 +1,7 @@
 """Analyses of a scene: quasi-static, dynamic, their metrics and order spectra."""
 
 from gearjax.analysis.dynamics import growth_rate, simulate
-from gearjax.analysis.fitted import ExponentialFit
+from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.harmonic_balance import harmonic_balance
 from gearjax.analysis.metrics import FewAngles

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import march
 from gearjax.analysis.equation import Equation, slowest_decay
-from gearjax.analysis.fitted import ExponentialFit
+from gearjax.analysis.fast import march
+from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.integrate import Even
 from gearjax.analysis.modes import Spacing, StructureEquation

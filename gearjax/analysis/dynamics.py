@@ -12,16 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis import march, modes, tables
+from gearjax.analysis import modes, tables
 from gearjax.analysis.choice import MODELLED, Fitted, Method, Modes, advice, allowed, known_limits, method_of
 from gearjax.analysis.equation import Equation, turning_rate
+from gearjax.analysis.fast import march
+from gearjax.analysis.fast.oscillator import Oscillator
+from gearjax.analysis.fast.signals import Drive
 from gearjax.analysis.follow import QuasiStatic, follow
 from gearjax.analysis.growth import growth, growth_in_modes, watch
 from gearjax.analysis.integrate import Even, integrated, recorded
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.motion import Motion
-from gearjax.analysis.oscillator import Oscillator
-from gearjax.analysis.signals import Drive
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, Stepper
 from gearjax.checks import SceneError, is_concrete
 from gearjax.scene import Scene, require

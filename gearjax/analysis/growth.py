@@ -8,8 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from gearjax.analysis import march, modes
-from gearjax.analysis.signals import Drive
+from gearjax.analysis import modes
+from gearjax.analysis.fast import march
+from gearjax.analysis.fast.signals import Drive
 from gearjax.typing import Array, Scalar
 
 MOST_STEPS = 2048  # that a disturbance is followed before it is made small again
@@ -23,7 +24,7 @@ def growth(drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: m
     as position and velocity over the natural frequency.
 
     Args:
-        drive, start, carry, spacing: as for `gearjax.analysis.march.march`.
+        drive, start, carry, spacing: as for `gearjax.analysis.fast.march.march`.
     """
     parts = max(1, spacing.samples * spacing.each // MOST_STEPS)
     part = spacing._replace(samples=max(1, spacing.samples // parts)).of_whole_blocks()

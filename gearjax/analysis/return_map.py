@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import march, modes
+from gearjax.analysis import modes
 from gearjax.analysis.choice import MODELLED, phase_of
 from gearjax.analysis.equation import Equation
+from gearjax.analysis.fast import march
+from gearjax.analysis.fast.oscillator import Oscillator
 from gearjax.analysis.modes import Steps, StructureEquation
-from gearjax.analysis.oscillator import Oscillator
 from gearjax.analysis.tables import MOST_NODES
 from gearjax.checks import is_concrete
 from gearjax.scene import Scene, require

@@ -15,8 +15,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.fitted import ExponentialFit
-from gearjax.analysis.march import QUICK
+from gearjax.analysis.fast.fitted import ExponentialFit
+from gearjax.analysis.fast.march import QUICK
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 

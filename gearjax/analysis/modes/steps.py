@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import tables
+from gearjax.analysis.metrics import top
 from gearjax.analysis.modes.equation import StructureEquation
 from gearjax.analysis.modes.lines import Driving, Lines, total
 from gearjax.analysis.modes.parabola import Scaled, Weights, weights
@@ -32,6 +33,7 @@ from gearjax.typing import Array, Float, Scalar
 
 AT_ONCE = 16  # steps whose excitation is worked out together, where it is at each, or of many contacts
 OF_FEW = 96  # of few contacts, between nodes: blocks have a price of their own
+LONGEST_SPAN = 4096  # steps between nodes: a derivative backwards keeps them
 UNROLL = 4  # steps that are written out: as installed, one by one takes 1.4 times as long; with options, the same
 
 
@@ -185,7 +187,8 @@ class Spacing(NamedTuple):
         best = cls(samples, each, divisor(each, AT_ONCE), None)
         if phase is None:
             return best
-        for span in (n for n in range(1, each + 1) if each % n == 0):
+        furthest = min(each, LONGEST_SPAN, int(tables.reach(tables.MOST_NODES, accuracy) / max(phase, 1e-12)))
+        for span in (n for n in range(1, furthest + 1) if each % n == 0):
             enough = (k for k in range(4, tables.MOST_NODES + 1) if tables.reach(k, accuracy) >= phase * span)
             nodes = next(enough, span)
             if nodes < span and nodes / span < (1.0 if best.nodes is None else best.nodes / best.span):
@@ -243,7 +246,7 @@ def march(steps: Steps, place: Array, speed: Array, spacing: Spacing) -> March:
 
 def peak(position: Float[Array, " n"], slope: Float[Array, " n"]) -> Scalar:
     """Highest value on the steps between positions, from their slopes per step."""
-    return highest_between(position[:-1], position[1:], slope[:-1], slope[1:], jnp.ones_like(position[1:])).max()
+    return top(highest_between(position[:-1], position[1:], slope[:-1], slope[1:], jnp.ones_like(position[1:])))
 
 
 def packed(driving: Driving) -> tuple[Float[Array, "time number"], Callable[[Array], Driving]]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.equation import Equation, Moment
-from gearjax.analysis.fitted import State
+from gearjax.analysis.fast.fitted import State
 from gearjax.contact import HardContact, Request
 from gearjax.contact.layout import Place
 from gearjax.typing import Array, Float, Scalar

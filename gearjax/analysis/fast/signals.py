@@ -17,7 +17,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from gearjax.analysis import tables
 from gearjax.analysis.equation import Moment
-from gearjax.analysis.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
+from gearjax.analysis.fast.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
 from gearjax.dependence import depends
 from gearjax.typing import Array, Float, Scalar
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from gearjax.analysis import tables
 from gearjax.analysis.equation import Gaps, Moment
-from gearjax.analysis.fitted import advance, change_before, velocity
+from gearjax.analysis.fast.fitted import advance, change_before, velocity
+from gearjax.analysis.fast.oscillator import Fast, Oscillator, Slow
+from gearjax.analysis.fast.recurrence import recur
+from gearjax.analysis.fast.signals import Basis, Drive, Drives, Given, at_nodes, tabulated, written_out
 from gearjax.analysis.metrics import top
-from gearjax.analysis.oscillator import Fast, Oscillator, Slow
-from gearjax.analysis.recurrence import recur
-from gearjax.analysis.signals import Basis, Drive, Drives, Given, at_nodes, tabulated, written_out
 from gearjax.typing import Array, Float, Scalar
 
 BLOCKS = (192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
