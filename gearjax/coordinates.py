@@ -5,6 +5,7 @@ the body that the shaft's turn is told of, where the shaft has a torsional stiff
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -47,36 +48,14 @@ class Coordinates:
             SceneError: bodies of a train are on no shaft, or a shaft turns freely that no mesh drives.
             ParameterError: a shaft has a body that is in no mesh, or that another one has.
         """
-        # a program sees dictionaries in the order of their keys
-        supports, shafts = dict(sorted(supports.items())), dict(sorted(shafts.items()))
-        _check_shafts(meshes, shafts)
-        ends = (meshes[0][0], meshes[-1][1]) if meshes else ("", "")
         for body, support in supports.items():
-            if meshes and body != ends[0] and support.rz is not None:
-                words = f"is for {ends[0]}, whose turn the input holds: what else turns, contacts and shafts hold"
-                raise ParameterError(f"supports.{body}.rz", float(support.rz), words)
-        own = {name: shaft for name, shaft in shafts.items() if not set(ends) & set(shaft.bodies)}
-        driven = {name: [mesh for mesh, (_, body) in enumerate(meshes) if body in own[name].bodies] for name in own}
-        for name in own:
-            if not driven[name]:
-                raise SceneError(f"[shafts.{name}] turns freely: no mesh drives one of its bodies")
-        loose = sorted(own, key=lambda name: driven[name][0])
-        held = [f"{body}.{way}" for body, support in supports.items() for way in support.directions]
-        twists = [
-            f"{body}.twist" for shaft in shafts.values() if shaft.torsion is not None for body in _others(shaft, ends)
-        ]
-        names = ("output", *loose, *held, *twists)
-        turns = tuple(unit_of(name) == "rad" for name in names)
-        base = {ends[0]: (names.index(f"{ends[0]}.rz"),) if f"{ends[0]}.rz" in names else (), ends[1]: (0,)}
-        rotations = dict(base) if meshes else {}
-        for name, shaft in shafts.items():
-            turn = (names.index(name),) if name in own else base[_first(shaft, ends)]
-            for body in shaft.bodies:
-                rotations[body] = turn + ((names.index(f"{body}.twist"),) if f"{body}.twist" in names else ())
-        motions = [(name, (names.index(name),)) for name in held if name != f"{ends[0]}.rz"]
-        motions += [(f"{body}.rz", turn) for body, turn in rotations.items() if turn and body != ends[1]]
-        holds = _holds(meshes, rotations, 1 + len(loose))
-        return cls(names, 1 + len(loose), turns, tuple(motions), tuple(rotations.items()), holds)
+            if meshes and body != meshes[0][0] and support.rz is not None:
+                words = f"is for {meshes[0][0]}, whose turn the input holds: what else turns, contacts and shafts hold"
+                raise ParameterError(f"supports.{body}.rz", support.rz, words)
+        # sorted, as a program sees dictionaries in the order of their keys
+        ways = tuple(sorted((body, support.directions) for body, support in supports.items()))
+        on = tuple(sorted((name, shaft.bodies, shaft.torsion is not None) for name, shaft in shafts.items()))
+        return _coordinates(meshes, ways, on)
 
     @property
     def alone(self) -> bool:
@@ -175,20 +154,53 @@ def check_offered(
                 raise ParameterError(f"shafts.{name}.bodies", body, nearest(body, turning))
 
 
-def _others(shaft: Shaft, ends: tuple[str, str]) -> list[str]:
-    """Bodies of a shaft but the one that its turn is told of."""
-    return [body for body in shaft.bodies if body != _first(shaft, ends)]
+@functools.lru_cache(maxsize=512)  # a scene asks again at every look at its contacts
+def _coordinates(
+    meshes: Meshes, ways: tuple[tuple[str, tuple[str, ...]], ...], on: tuple[tuple[str, tuple[str, ...], bool], ...]
+) -> Coordinates:
+    """Coordinates of a scene.
+
+    Args:
+        meshes: of the gear set.
+        ways: directions that the supports of each body list.
+        on: shafts with their bodies, and whether they twist.
+    """
+    shafts = {name: bodies for name, bodies, _ in on}
+    _check_shafts(meshes, shafts)
+    ends = (meshes[0][0], meshes[-1][1]) if meshes else ("", "")
+    own = {name: bodies for name, bodies in shafts.items() if not set(ends) & set(bodies)}
+    driven = {name: [mesh for mesh, (_, body) in enumerate(meshes) if body in own[name]] for name in own}
+    for name in own:
+        if not driven[name]:
+            raise SceneError(f"[shafts.{name}] turns freely: no mesh drives one of its bodies")
+    loose = sorted(own, key=lambda name: driven[name][0])
+    held = [f"{body}.{way}" for body, listed in ways for way in listed]
+    twists = [
+        f"{body}.twist" for _, bodies, twisting in on if twisting for body in bodies if body != _first(bodies, ends)
+    ]
+    names = ("output", *loose, *held, *twists)
+    drive = f"{ends[0]}.rz"
+    base = {ends[0]: (names.index(drive),) if drive in names else (), ends[1]: (0,)}
+    rotations = dict(base) if meshes else {}
+    for name, bodies in shafts.items():
+        turn = (names.index(name),) if name in own else base[_first(bodies, ends)]
+        for body in bodies:
+            rotations[body] = turn + ((names.index(f"{body}.twist"),) if f"{body}.twist" in names else ())
+    motions = [(name, (names.index(name),)) for name in held if name != drive]
+    motions += [(f"{body}.rz", turn) for body, turn in rotations.items() if turn and body != ends[1]]
+    turns, free = tuple(unit_of(name) == "rad" for name in names), 1 + len(loose)
+    return Coordinates(names, free, turns, tuple(motions), tuple(rotations.items()), _holds(meshes, rotations, free))
 
 
-def _first(shaft: Shaft, ends: tuple[str, str]) -> str:
+def _first(bodies: tuple[str, ...], ends: tuple[str, str]) -> str:
     """The body that the turn of a shaft is told of: that of the input or the output, else its first."""
-    return next((body for body in shaft.bodies if body in ends), shaft.bodies[0])
+    return next((body for body in bodies if body in ends), bodies[0])
 
 
-def _check_shafts(meshes: Meshes, shafts: Mapping[str, Shaft]) -> None:
+def _check_shafts(meshes: Meshes, shafts: Mapping[str, tuple[str, ...]]) -> None:
     """Refuse shafts that cannot be, and trains without the shafts they need."""
     bodies = tuple(dict.fromkeys(body for mesh in meshes for body in mesh))
-    places = [(body, name) for name, shaft in shafts.items() for body in shaft.bodies]
+    places = [(body, name) for name, own in shafts.items() for body in own]
     for body, name in places:
         if not meshes:
             raise SceneError(f"[shafts.{name}] is for a train of wheels: leave it out")
@@ -201,8 +213,8 @@ def _check_shafts(meshes: Meshes, shafts: Mapping[str, Shaft]) -> None:
         if body not in (*on, meshes[0][0], meshes[-1][1]):
             words = f'list [shafts.NAME] with bodies = ["{body}", ...]'
             raise SceneError(f"{body} turns with another body of the train: {words}")
-    for name, shaft in shafts.items():
-        if meshes and {meshes[0][0], meshes[-1][1]} <= set(shaft.bodies):
+    for name, own in shafts.items():
+        if meshes and {meshes[0][0], meshes[-1][1]} <= set(own):
             raise SceneError(f"[shafts.{name}] joins the input to the output: nothing is left to move")
 
 

@@ -6,6 +6,7 @@ in time per natural frequency; b is out of reach. Numbers of an independent prog
 folds at W = 0.8344 and 0.9069, peak of the alternating part 1.477 at 0.837, 1.44290291 at 0.85 on the high branch.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from typing import ClassVar
@@ -117,6 +118,34 @@ COORDINATES = {"alone": None, "twelve": 1e15}
 def test_twelve_coordinates():
     assert len(oscillator(1e15, 0.85).coordinates) == 12
     assert len(oscillator(None, 0.85).coordinates) == 1
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("body", ["pinion", "wheel"])
+def test_each_direction_adds_its_spring(body, way):
+    """Under a static torque: force times the square of its arm along the motion, over the stiffness, in series."""
+    if (body, way) == ("wheel", "rz"):
+        with pytest.raises(gj.ParameterError, match=r"supports\.wheel\.rz"):
+            gj.Scene(TwistedPair(), supports={body: gj.Support(rz=1e6)})
+        return
+    rigid = oscillator(None, 0.5)
+    stiffness, theta = 1e6, np.array([0.2, 1.9])
+    soft = dataclasses.replace(rigid, supports={body: gj.Support(**{way: stiffness})})
+    force, radius = TORQUE / ARM, BASE[body]
+    sine, cosine = (f(math.radians(20)) for f in (math.sin, math.cos))
+    along, across = math.cos(math.radians(9)), math.sin(math.radians(9))
+    normal = np.array([sine * along, cosine * along, -across])  # at the point of the base circle that it touches
+    place = np.array([-cosine, sine, 0.0]) * radius
+    if way.startswith("r") and way != "rz":
+        moment = np.cross(place, normal)
+        arm = {"rx": radius * sine * across, "ry": radius * cosine * across}[way]
+        assert abs(moment["xyz".index(way[1])]) == pytest.approx(arm, rel=1e-12)
+    else:
+        arm = radius if way == "rz" else normal["xyz".index(way)]
+    te = gj.transmission_error(soft, theta, TORQUE)
+    added = te.te - gj.transmission_error(rigid, theta, TORQUE).te
+    np.testing.assert_allclose(added, -force * arm**2 / stiffness / ARM, rtol=1e-9)
+    np.testing.assert_allclose(abs(te.moved[:, 0]), abs(force * arm / stiffness), rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -231,6 +231,18 @@ def test_gradients_of_statics(compliance):
         np.testing.assert_allclose(row, central, rtol=1e-6, atol=1e-7 * float(jnp.abs(central).max()))
 
 
+@pytest.mark.parametrize("torque", [None, 40.0])
+def test_extremes_of_the_samples_alone(torque):
+    scene, theta = on_bearings(), np.linspace(0.0, 0.3, 61)
+    every, few = (gj.transmission_error(scene, theta, torque, extremes=at) for at in ("between", "samples"))
+    np.testing.assert_allclose(every.te, few.te, rtol=1e-14)
+    assert float(few.extremes.maximum) == float(few.te.max())
+    assert float(few.extremes.theta_minimum) == theta[int(jnp.argmin(few.te))]
+    assert float(every.extremes.maximum) > float(few.extremes.maximum)
+    with pytest.raises(gj.ParameterError, match="extremes"):
+        gj.transmission_error(scene, theta, torque, extremes="everywhere")
+
+
 @pytest.mark.parametrize("size", [1e3, 1e15])
 def test_soft_and_hard(size):
     scene = on_bearings(size)

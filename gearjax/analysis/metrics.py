@@ -186,6 +186,12 @@ def _turning(rise: Scalar, fall: Scalar) -> Bool[Array, ""]:
     return (rise >= 0) & (fall >= 0) & (rise + fall > 0)
 
 
+def extremes_of_samples(theta: Float[Array, " n"], values: Float[Array, " n"]) -> Extremes:
+    """Highest and lowest of the samples, which costs nothing where a value between them would cost a solve."""
+    high, low = jnp.argmax(values), jnp.argmin(values)
+    return Extremes(values[high], values[low], theta[high], theta[low])
+
+
 def extremes(
     curve: Callable[[Any, Scalar], Scalar], physics: Any, theta: Float[Array, " n"], values: Float[Array, " n"]
 ) -> Extremes:

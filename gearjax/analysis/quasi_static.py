@@ -6,12 +6,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis.metrics import Extremes, deviation, extremes, load_sharing_factor, warn_of_few_angles
+from gearjax.analysis.metrics import (
+    Extremes,
+    deviation,
+    extremes,
+    extremes_of_samples,
+    load_sharing_factor,
+    warn_of_few_angles,
+)
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
-from gearjax.checks import SceneError, is_concrete
+from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
 from gearjax.contact import Equilibrium, Layout, Pose
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
+
+EXTREMES = ("between", "samples")
 
 
 class TransmissionError(eqx.Module):
@@ -25,7 +34,7 @@ class TransmissionError(eqx.Module):
         forces: compression of each contact in the order of the layout, shape (n, contact) [N]; ``None`` without torque.
         result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), 3 the search for
             the equilibrium did not end, shape (n,).
-        extremes: highest and lowest value over the span of theta, between samples too [rad].
+        extremes: highest and lowest value over the span of theta, between samples too unless told otherwise [rad].
         layout: sides and pairs of the contacts.
         fastest_order: turns of what the curve follows fastest per turn of the input.
         carriers: number of pairs that could carry the torque, shape (n,); of contacts that touch either flank those
@@ -146,7 +155,9 @@ class Backlash(eqx.Module):
 
 
 @arguments.checked(torque=arguments.torques)
-def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None) -> TransmissionError:
+def transmission_error(
+    scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None, *, extremes: str = "between"
+) -> TransmissionError:
     """Transmission error without load, or under a static torque.
 
     Without torque it is the first contact to close, ``max_i(gap_i / J_i)`` over the driving flanks
@@ -157,12 +168,15 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         scene: the scene; with ``torque`` it needs a compliance.
         theta: input angles, increasing, shape (n,) [rad].
         torque: load torque on the output, a number or shape (n,) [N m]; positive loads the driving flanks.
+        extremes: where the highest and lowest value are looked for: ``"between"`` the samples too, or at the
+            ``"samples"`` alone, which is several times quicker where bodies give way or springs are coupled.
 
     Returns:
         The error at each angle and its metrics [rad].
 
     Raises:
         SceneError: the scene lacks what the torque needs.
+        ParameterError: extremes are looked for at no such places.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -172,8 +186,10 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         2.246
     """
     theta = angles_of(scene, theta)
+    if extremes not in EXTREMES:
+        raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
     if torque is None:
-        return _transmission_error(scene.physics(), theta, None)
+        return _transmission_error(scene.physics(), theta, None, extremes)
     require(scene, "static", "compliance")
     torque = jnp.asarray(torque, dtype=theta.dtype)
     if torque.ndim and torque.shape != theta.shape:
@@ -182,7 +198,7 @@ def transmission_error(scene: Scene, theta: ArrayLike, torque: ArrayLike | None 
         raise SceneError(
             f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
         )
-    return _transmission_error(scene.physics("backlash", "compliance"), theta, torque)
+    return _transmission_error(scene.physics("backlash", "compliance"), theta, torque, extremes)
 
 
 @arguments.checked()
@@ -260,12 +276,12 @@ def play(scene: Scene, angle: Scalar | Pose) -> Scalar:
 
 
 @eqx.filter_jit
-def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> TransmissionError:
+def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places: str = "between") -> TransmissionError:
     scene = scene.anchored()
     layout, fastest = scene.layout, scene.system.fastest_order
     if torque is None:
         te = jax.vmap(no_load, in_axes=(None, 0))(scene, theta)
-        found = extremes(no_load, scene, theta, te)
+        found = extremes(no_load, scene, theta, te) if places == "between" else extremes_of_samples(theta, te)
         overlap = _clash(scene, theta) if scene.has_back else None
         result = jnp.zeros(theta.shape, int) if overlap is None else overlap.result
         return TransmissionError(theta, te, None, result, found, layout, fastest, None, overlap)
@@ -282,7 +298,10 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None) -> Tra
         return rest(scene, angle, torque), carriers(scene, angle, torque)
 
     rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
-    found = extremes(under, (scene, torque), theta, rests.position)
+    if places == "between":
+        found = extremes(under, (scene, torque), theta, rests.position)
+    else:
+        found = extremes_of_samples(theta, rests.position)
     record = rests.position, rests.forces, rests.result
     return TransmissionError(theta, *record, found, layout, fastest, able, None, rests.moved, scene.coordinates)
 
