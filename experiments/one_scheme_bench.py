@@ -7,8 +7,9 @@ to its travel; ratios at equal error interpolate along powers between step lengt
 What was found: not for all, so both stay. Levers that stand still (2K-V): constant modes take 2 to 6 times as long as
 the march at equal error, 2 to 7 times as long as its windows, 10 to 12 times for a gradient backwards, and 30 to 70
 times for 64 lanes, which the march lays last. Levers that turn (RV): with 48 steps a sample their error is a hundredth
-of that of the march with 192, in a third of its time, and a gradient takes 0.2 (reverse) to 0.4 (forward) of the time
-at equal steps; lanes as long. Such scenes are those that constant modes could take over.
+of that of the march with 192, in a third of its time (as installed, where the march is slow, a sixtieth); at equal
+steps a gradient takes 0.2 (reverse) to 0.4 (forward) of its time, lanes as long. Such scenes are those that constant
+modes could take over.
 
     python experiments/one_scheme_bench.py [--repeats 5] [--only two_kv]
 
