@@ -161,6 +161,7 @@ STEEL = gj.HertzLineContact(206e9, 0.3, 10e-3)
 QUICK = ("lost_motion", "order_spectrum", "torsion", "transmission_error")
 OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "backlash": lambda case: gj.backlash(case.moved, case.theta),
+    "chosen_steps": lambda case: gj.chosen_steps(case.moved, case.ts, TORQUE).step,
     "contact_pressure": lambda case: gj.contact_pressure(case.moved, case.te(TORQUE), STEEL),
     "interference": lambda case: gj.interference(case.moved, case.theta),
     "export_profile": lambda case: np.loadtxt(_written(gj.export_profile, case.moved), delimiter=",", skiprows=1),

@@ -2,6 +2,7 @@
 programmes, springs added by hand, scipy."""
 
 import dataclasses
+import itertools
 
 import equinox as eqx
 import jax
@@ -48,16 +49,15 @@ def held(contacts: ContactSet) -> np.ndarray:
 # statics --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("torque", [40.0, -25.0, 1e-3])
 @pytest.mark.parametrize("name", SCENES)
-def test_the_one_set_of_contacts_that_fits(name, torque):
+def test_the_one_set_of_contacts_that_fits(name):
     """Springs one by one: every set is tried, ``K q + J^T f = Q`` solved directly; 12 coordinates on bearings."""
     scene = SCENES[name]()
-    te = gj.transmission_error(scene, THETA, torque)
-    assert not te.result.any()
-    assert te.coordinates == scene.coordinates
-    assert len(te.coordinates) == {"free": 2, "twisting": 3, "bearings": 12}[name]
-    for at in (0, 5, 11):
+    for torque, at in itertools.product([40.0, -25.0, 1e-3], (0, 5, 11)):
+        te = gj.transmission_error(scene, THETA, torque)
+        assert not te.result.any()
+        assert te.coordinates == scene.coordinates
+        assert len(te.coordinates) == {"free": 2, "twisting": 3, "bearings": 12}[name]
         own = contacts_of(scene, THETA[at])
         influence = np.diag(1 / np.asarray(own.linear))
         place, forces = brute(np.asarray(own.jacobian), np.asarray(own.gap), influence, held(own), torque)
@@ -66,13 +66,12 @@ def test_the_one_set_of_contacts_that_fits(name, torque):
 
 
 @pytest.mark.parametrize("pairs", [1, 2])
-@pytest.mark.parametrize("torque", [40.0, -25.0, 0.3])
 @pytest.mark.parametrize("name", SCENES)
-def test_teeth_that_share_a_rim(name, torque, pairs):
+def test_teeth_that_share_a_rim(name, pairs):
     scene = SCENES[name](compliance=Rim(), system={"pairs": pairs})
-    te = gj.transmission_error(scene, THETA, torque)
-    assert not te.result.any()
-    for at in (2, 9):
+    for torque, at in itertools.product([40.0, -25.0, 0.3], (2, 9)):
+        te = gj.transmission_error(scene, THETA, torque)
+        assert not te.result.any()
         own = contacts_of(scene, THETA[at])
         influence = np.asarray(own.springs.influence)
         place, forces = brute(np.asarray(own.jacobian), np.asarray(own.gap), influence, held(own), torque)
@@ -208,7 +207,7 @@ NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("compliance", ["springs", "rim"])
+@pytest.mark.parametrize("compliance", [pytest.param("springs", marks=pytest.mark.slow), "rim"])
 def test_gradients_of_statics(compliance):
     """Under jit and vmap, of numbers of every kind, torque included: central differences."""
     scene = on_bearings(**({"compliance": Rim()} if compliance == "rim" else {}))

@@ -1,6 +1,7 @@
 """Analyses of a scene: quasi-static, dynamic, their metrics and order spectra."""
 
-from gearjax.analysis.dynamics import growth_rate, simulate
+from gearjax.analysis.choice import ChosenSteps
+from gearjax.analysis.dynamics import chosen_steps, growth_rate, simulate
 from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.harmonic_balance import harmonic_balance
@@ -18,6 +19,7 @@ from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost
 __all__ = [
     "AdaptiveStep",
     "Backlash",
+    "ChosenSteps",
     "ExponentialFit",
     "ExponentialParabola",
     "FewAngles",
@@ -34,6 +36,7 @@ __all__ = [
     "TransmissionError",
     "Windows",
     "backlash",
+    "chosen_steps",
     "contact_pressure",
     "growth_rate",
     "harmonic_balance",

@@ -108,7 +108,7 @@ def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
 def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
     """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly."""
     decay = float(limits.decay)
-    if decay <= 0 or not scene.system.turns_evenly or (scene.load is not None and scene.load.alternates):
+    if decay <= 0 or _load_changes(scene):
         return None
     warm_up = FORGOTTEN / decay
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
@@ -159,6 +159,48 @@ def method_of(
     alone = phase is None and not batched
     quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
     return Fitted(whole, windows, fall_back=not seen, quick=quick)
+
+
+class ChosenSteps(NamedTuple):
+    """How a motion is computed, and why.
+
+    Args:
+        scheme: ``"fitted march"``, ``"fitted march in windows"``, ``"constant modes"``, or the name of what was given.
+        reason: what of the scene, the samples or the stepper decided.
+        step: length of a step; ``None`` where it adapts, or the sample times are not known [s].
+        windows: how many there are side by side; 1 for one go.
+    """
+
+    scheme: str
+    reason: str
+    step: float | None
+    windows: int = 1
+
+
+def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | None, method: Method) -> ChosenSteps:
+    """What a method is, in words; arguments as for `method_of`."""
+    if isinstance(method, AdaptiveStep | QuasiStatic):
+        return ChosenSteps(type(method).__name__, "the stepper was given", None)
+    each = method.steps if isinstance(method, Even) else method.spacing.each
+    step = float(np.diff(np.asarray(ts)).max()) / each if is_concrete(ts) else None
+    if isinstance(method, Even):
+        given = "the stepper was given" if stepper is not None else "the samples are not evenly spaced"
+        return ChosenSteps(type(method.solver).__name__, given, step)
+    if isinstance(method, Modes):
+        moving = ", ".join(scene.coordinates[1:4]) + (", ..." if len(scene.coordinates) > 4 else "")
+        return ChosenSteps("constant modes", f"more moves than the output: {moving}", step)
+    reason = "the output alone moves, on springs one by one"
+    if method.windows is not None:
+        forgets = f"{reason}; the record is long and what damps it forgets its start"
+        return ChosenSteps("fitted march in windows", forgets, step, method.windows.number)
+    whole = (
+        "undamped" if scene.damping is None else "its load changes" if _load_changes(scene) else "the record is short"
+    )
+    return ChosenSteps("fitted march", f"{reason}; in one go: {whole if stepper is None else 'as given'}", step)
+
+
+def _load_changes(scene: Scene) -> bool:
+    return not scene.system.turns_evenly or (scene.load is not None and scene.load.alternates)
 
 
 def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:

@@ -13,7 +13,18 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis import modes, tables
-from gearjax.analysis.choice import MODELLED, Fitted, Method, Modes, advice, allowed, known_limits, method_of
+from gearjax.analysis.choice import (
+    MODELLED,
+    ChosenSteps,
+    Fitted,
+    Method,
+    Modes,
+    advice,
+    allowed,
+    known_limits,
+    method_of,
+    told,
+)
 from gearjax.analysis.equation import Equation, turning_rate
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
@@ -60,7 +71,7 @@ def simulate(
         settle: time after the first sample that metrics leave out [s].
         stepper: `FixedStep`, `AdaptiveStep`, or `QuasiStatic` for no integration at all. Without, fixed steps of the
             exponentially fitted scheme that resolve the fastest motion, a long damped record in windows side by side
-            (`suitable_step`); where the samples are not even, of Runge-Kutta.
+            (`chosen_steps` tells which and why); where the samples are not even, of Runge-Kutta.
 
     Returns:
         The motion. While tracing, faults are in its ``result``; otherwise they raise. Windows that are further apart
@@ -98,6 +109,33 @@ def simulate(
         assert isinstance(method, Fitted)
         motion = _simulate(physics, ts, torque, settle, start, method._replace(windows=None))
     return motion
+
+
+@arguments.checked(
+    stepper=arguments.an((FixedStep, AdaptiveStep, QuasiStatic), "must be FixedStep(), AdaptiveStep() or QuasiStatic()")
+)
+def chosen_steps(
+    scene: Scene, ts: ArrayLike, torque: ArrayLike, *, stepper: Stepper | QuasiStatic | None = None
+) -> ChosenSteps:
+    """How `simulate` computes a motion, and why: the fast march of one coordinate where it suits, else steps of
+    constant modes, or what was given. Nothing is computed.
+
+    Args:
+        scene, ts, torque, stepper: as for `simulate`.
+
+    Raises:
+        SceneError: the scene lacks a part, or the step does not suit it.
+
+    Example:
+        >>> import gearjax as gj, numpy as np
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> gj.chosen_steps(scene, np.linspace(0.0, 3.0, 3001), 100.0).scheme
+        'fitted march in windows'
+    """
+    ts = _checked(scene, ts, "equilibrium")
+    physics = scene.physics(*MODELLED)
+    method = method_of(scene, ts, jnp.asarray(torque, ts.dtype), stepper, known_limits(physics))
+    return told(scene, ts, stepper, method)
 
 
 def _checked(scene: Scene, ts: ArrayLike, start: str) -> Array | np.ndarray:

@@ -1,0 +1,49 @@
+"""What is chosen for a motion, and why."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import gearjax as gj
+from tests.test_modes import planets
+from tests.test_uneven import lobed
+
+LONG, SHORT = np.linspace(0.0, 3.0, 3001), np.linspace(0.0, 0.02, 21)
+
+
+@pytest.mark.parametrize(
+    ("change", "ts", "stepper", "scheme", "reason"),
+    [
+        ({}, LONG, None, "fitted march in windows", "the record is long"),
+        ({}, SHORT, None, "fitted march", "the record is short"),
+        ({"damping": None}, LONG, None, "fitted march", "undamped"),
+        ({"load": gj.SinusoidalLoad("mesh")}, LONG, None, "fitted march", "its load changes"),
+        ({}, SHORT**2, None, "RungeKutta4", "not evenly spaced"),
+        ({}, SHORT, gj.FixedStep(1e-5, solver=gj.RungeKutta4()), "RungeKutta4", "was given"),
+        ({}, SHORT, gj.AdaptiveStep(), "AdaptiveStep", "was given"),
+        ({}, SHORT, gj.QuasiStatic(), "QuasiStatic", "was given"),
+    ],
+)
+def test_what_is_chosen_and_why(scene, change, ts, stepper, scheme, reason):
+    found = gj.chosen_steps(dataclasses.replace(scene, **change), ts, 100.0, stepper=stepper)
+    assert found.scheme == scheme
+    assert reason in found.reason
+    assert (found.windows > 1) == ("windows" in scheme)
+    assert (found.step is None) == (scheme in ("AdaptiveStep", "QuasiStatic"))
+    if found.step is not None:
+        assert 0 < found.step <= np.diff(ts).max()
+
+
+def test_more_coordinates_and_uneven_outputs():
+    many = gj.chosen_steps(planets(), SHORT, 100.0)
+    assert many.scheme == "constant modes"
+    assert "planet_1.x" in many.reason
+    assert "its load changes" in gj.chosen_steps(lobed(), LONG, 10.0).reason
+
+
+def test_what_cannot_be_chosen_is_refused(scene):
+    with pytest.raises(gj.SceneError, match=r"needs \[inertia\]"):
+        gj.chosen_steps(dataclasses.replace(scene, inertia=None), SHORT, 100.0)
+    with pytest.raises(gj.SceneError, match="QuasiStatic"):
+        gj.chosen_steps(planets(), SHORT, 100.0, stepper=gj.QuasiStatic())
