@@ -176,7 +176,11 @@ def name(*, default: Any = dataclasses.MISSING, names: tuple[str, ...] = ()) -> 
 
 def name_list(*, example: Any = None) -> Any:
     """A list of words such as names of bodies, static."""
-    return _field(Parameter(None, "list", example=example), static=True, converter=tuple)
+
+    def keep(given: Any) -> Any:
+        return tuple(given) if isinstance(given, list) else given
+
+    return _field(Parameter(None, "list", example=example), static=True, converter=keep)
 
 
 def declared(part: Any) -> dict[str, Parameter]:
@@ -210,8 +214,8 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
             raise ParameterError(key, value, nearest(value, parameter.names))
         return
     if parameter.kind == "list":
-        if not value or not all(isinstance(word, str) for word in value):
-            raise ParameterError(key, list(value), "must be a list of names in quotes")
+        if not isinstance(value, tuple) or not value or not all(isinstance(word, str) for word in value):
+            raise ParameterError(key, value, "must be a list of names in quotes")
         return
     if not is_concrete(value):
         return

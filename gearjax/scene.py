@@ -322,16 +322,23 @@ def _check_moving(scene: Scene) -> None:
     system, coordinates = scene.system, scene.moving.coordinates
     for body, inertia in scene.body_inertia.items():
         needs = coordinates.needs(body)
+        if body not in system.coordinates and system.coordinates:
+            raise ParameterError("inertia", body, nearest(body, system.coordinates))
         if not needs:
             words = f"is for a body that gives way: list [supports.{body}], or leave out [inertia.{body}]"
             raise SceneError(f"[inertia.{body}] {words}")
-        for key in ("polar", "transverse"):
+        for key, moves in (("mass", "moves in x, y or z"), ("polar", "turns"), ("transverse", "tilts")):
             if getattr(inertia, key) is not None and key not in needs:
-                raise SceneError(f"[inertia.{body}] {key} is of a body that turns on its own, which {body} does not")
+                raise SceneError(f"[inertia.{body}] {key} is of a body that {moves} on its own, which {body} does not")
     if system.exact and not coordinates.alone:
         raise SceneError('[supports] and clearance = "exact" do not go together yet: use clearance = "linear"')
-    if coordinates.free > 1 and scene.layout.sides_turn:
-        raise SceneError("shafts that turn freely are for contacts whose sides are known")
+    if coordinates.free > 1:
+        layout, meshes = scene.layout, len(system.meshes)
+        if layout.sides_turn:
+            raise SceneError("shafts that turn freely are for contacts whose sides are known")
+        if set(layout.mesh) != set(range(meshes)):
+            words = f"Layout(..., mesh=...) must tell of each contact its mesh, 0 to {meshes - 1}"
+            raise SceneError(f"the layout of {system.kind} has meshes {sorted(set(layout.mesh))}: {words}")
 
 
 def _check_coupled(scene: Scene) -> None:
@@ -393,5 +400,7 @@ def require_output_alone(scene: Scene, what: str) -> None:
     """
     if scene.output_alone:
         return
+    if scene.is_train:
+        raise SceneError(f'"{what}" is for a scene whose output alone moves, which that of a train does not')
     words = [f"[{slot}.{name}]" for slot in ("supports", "shafts") for name in getattr(scene, slot)]
     raise SceneError(f'"{what}" is for a scene whose output alone moves: leave out {words[0]}')

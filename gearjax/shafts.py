@@ -31,6 +31,8 @@ class Shaft(eqx.Module):
     bending: Number | None = number(units.STIFFNESS, at_least=1.0, at_most=1e18, default=None, example="1e8 N/m")
 
     def __check_init__(self):
+        if self.bodies is None:
+            raise ParameterError("bodies", MISSING, "must be a list of names in quotes")
         check_parameters(self)
         if len(set(self.bodies)) < len(self.bodies):
             raise ParameterError("bodies", list(self.bodies), "names a body twice")

@@ -11,6 +11,7 @@ import xarray as xr
 import gearjax as gj
 from gearjax import plot, results
 from gearjax.tolerance import Work
+from gearjax.typing import Scalar
 from tests.rv import LINEAR, system
 from tests.test_supports import SCENES, Sharing, pair, planets
 

@@ -17,7 +17,7 @@ from gearjax import plot, registry, results
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.modes import StructureEquation
 from gearjax.checks import SceneError
-from gearjax.contact import ContactSet
+from gearjax.contact import ContactSet, Layout
 from gearjax.units import um
 from tests.test_batches import equations
 from tests.test_matrix import OF_A_SCENE, OF_NUMBERS, Case, Number, judge
@@ -449,6 +449,57 @@ def test_what_is_missing_is_named():
         gj.Shaft(["wheel_1", "pinion_2"], torsion_damping=1.0)
     with pytest.raises(SceneError, match=r"\[shafts.a\] is not for a two_kv"):
         dataclasses.replace(gj.load("configs/two_kv/wang_2020.toml"), shafts={"a": gj.Shaft(["planet_1"])})
+
+
+def test_one_pair_shares_with_nobody():
+    """Forces of different meshes differ by their levers; load is shared within a mesh."""
+    te = gj.transmission_error(train(), THETA, 40.0)
+    np.testing.assert_allclose(te.load_sharing, 1.0, rtol=1e-12)
+    two = gj.transmission_error(train(system={"pairs": 2}), THETA, 40.0)
+    each = np.asarray(two.forces).reshape(-1, 2, 2, 2)[:, :, 0]  # angle, mesh, pair of its driving flanks
+    expected = (each.max(axis=2) / each.mean(axis=2)).max(axis=1)
+    np.testing.assert_allclose(two.load_sharing, expected, rtol=1e-12)
+
+
+class Split(SpurTrain):
+    """Two ways from the input to the output."""
+
+    @property
+    def meshes(self):
+        return ("pinion_1", "wheel_1"), ("pinion_1", "pinion_2"), ("pinion_2", "wheel_2"), ("wheel_1", "wheel_2")
+
+
+class Forgetful(SpurTrain):
+    """Its layout does not tell the meshes."""
+
+    def layout(self, request):
+        whole = super().layout(request)
+        return Layout(whole.side, whole.pair)
+
+
+def test_gear_sets_of_ones_own_that_cannot_be():
+    with pytest.raises(SceneError, match=r"the shaft of wheel_2 is driven from 2 shafts that turn apart"):
+        gj.Scene(Split(), shafts={"a": gj.Shaft(["wheel_1"]), "b": gj.Shaft(["pinion_2"])})
+    with pytest.raises(
+        SceneError, match=r"the layout of spur_train has meshes \[\]: Layout\(..., mesh=...\) must tell"
+    ):
+        gj.Scene(Forgetful(), shafts={"middle": gj.Shaft(["wheel_1", "pinion_2"])})
+    for bodies in ("wheel", None, ["wheel_1", 3]):
+        with pytest.raises(gj.ParameterError, match="must be a list of names"):
+            gj.Shaft(bodies)
+    with pytest.raises(SceneError, match="which that of a train does not"):
+        gj.simulate(in_motion(train()), TS, 40.0, stepper=gj.QuasiStatic())
+    with pytest.raises(gj.ParameterError, match="wheel_1"):
+        train(body_inertia={"wheel_11": gj.BodyInertia(1.0)})
+
+
+@pytest.mark.slow
+def test_undamped_motion_repeats_after_one_period():
+    scene = in_motion(train(errors={}, system={"teeth": (20, 30, 15, 45)}), damping=None)
+    found = gj.periodic_motion(scene, 40.0, 2 * np.pi / 600, steps=64)
+    assert (int(found.result), found.periods) == (0, 1)
+    with pytest.raises(SceneError, match="there is no equilibrium to start from"):
+        gj.periodic_motion(dataclasses.replace(scene, backlash=None), -40.0, 2 * np.pi / 600, steps=64)
 
 
 class TrainCase(Case):

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import is_concrete
+from gearjax.contact import Layout
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 FEWEST = 20.0  # angles per turn of what turns fastest, below which extremes between them are missed
@@ -286,6 +287,18 @@ def deviation(record: Float[Array, "... n"]) -> Float[Array, "..."]:
     """Standard deviation of each record."""
     centred = record - record.mean(axis=-1, keepdims=True)
     return root((centred * centred).mean(axis=-1))
+
+
+def load_sharing(
+    layout: Layout, forces: Float[Array, "... n contact"], carriers: Int[Array, "... n"] | int
+) -> Float[Array, "... n"]:
+    """`load_sharing_factor` of the pairs of a mesh; of a train the largest one of its meshes."""
+    carried = layout.per_pair(forces)
+    if not layout.mesh:
+        return load_sharing_factor(carried, carriers)
+    meshes = np.array([layout.mesh[members[0]] for members in layout.members])
+    own = [np.flatnonzero(meshes == mesh) for mesh in sorted(set(layout.mesh))]
+    return jnp.stack([load_sharing_factor(carried[..., pairs], len(pairs)) for pairs in own]).max(axis=0)
 
 
 def load_sharing_factor(

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from gearjax.analysis.metrics import load_sharing_factor, root
+from gearjax.analysis.metrics import load_sharing, root
 from gearjax.contact import Layout
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -22,7 +22,7 @@ class Motion(eqx.Module):
         defect: how far windows of time were apart where they meet, 0 without windows [rad].
         layout: sides and pairs of the contacts.
         carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` where all could.
-        moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any.
+        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any.
         coordinates: names of what moves: the output, then those displacements.
     """
 
@@ -37,12 +37,12 @@ class Motion(eqx.Module):
     defect: Scalar
     layout: Layout = eqx.field(static=True)
     carriers: Int[Array, " n"] | None = None
-    moved: Float[Array, "n support"] | None = None
+    moved: Float[Array, "n coordinate"] | None = None
     coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
-        """Displacements from the ideal motion in each of the coordinates, the output's first [rad], then [m]."""
+        """Displacements from the ideal motion in each of the coordinates, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
@@ -100,7 +100,7 @@ class Motion(eqx.Module):
     def load_sharing(self) -> Float[Array, "... n"]:
         """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
         carriers = self.layout.teeth if self.carriers is None else self.carriers
-        return load_sharing_factor(self.layout.per_pair(self.forces), carriers)
+        return load_sharing(self.layout, self.forces, carriers)
 
 
 def _pick(values: Float[Array, "... n"], index: Int[Array, "..."]) -> Float[Array, "..."]:

@@ -31,7 +31,7 @@ class Periodic(eqx.Module):
         residual: what is left of the equation, relative to the motion.
         result: 0 converged, 1 not; of `periodic_motion` 2 where it never repeats.
         start: what ``guess`` of `shooting` is, where the period begins: shape (2,), with supports (2, coordinate).
-        moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any.
+        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any.
         coordinates: names of what moves: the output, then those displacements.
         periods: after how many periods of what drives it the motion repeats.
     """
@@ -43,13 +43,13 @@ class Periodic(eqx.Module):
     residual: Scalar
     result: Int[Array, ""]
     start: Float[Array, "2 ..."]
-    moved: Float[Array, "n support"] | None = None
+    moved: Float[Array, "n coordinate"] | None = None
     coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
     periods: int = eqx.field(static=True, default=1)
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
-        """Displacements from the ideal motion in each of the coordinates, the output's first [rad], then [m]."""
+        """Displacements from the ideal motion in each of the coordinates, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 

@@ -11,7 +11,7 @@ from gearjax.analysis.metrics import (
     deviation,
     extremes,
     extremes_of_samples,
-    load_sharing_factor,
+    load_sharing,
     warn_of_few_angles,
 )
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
@@ -41,7 +41,7 @@ class TransmissionError(eqx.Module):
             on the loaded side. ``None`` without torque.
         interference: of rigid bodies, where back flanks are modelled; ``None`` under torque, which elastic bodies
             carry in spite of it (`gearjax.interference` tells it for every scene).
-        moved: displacements of the bodies that have supports, shape (n, support) [m]; ``None`` without any, or torque.
+        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any, or torque.
         coordinates: names of what moves: the output, then those displacements.
     """
 
@@ -54,12 +54,12 @@ class TransmissionError(eqx.Module):
     fastest_order: float = eqx.field(static=True)
     carriers: Int[Array, " n"] | None = None
     interference: Interference | None = None
-    moved: Float[Array, "n support"] | None = None
+    moved: Float[Array, "n coordinate"] | None = None
     coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
-        """Displacements from the ideal motion in each of the coordinates, the output's first [rad], then [m]."""
+        """Displacements from the ideal motion in each of the coordinates, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
@@ -97,7 +97,7 @@ class TransmissionError(eqx.Module):
         """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
         if self.forces is None or self.carriers is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
-        return load_sharing_factor(self.layout.per_pair(self.forces), self.carriers)
+        return load_sharing(self.layout, self.forces, self.carriers)
 
 
 class Backlash(eqx.Module):

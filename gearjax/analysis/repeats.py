@@ -20,6 +20,7 @@ from gearjax.typing import Array, ArrayLike
 
 ROUND = 12  # periods that are integrated before the returns are looked at
 RETURNED = 1e-3  # of the motion, distance of a return from which Newton's method goes on
+NEUTRAL = 1e-6  # of multipliers beyond the unit circle
 SAME = 1e-4  # of the motion, how far Newton's method may go on from there
 
 
@@ -45,14 +46,15 @@ def periodic_motion(
         period: common period of everything that drives it [s].
         steps: per period, as for `shooting`, a multiple of 8.
         longest: periods after which it may repeat, at most.
-        settle: periods that are integrated at most.
+        settle: periods that are integrated at most, in rounds of twelve, or of ``longest`` and one more.
 
     Returns:
         The motion over ``periods`` periods; with ``result`` 2, over the last ones, where it did not return to itself:
         `growth_rate` tells whether it is chaotic.
 
     Raises:
-        SceneError: the scene lacks a part, steps is no multiple of 8, or the numbers are traced.
+        SceneError: the scene lacks a part, steps is no multiple of 8, the numbers are traced, or there is no
+            equilibrium to start from.
 
     Example:
         >>> import gearjax as gj
@@ -70,6 +72,10 @@ def periodic_motion(
         raise SceneError("periodic_motion looks at its numbers as it goes: use shooting under jit, vmap and gradients")
     cut = Cut.of(problem, steps)
     state = _linear_start(problem, cut)
+    if not bool(jnp.isfinite(state).all()):
+        raise SceneError(
+            f"there is no equilibrium to start from: no flank holds torque = {float(problem.torque):g} N*m"
+        )
     for _ in range(-(-settle // ROUND)):
         state, ends = _some(problem, cut, state, max(ROUND, longest + 1))
         ends = np.asarray(ends)
@@ -78,15 +84,16 @@ def periodic_motion(
             found = _shot(problem, steps, state, periods)
             begins = np.asarray(found.start).reshape(2, -1) / np.asarray(_scale(problem, cut))
             near = _distance(begins, ends[-1]) < max(SAME, 10 * away[periods - 1])
-            if int(found.result) == 0 and bool(found.stable) and near:
+            stays = bool((jnp.abs(found.multipliers) < 1 + NEUTRAL).all())  # undamped motions neither grow nor die out
+            if int(found.result) == 0 and stays and near:
                 return found
     return dataclasses.replace(_shot(problem, steps, state, longest, search=0), result=jnp.asarray(2))
 
 
 def _distance(one: np.ndarray, other: np.ndarray) -> float:
     """Largest distance of two scaled states, of the size of the motion."""
-    far = float(np.abs(one - other).max() / np.abs(one[0]).max())
-    return far if np.isfinite(far) else np.inf
+    far, size = float(np.abs(one - other).max()), float(np.abs(one[0]).max())
+    return far / size if size > 0 and np.isfinite(far) else (0.0 if far == 0 else np.inf)
 
 
 def _shot(problem: Problem, steps: int, state: Array, periods: int, search: int = 40) -> Periodic:

@@ -63,7 +63,8 @@ class AbstractSystem(eqx.Module):
     @property
     @abc.abstractmethod
     def orders(self) -> Mapping[str, float]:
-        """Named frequencies, in cycles per turn of the input; ``output`` and ``mesh`` are always there."""
+        """Named frequencies, in cycles per turn of the input; ``output`` and ``mesh`` are always there. The mesh of a
+        train is its fastest one; what else gaps follow is named too, so that steps and samples resolve it."""
 
     @property
     def fastest_order(self) -> float:

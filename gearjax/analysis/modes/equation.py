@@ -96,8 +96,9 @@ class StructureEquation(eqx.Module):
         scale = LENGTH_SCALE / arms
         first = jacobian[layout.flanks[0]]
         teeth = scene.linear_compliance.peak_stiffness() * first.T @ first
-        moving = jnp.abs(jnp.diagonal(structure.stiffness))
-        whole = _fastest(structure.mass, teeth + jnp.diag(moving))
+        own = jnp.diagonal(structure.stiffness)  # that of a fast crank's body may be below zero
+        held = structure.stiffness + jnp.diag(jnp.abs(own) - own)
+        whole = _fastest(structure.mass, teeth + held)
         contact = _fastest(structure.mass, teeth)
         if coefficient is not None:
             drag = _fastest(structure.mass, first.T @ (coefficient[:, None] * first)) ** 2
