@@ -40,10 +40,10 @@ def least_overlap(contacts: ContactSet) -> Overlap:
     if contacts.free == 1:
         return _of_one_mesh(contacts)
     each = [(own, _of_one_mesh(contacts.alone(column, own))) for column, own in contacts.stages]
-    worst = jnp.argmax(jnp.stack([found.overlap for _, found in each]))
     overlaps = jnp.stack([found.overlap for _, found in each])
-    names = jnp.stack([jnp.asarray(own)[found.contact] for own, found in each])
-    return Overlap(overlaps[worst], names[worst], touching(contacts, HardContact(), 1)[0])
+    deepest = jnp.stack([jnp.asarray(own)[found.contact] for own, found in each])
+    worst = jnp.argmax(overlaps)
+    return Overlap(overlaps[worst], deepest[worst], touching(contacts, HardContact(), 1)[0])
 
 
 def _of_one_mesh(contacts: ContactSet) -> Overlap:
