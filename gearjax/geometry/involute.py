@@ -1,8 +1,14 @@
-"""Involute gears: base circles and centre distance."""
+"""Involute gears: base circles, flanks of external and internal gears, centre distance."""
 
+import equinox as eqx
 import jax.numpy as jnp
 
-from gearjax.typing import Scalar
+from gearjax.typing import Array, Scalar
+
+
+def involute(angle: Array) -> Array:
+    """Involute function ``inv alpha = tan alpha - alpha`` of a pressure angle [rad] (ISO 21771)."""
+    return jnp.tan(angle) - angle
 
 
 def base_radius(teeth: int | float, module: Scalar, pressure_angle: Scalar) -> Scalar:
@@ -34,3 +40,57 @@ def internal_centre_distance(
         The centre distance [m].
     """
     return 0.5 * teeth_difference * module * jnp.cos(cutting_angle) / jnp.cos(working_angle)
+
+
+class InvoluteGear(eqx.Module):
+    """Flanks of a spur gear, external or internal (ISO 21771, with the tooth number and the shift of an internal gear
+    counted as positive: a positive shift takes its teeth outwards).
+
+    Args:
+        teeth: number of teeth.
+        module: [m].
+        pressure_angle: of the cutting rack [rad].
+        profile_shift: in modules [-].
+        addendum, dedendum: heights of tip and root from the shifted reference circle, in modules [-].
+        internal: whether the teeth point inwards.
+    """
+
+    teeth: int = eqx.field(static=True)
+    module: Scalar
+    pressure_angle: Scalar
+    profile_shift: Scalar
+    addendum: Scalar
+    dedendum: Scalar
+    internal: bool = eqx.field(static=True, default=False)
+
+    @property
+    def reference_radius(self) -> Scalar:
+        """[m]."""
+        return 0.5 * self.teeth * self.module
+
+    @property
+    def base_radius(self) -> Scalar:
+        """[m]."""
+        return base_radius(self.teeth, self.module, self.pressure_angle)
+
+    @property
+    def tip_radius(self) -> Scalar:
+        """[m]."""
+        height = self.profile_shift - self.addendum if self.internal else self.profile_shift + self.addendum
+        return self.reference_radius + self.module * height
+
+    @property
+    def root_radius(self) -> Scalar:
+        """[m]."""
+        height = self.profile_shift + self.dedendum if self.internal else self.profile_shift - self.dedendum
+        return self.reference_radius + self.module * height
+
+    def pressure_angle_at(self, radius: Array) -> Array:
+        """Angle between radius and flank, ``cos alpha_R = r_b / R`` [rad], of radii of any shape [m]."""
+        return jnp.arccos(self.base_radius / radius)
+
+    def half_angle(self, radius: Array) -> Array:
+        """Half of the angle that the material of a tooth fills at a radius [rad], radii of any shape [m]."""
+        filled = (0.5 * jnp.pi + 2 * self.profile_shift * jnp.tan(self.pressure_angle)) / self.teeth
+        filled = filled + involute(self.pressure_angle) - involute(self.pressure_angle_at(radius))
+        return jnp.pi / self.teeth - filled if self.internal else filled
