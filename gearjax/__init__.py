@@ -42,6 +42,7 @@ from gearjax.compliance import (
     AbstractCompliance,
     AbstractCoupledCompliance,
     AbstractLineContact,
+    AbstractToothCompliance,
     HarmonicStiffness,
     HertzLineContact,
     HuLineContact,
@@ -80,7 +81,7 @@ from gearjax.studies import (
 )
 from gearjax.studies.compensate import Judged
 from gearjax.supports import Support
-from gearjax.systems import AbstractSystem, DiscProfile, RVCycloidal, TwoKV
+from gearjax.systems import AbstractSystem, DiscProfile, InvoluteRV, RVCycloidal, TwoKV
 from gearjax.tolerance import (
     AbstractDistribution,
     Correlation,
@@ -120,6 +121,7 @@ __all__ = [
     "AbstractLineContact",
     "AbstractLoad",
     "AbstractSystem",
+    "AbstractToothCompliance",
     "AdaptiveStep",
     "AllocatedTolerances",
     "Backlash",
@@ -150,6 +152,7 @@ __all__ = [
     "HuLineContact",
     "InitialBacklash",
     "Interference",
+    "InvoluteRV",
     "Iso286",
     "Iso1328RunOut",
     "Judged",

@@ -3,10 +3,10 @@
 import functools
 import inspect
 from importlib import metadata
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from gearjax.checks import GearjaxError, ParameterError
-from gearjax.compliance import COMPLIANCES, AbstractCompliance, AbstractCoupledCompliance, AbstractLineContact
+from gearjax.compliance import COMPLIANCES, AnyCompliance
 from gearjax.errors import ERRORS, AbstractError
 from gearjax.systems import SYSTEMS, AbstractSystem
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 GROUPS: dict[str, tuple[type, ...]] = {
     "gearjax.systems": (AbstractSystem,),
     "gearjax.errors": (AbstractError,),
-    "gearjax.compliances": (AbstractCompliance, AbstractLineContact, AbstractCoupledCompliance),
+    "gearjax.compliances": get_args(AnyCompliance),
 }
 """Groups of entry points that plug-ins are read from, and what they hold."""
 
@@ -34,8 +34,8 @@ def register(part: T) -> T:
     ``gearjax.compliances``.
 
     Args:
-        part: a final subclass of `AbstractSystem`, `AbstractError`, `AbstractCompliance`, `AbstractLineContact` or
-            `AbstractCoupledCompliance`.
+        part: a final subclass of `AbstractSystem`, `AbstractError`, `AbstractCompliance`, `AbstractLineContact`,
+            `AbstractCoupledCompliance` or `AbstractToothCompliance`.
 
     Returns:
         The same class.

@@ -12,7 +12,14 @@ import numpy as np
 
 from gearjax.checks import ParameterError, SceneError, check_name, is_concrete, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
-from gearjax.compliance import AbstractCompliance, AbstractCoupledCompliance, AbstractLineContact
+from gearjax.compliance import (
+    COUPLED,
+    AbstractCompliance,
+    AbstractCoupledCompliance,
+    AbstractLineContact,
+    AbstractToothCompliance,
+    AnyCompliance,
+)
 from gearjax.contact import (
     AbstractContact,
     ContactSet,
@@ -67,7 +74,7 @@ class Scene(eqx.Module):
     errors: Mapping[str, AbstractError] = eqx.field(default_factory=dict)
     reference: ZeroAtStart | Anchor | None = None
     backlash: InitialBacklash | None = None
-    compliance: AbstractCompliance | AbstractLineContact | AbstractCoupledCompliance | None = None
+    compliance: AnyCompliance | None = None
     load: AbstractLoad | None = None
     contact: AbstractContact = HardContact()
     inertia: EquivalentMass | MomentOfInertia | None = None
@@ -198,6 +205,7 @@ class Scene(eqx.Module):
             bodies=tuple(dict.fromkeys(error.body for error in self.errors.values())),
             mesh=stiffness == "varying" and not line,
             radii=stiffness != "rigid" and line,
+            places=stiffness != "rigid" and isinstance(self.compliance, AbstractToothCompliance),
             coordinates=self._coordinates(stiffness).asked,
         )
 
@@ -277,6 +285,11 @@ class Scene(eqx.Module):
             return self.compliance.springs(radii)
         if isinstance(self.compliance, AbstractCoupledCompliance):
             return CoupledSprings(self.compliance.influence(layout))
+        if isinstance(self.compliance, AbstractToothCompliance):
+            request = Request(layout.has_back, places=True)
+            places = self.system.pose(pose.theta, request).places if pose.places is None else pose.places
+            assert places is not None  # the system has them
+            return CoupledSprings(self.compliance.influence(places))
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
         angle = (
@@ -344,14 +357,20 @@ def _check_moving(scene: Scene) -> None:
 def _check_coupled(scene: Scene) -> None:
     """Refuse a coupled compliance that has no equilibrium, or that a smooth contact law is asked for."""
     compliance = scene.compliance
-    if not isinstance(compliance, AbstractCoupledCompliance):
+    if not isinstance(compliance, COUPLED):
         return
     if not isinstance(scene.contact, HardContact):
         raise SceneError(f'[compliance] kind = "{compliance.kind}" couples the contacts: use contact "hard"')
-    if not is_concrete(compliance):
+    if isinstance(compliance, AbstractToothCompliance) and not scene.system.has_places:
+        words = f"needs the places of contacts on their teeth, which a {scene.system.kind} does not offer"
+        raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
+    if not is_concrete((compliance, scene.system)):
         return
     with jax.ensure_compile_time_eval():  # while something else is traced
-        influence, number = np.asarray(compliance.influence(scene.layout)), len(scene.layout.side)
+        number = len(scene.layout.side)
+        springs = scene.contacts(jnp.zeros_like(scene.system.input_speed), "mean").springs
+        assert isinstance(springs, CoupledSprings)
+        influence = np.asarray(springs.influence)
     if influence.shape != (number, number):
         raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
     if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):
@@ -380,7 +399,7 @@ def require(scene: Scene, what: str, *slots: str) -> None:
             f'"{what}" needs springs in proportion, such as [compliance] kind = "harmonic_stiffness": the force of '
             f"{scene.compliance.kind} is not"
         )
-    if isinstance(scene.compliance, AbstractCoupledCompliance):
+    if isinstance(scene.compliance, COUPLED):
         raise SceneError(f'"{what}" needs springs one by one: {scene.compliance.kind} couples the contacts')
     coordinates = scene.moving.coordinates
     if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:

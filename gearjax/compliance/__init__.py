@@ -1,16 +1,32 @@
 """Compliance of the teeth: stiffness of each pair, or the law of its line contact."""
 
-from gearjax.compliance.base import AbstractCompliance, AbstractCoupledCompliance
+from gearjax.compliance.base import (
+    COUPLED,
+    AbstractCompliance,
+    AbstractCoupledCompliance,
+    AbstractToothCompliance,
+)
+from gearjax.compliance.elastic_teeth import ElasticTeeth
 from gearjax.compliance.harmonic import HarmonicStiffness
 from gearjax.compliance.line_contact import LINE_CONTACTS, AbstractLineContact, HertzLineContact, HuLineContact
 
-COMPLIANCES: tuple[type[AbstractCompliance | AbstractLineContact], ...] = (HarmonicStiffness, *LINE_CONTACTS)
+AnyCompliance = AbstractCompliance | AbstractLineContact | AbstractCoupledCompliance | AbstractToothCompliance
+"""What a scene may have as its compliance."""
+COMPLIANCES: tuple[type[AnyCompliance], ...] = (
+    HarmonicStiffness,
+    *LINE_CONTACTS,
+    ElasticTeeth,
+)
 
 __all__ = [
     "COMPLIANCES",
+    "COUPLED",
     "AbstractCompliance",
     "AbstractCoupledCompliance",
     "AbstractLineContact",
+    "AbstractToothCompliance",
+    "AnyCompliance",
+    "ElasticTeeth",
     "HarmonicStiffness",
     "HertzLineContact",
     "HuLineContact",

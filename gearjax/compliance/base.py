@@ -4,7 +4,7 @@ import abc
 
 import equinox as eqx
 
-from gearjax.contact import Layout
+from gearjax.contact import Layout, Places
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -43,3 +43,22 @@ class AbstractCoupledCompliance(eqx.Module):
         Args:
             layout: of the contacts.
         """
+
+
+class AbstractToothCompliance(eqx.Module):
+    """Compliance of contacts that move each other, by where on their teeth they are. ``kind`` is its name in a
+    configuration."""
+
+    kind: eqx.AbstractClassVar[str]
+
+    @abc.abstractmethod
+    def influence(self, places: Places) -> Float[Array, "contact contact"]:
+        """Approach of each contact per force on each, symmetric and positive definite, shape (contact, contact) [m/N].
+
+        Args:
+            places: of the contacts on their teeth.
+        """
+
+
+COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)
+"""Those whose contacts move each other, as `isinstance` takes them."""

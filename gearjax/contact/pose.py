@@ -8,8 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gearjax.geometry.involute import InvoluteGear
 from gearjax.geometry.line_contact import Radii
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Float, Int, Scalar
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Request:
         bodies: those that carry errors.
         mesh: whether the mesh phase counts.
         radii: whether the radii of curvature count.
+        places: whether it counts where on their teeth the contacts are.
         coordinates: of the bodies that have supports, such as ``disc_1.x``.
     """
 
@@ -28,6 +30,7 @@ class Request:
     bodies: tuple[str, ...] = ()
     mesh: bool = False
     radii: bool = False
+    places: bool = False
     coordinates: tuple[str, ...] = ()
 
 
@@ -42,6 +45,7 @@ class Pose(eqx.Module):
         views: how errors of the bodies are seen that were asked for.
         mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` where not asked for.
         radii: of the line contacts, shape (contact,); ``None`` where not asked for.
+        places: where on their teeth the contacts are; ``None`` where not asked for.
     """
 
     theta: Scalar
@@ -50,6 +54,39 @@ class Pose(eqx.Module):
     views: dict[str, "BodyView"] = eqx.field(default_factory=dict)
     mesh_angle: Float[Array, " pair"] | None = None
     radii: Radii | None = None
+    places: "Places | None" = None
+
+
+class Places(eqx.Module):
+    """Where contacts are on the teeth of a pair of gears: in blocks that share no tooth, in each of them pair by pair,
+    along the profile, then across the face.
+
+    Args:
+        gears: whose teeth they are on.
+        radius: of the contacts on each of the gears, about its own axis, shape (block, pair, point) [m].
+        pair: which tooth of its gear each pair has, counted on ahead, shape (block, pair) [-].
+        shared: length of the flanks that face each other, shape (block, pair) [m].
+        face: places across the face, counted from its middle, shape (face,), a part of the width [-].
+    """
+
+    gears: tuple[InvoluteGear, InvoluteGear]
+    radius: tuple[Float[Array, "block pair point"], Float[Array, "block pair point"]]
+    pair: Float[Array, "block pair"]
+    shared: Float[Array, "block pair"]
+    face: Float[Array, " face"]
+
+
+class Flank(eqx.Module):
+    """Where along their profile the contacts of a body are.
+
+    Args:
+        to_tip: length of roll from each contact to the tip of its tooth, along the path of contact, shape (contact,)
+            [m].
+        length: of the part of the flank that may touch, in the same measure [m].
+    """
+
+    to_tip: Float[Array, " contact"]
+    length: Scalar
 
 
 class Rim(eqx.Module):
@@ -59,8 +96,8 @@ class Rim(eqx.Module):
         angle: of each contact's place around the body, counted on it, shape (contact,) [rad].
         outward: change of gap per outward displacement, shape (contact,) [-].
         around: change of gap per displacement along the circumference, shape (contact,) [-].
-        elements: number of teeth or pins; contact ``i`` is of element ``i % elements``. ``None`` where the contacts go
-            around the body, which no element stays with.
+        elements: number of teeth or pins. ``None`` where the contacts go around the body, which no element stays with.
+        element: which one each contact is of, counted from 0, shape (contact,); ``i % elements`` without.
 
     Attributes:
         sine, cosine: of that angle, shape (contact,).
@@ -71,6 +108,7 @@ class Rim(eqx.Module):
     outward: Float[Array, " contact"]
     around: Float[Array, " contact"]
     elements: int | None = eqx.field(static=True)
+    element: Int[Array, " contact"] | None
 
     def __init__(
         self,
@@ -78,9 +116,10 @@ class Rim(eqx.Module):
         outward: Float[Array, " contact"],
         around: Float[Array, " contact"],
         elements: int | None,
+        element: Int[Array, " contact"] | None = None,
     ):
         self.sine, self.cosine = jnp.sin(angle), jnp.cos(angle)
-        self.outward, self.around, self.elements = outward, around, elements
+        self.outward, self.around, self.elements, self.element = outward, around, elements, element
 
     def wave(self, number: int) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Sine and cosine of a multiple of the angle, by addition."""
@@ -100,6 +139,7 @@ class BodyView(eqx.Module):
         place: angle of its reference direction from each line of action before, shape (contact,) [rad].
         influence: change of gap per displacement along the line, shape (contact,) [-].
         rim: how single teeth or pins of it are seen; ``None`` for a body without.
+        flank: where along their profile its contacts are; ``None`` for a body without.
         of_place: sine and cosine of ``place``, shape (contact,), from a system that makes them of single numbers.
 
     Attributes:
@@ -112,6 +152,7 @@ class BodyView(eqx.Module):
     sine: Float[Array, " contact"]
     cosine: Float[Array, " contact"]
     rim: Rim | None
+    flank: Flank | None
 
     def __init__(
         self,
@@ -120,9 +161,10 @@ class BodyView(eqx.Module):
         influence: Float[Array, " contact"],
         rim: Rim | None = None,
         of_place: tuple[Float[Array, " contact"], Float[Array, " contact"]] | None = None,
+        flank: Flank | None = None,
     ):
         sine, cosine = jnp.sin(turn), jnp.cos(turn)
-        self.angle, self.influence, self.rim = turn + place, influence, rim
+        self.angle, self.influence, self.rim, self.flank = turn + place, influence, rim, flank
         place_sine, place_cosine = (jnp.sin(place), jnp.cos(place)) if of_place is None else of_place
         self.sine = sine * place_cosine + cosine * place_sine
         self.cosine = cosine * place_cosine - sine * place_sine

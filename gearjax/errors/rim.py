@@ -101,5 +101,7 @@ def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, 
         raise ParameterError(key, f"{values.size} values", "give one value: its teeth are not told apart")
     if values.shape != (rim.elements,):
         raise ParameterError(key, f"{values.size} values", f"needs {rim.elements}, one for each, or one for all")
+    if rim.element is not None:
+        return values[rim.element]
     # by broadcasting, which fuses, unlike concatenation
     return jnp.broadcast_to(values, (contacts // rim.elements, rim.elements)).reshape(contacts)

@@ -1,14 +1,35 @@
 """Involute gears: base circles, flanks of external and internal gears, centre distance."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from gearjax.typing import Array, Scalar
+
+INVOLUTE_STEPS = 6  # of Newton's method
 
 
 def involute(angle: Array) -> Array:
     """Involute function ``inv alpha = tan alpha - alpha`` of a pressure angle [rad] (ISO 21771)."""
     return jnp.tan(angle) - angle
+
+
+def inverse_involute(value: Array) -> Array:
+    """Pressure angle of an involute function, positive [rad]; to rounding, differentiable."""
+    value = jnp.asarray(value)
+    known = jax.lax.stop_gradient(value)
+    # of small angles tan a - a is a^3 / 3, of large ones a nears a quarter turn: between them within 10 %
+    small = jnp.cbrt(3 * known)
+    angle = jnp.where(known < 1.8, small / (1 + 0.12 * small**2), 0.5 * jnp.pi - 1 / (known + 0.5 * jnp.pi))
+    for _ in range(INVOLUTE_STEPS):
+        angle = _involute_step(angle, known)
+    return _involute_step(jax.lax.stop_gradient(angle), value)
+
+
+def _involute_step(angle: Array, value: Array) -> Array:
+    """One of Newton's method, whose slope is the square of the tangent."""
+    tangent = jnp.tan(angle)
+    return angle - (tangent - angle - value) / (tangent * tangent)
 
 
 def base_radius(teeth: int | float, module: Scalar, pressure_angle: Scalar) -> Scalar:
@@ -85,12 +106,32 @@ class InvoluteGear(eqx.Module):
         height = self.profile_shift + self.dedendum if self.internal else self.profile_shift - self.dedendum
         return self.reference_radius + self.module * height
 
+    @property
+    def base_half_angle(self) -> Scalar:
+        """Half of the angle between the flanks of a tooth, of a space of an internal gear, where they meet the base
+        circle [rad]."""
+        half = (0.5 * jnp.pi + 2 * self.profile_shift * jnp.tan(self.pressure_angle)) / self.teeth
+        return half + involute(self.pressure_angle)
+
+    @property
+    def tip_roll(self) -> Scalar:
+        """Roll angle at the tip, the tangent of the pressure angle there [rad]."""
+        return self.roll_at(self.tip_radius)
+
+    def roll_at(self, radius: Array) -> Array:
+        """Roll angle at a radius, ``tan alpha_R`` [rad], of radii of any shape [m]."""
+        ratio = radius / self.base_radius
+        return jnp.sqrt((ratio - 1) * (ratio + 1))
+
+    def radius_at(self, roll: Array) -> Array:
+        """Radius at a roll angle [m]."""
+        return self.base_radius * jnp.sqrt(1 + roll**2)
+
     def pressure_angle_at(self, radius: Array) -> Array:
         """Angle between radius and flank, ``cos alpha_R = r_b / R`` [rad], of radii of any shape [m]."""
         return jnp.arccos(self.base_radius / radius)
 
     def half_angle(self, radius: Array) -> Array:
         """Half of the angle that the material of a tooth fills at a radius [rad], radii of any shape [m]."""
-        filled = (0.5 * jnp.pi + 2 * self.profile_shift * jnp.tan(self.pressure_angle)) / self.teeth
-        filled = filled + involute(self.pressure_angle) - involute(self.pressure_angle_at(radius))
+        filled = self.base_half_angle - involute(self.pressure_angle_at(radius))
         return jnp.pi / self.teeth - filled if self.internal else filled

@@ -35,6 +35,8 @@ class AbstractSystem(eqx.Module):
     kind: eqx.AbstractClassVar[str]
     has_radii: ClassVar[bool] = False
     """Whether its contacts are line contacts whose radii of curvature it shows."""
+    has_places: ClassVar[bool] = False
+    """Whether it shows where on their teeth the contacts are."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
 

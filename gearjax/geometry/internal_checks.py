@@ -1,0 +1,117 @@
+"""Whether an external gear and an internal one fit into each other."""
+
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
+from gearjax.geometry.involute import InvoluteGear
+
+THINNEST = 0.05  # modules, of a tip
+ROUNDING = 1e-9  # m
+PLACES = 41  # along each flank where overlaps are looked for
+WIDE = 2001  # angles at which the assembly is looked at
+Fault = tuple[str, str, str]
+"""Name of the parameter, its value as shown, what would be right."""
+
+
+def faults(pair: InternalPair) -> Iterator[Fault]:
+    """What does not fit, the first one first: each makes those after it meaningless.
+
+    Pointed tips, tips that reach roots, tips that go around beyond the contact, contact below the involute.
+    """
+    external, internal = pair.external, pair.internal
+    yield from _tooth("external", external)
+    yield from _tooth("internal", internal)
+    distance, least = float(pair.centre_distance), float(pair.base_difference)
+    if distance <= least:
+        words = f"must be above the difference of the base radii, {least / units.mm:.6g} mm"
+        yield "centre_distance", _mm(distance), words
+        return
+    reach = float(external.tip_radius) + distance
+    if reach > float(internal.root_radius):
+        words = f"tips of the external gear reach {_mm(reach)}, beyond the ring's roots at {_mm(internal.root_radius)}"
+        yield "external_addendum", f"{float(external.addendum):.6g}", words
+    inner = float(internal.tip_radius) - distance
+    if inner < float(external.root_radius):
+        words = f"tips of the ring come to {_mm(inner)}, inside the roots of the external gear at "
+        yield "internal_addendum", f"{float(internal.addendum):.6g}", words + _mm(external.root_radius)
+    yield from _path(pair)
+
+
+def _tooth(name: str, gear: InvoluteGear) -> Iterator[Fault]:
+    base, tip, root = (float(part) for part in (gear.base_radius, gear.tip_radius, gear.root_radius))
+    if min(tip, root) <= 0 or (gear.internal and tip < base):
+        words = f"the tip circle, {_mm(tip)}, is inside the base circle, {_mm(base)}: no involute flank is left there"
+        yield f"{name}_addendum", f"{float(gear.addendum):.6g}", words
+        return
+    if not gear.internal and tip <= base:
+        yield f"{name}_addendum", f"{float(gear.addendum):.6g}", f"the tip circle is below the base circle, {_mm(base)}"
+        return
+    thick = 2 * tip * float(gear.half_angle(jnp.asarray(tip)))
+    if thick < THINNEST * float(gear.module):
+        words = f"pointed teeth: the tip is {_mm(thick)} thick, needs {_mm(THINNEST * float(gear.module))}"
+        yield f"{name}_addendum", f"{float(gear.addendum):.6g}", words
+
+
+def _path(pair: InternalPair) -> Iterator[Fault]:
+    """Flanks that do not meet, or not where they are involutes, or that cut each other beyond the path of contact."""
+    begin, end = (float(part) for part in pair.path)
+    if begin >= end:
+        words = "the tips leave no path of contact: raise an addendum, or go nearer to the tight centre distance, "
+        yield "centre_distance", _mm(pair.centre_distance), words + _mm(pair.tight_centre_distance)
+        return
+    form = form_roll(pair.external)
+    if begin < form - ROUNDING:
+        words = f"trochoid interference: the ring's tip touches at a roll angle of {begin:.5g} rad, below the involute "
+        yield "internal_addendum", f"{float(pair.internal.addendum):.6g}", words + f"that begins at {form:.5g} rad"
+    overlap = tip_overlap(pair)
+    if overlap > ROUNDING:
+        words = f"tips cut into each other by {overlap / units.um:.4g} um away from the contact: lower an addendum"
+        yield "external_addendum", f"{float(pair.external.addendum):.6g}", words
+
+
+def form_roll(gear: InvoluteGear) -> float:
+    """Roll angle at which the involute of an external gear begins that a rack without rounding has cut,
+    ``tan alpha - 4 (h - x) / (z sin 2 alpha)`` with the dedendum h, or zero (ISO 21771) [rad]."""
+    depth = float(gear.dedendum) - 0.25 - float(gear.profile_shift)  # the rounding takes the last quarter
+    angle = float(gear.pressure_angle)
+    return max(0.0, np.tan(angle) - 4 * depth / (gear.teeth * np.sin(2 * angle)))
+
+
+def tip_overlap(pair: InternalPair) -> float:
+    """By how much flanks cut each other anywhere, of all pairs of teeth that face each other [m]; ideal gears touch.
+
+    With few teeth difference the tips can meet far from the path of contact (ISO 21771: interference of tips).
+    """
+    middle = 0.5 * (pair.path[0] + pair.path[1])
+    teeth = np.arange(-(pair.external.teeth // 2), pair.external.teeth // 2 + 1)
+    space = float(pair.space_of_roll(middle)) + teeth * (2 * np.pi / pair.internal.teeth)
+    roll = pair.roll_of_space(jnp.asarray(space, middle.dtype))
+    begin, end = pair.ends(roll)
+    beyond = candidate_rolls(begin, end, PLACES)
+    points = pair.points(jnp.broadcast_to(roll[:, None], beyond.shape), beyond)
+    gaps = jnp.where(points.inside & (begin < end)[:, None], points.gap, jnp.inf)
+    return -min(0.0, float(gaps.min()))
+
+
+def radial_assembly(pair: InternalPair) -> float:
+    """Least room beside a tip when the external gear is put in along the radius, a tooth in front [m]; negative where
+    tips are in the way, and it goes in along the axis only.
+
+    A tip edge of the external gear at the angle b passes the edge of its space where it lies less far from the middle,
+    ``r_a1 sin b_1 < r_a2 sin b_2``, all the way to the widest place.
+    """
+    external, internal = pair.external, pair.internal
+    tips = [float(gear.tip_radius) for gear in (external, internal)]
+    tooth = float(external.half_angle(external.tip_radius))
+    space = np.pi / internal.teeth - float(internal.half_angle(internal.tip_radius))
+    own = np.linspace(tooth, 0.5 * np.pi, WIDE)
+    theirs = space + (own - tooth) * (external.teeth / internal.teeth)
+    return float((tips[1] * np.sin(theirs) - tips[0] * np.sin(own)).min())
+
+
+def _mm(length: object) -> str:
+    return f"{float(length) / units.mm:.6g} mm"  # type: ignore[arg-type]
