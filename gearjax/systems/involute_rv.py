@@ -208,7 +208,7 @@ class InvoluteRV(AbstractSystem):
         middle = pair.space_of_roll(0.5 * (pair.path[0] + pair.path[1]))
         # the window's middle in spaces of the ring, and the pairs in it, each its own tooth of every ``pairs``
         spaces = (side * middle + crank) * (self.internal_teeth / (2 * math.pi))
-        slots = jnp.arange(self.pairs, dtype=theta.dtype)
+        slots = jnp.arange(self.pairs, dtype=theta.dtype)[None]
         tooth = slots + self.pairs * jnp.round((spaces - slots) / self.pairs)
         roll = pair.roll_of_space(middle + side * (tooth - spaces) * (2 * math.pi / self.internal_teeth))
         begin, end = pair.ends(roll)
@@ -235,7 +235,7 @@ class InvoluteRV(AbstractSystem):
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         return Pose(theta, jacobian, gap, views, mesh, places=self._places(at) if request.places else None)
 
-    def _each(self, of_points: Array) -> Float[Array, " contact"]:
+    def _each(self, of_points: Array) -> Array:
         """One value per contact, from one per point of the profile."""
         return jnp.repeat(of_points.ravel(), self.face_points, total_repeat_length=of_points.size * self.face_points)
 
@@ -248,7 +248,7 @@ class InvoluteRV(AbstractSystem):
         pair = self.pair
         radii = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
         face = jnp.linspace(-0.5, 0.5, self.face_points) if self.face_points > 1 else jnp.zeros(1)
-        tooth = (at.side[..., 0] * at.tooth).astype(at.side.dtype)  # of back flanks as their mirror image
+        tooth = at.side[..., 0] * at.tooth.astype(at.side.dtype)  # of back flanks as their mirror image
         return Places((pair.external, pair.internal), radii, tooth, at.shared, face.astype(tooth.dtype))
 
     def _view(self, body: str, theta: Scalar, at: Candidates) -> BodyView:
@@ -280,7 +280,7 @@ class InvoluteRV(AbstractSystem):
     def _teeth(self, gear: InvoluteGear, at: Candidates, roll: Array, seen: Array) -> dict[str, Any]:
         """How single teeth of a gear are seen: their radius stands at the pressure angle from the flank."""
         tooth = jnp.broadcast_to(jnp.mod(at.tooth, gear.teeth)[..., None], roll.shape)
-        place, pressure = tooth * (2 * math.pi / gear.teeth), jnp.arctan(roll)
+        place, pressure = tooth.astype(roll.dtype) * (2 * math.pi / gear.teeth), jnp.arctan(roll)
         outward, around = seen * jnp.sin(pressure), at.side * seen * jnp.cos(pressure)
         rim = Rim(self._each(place), self._each(outward), self._each(around), gear.teeth, self._each(tooth))
         to_tip = gear.base_radius * jnp.abs(gear.tip_roll - roll)
