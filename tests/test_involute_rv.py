@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -91,8 +92,8 @@ def contacts_at(own: gj.InvoluteRV, theta: float, back: bool, bodies: tuple[str,
     tooth = np.broadcast_to(np.asarray(found.tooth)[..., None], radii.shape)
     block = np.broadcast_to(np.arange(len(tooth))[:, None, None], radii.shape)
     each = zip((block % own.gears).ravel(), tooth.ravel(), radii.ravel(), (block >= own.gears).ravel(), strict=True)
-    inside = np.asarray(found.points.inside).ravel()
-    return pose, [Place(index, *one) for index, one in enumerate(each) if inside[index]]
+    facing = np.broadcast_to(np.asarray(found.apart == 0)[..., None], radii.shape).ravel()
+    return pose, [Place(index, *one) for index, one in enumerate(each) if facing[index]]
 
 
 def halved(own, theta, place, **way) -> float:
@@ -234,6 +235,18 @@ def test_nothing_jumps_when_candidates_go_on_to_the_next_tooth():
 
 
 STEEL = {"youngs_modulus": 2.06e11, "poissons_ratio": 0.3, "external_width": 6.5 * mm, "internal_width": 14 * mm}
+
+
+def test_gaps_have_no_jumps_where_teeth_begin_to_face_each_other():
+    """Few teeth, and candidates around half of the gear: what touches nowhere only goes further apart."""
+    few = {"external_teeth": 40, "internal_teeth": 46, "pairs": 24, "external_shift": 0.0, "internal_shift": 0.2}
+    own = system(**few, centre_distance=1.78 * mm, external_addendum=0.7, internal_addendum=0.7)
+    theta = jnp.linspace(0.0, 0.4, 2001)
+    gap = np.asarray(jax.vmap(lambda at: own.pose(at, Request(True)).gap)(theta))
+    assert np.isfinite(gap).all()
+    jumps = np.abs(np.diff(gap, axis=0)) > 30 * um
+    assert jumps.any()  # contacts go on to another tooth, far away
+    assert np.minimum(gap[:-1], gap[1:])[jumps].min() > 0.3 * mm
 
 
 def test_without_load_ideal_gears_have_no_error():

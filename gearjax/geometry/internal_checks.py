@@ -86,15 +86,14 @@ def tip_overlap(pair: InternalPair) -> float:
 
     With few teeth difference the tips can meet far from the path of contact (ISO 21771: interference of tips).
     """
-    middle = 0.5 * (pair.path[0] + pair.path[1])
     teeth = np.arange(-(pair.external.teeth // 2), pair.external.teeth // 2 + 1)
-    space = float(pair.space_of_roll(middle)) + teeth * (2 * np.pi / pair.internal.teeth)
-    roll = pair.roll_of_space(jnp.asarray(space, middle.dtype))
-    begin, end = pair.ends(roll)
-    beyond = candidate_rolls(begin, end, PLACES)
+    space = float(pair.space_of_roll(pair.middle)) + teeth * (2 * np.pi / pair.internal.teeth)
+    roll = pair.roll_of_space(jnp.asarray(space, pair.middle.dtype))
+    begin, end = (np.asarray(edge) for edge in pair.ends(roll))
+    facing = begin < end
+    roll, beyond = roll[facing], candidate_rolls(jnp.asarray(begin[facing]), jnp.asarray(end[facing]), PLACES)
     points = pair.points(jnp.broadcast_to(roll[:, None], beyond.shape), beyond)
-    gaps = jnp.where(points.inside & (begin < end)[:, None], points.gap, jnp.inf)
-    return -min(0.0, float(gaps.min()))
+    return -min(0.0, float(points.gap.min()))
 
 
 def radial_assembly(pair: InternalPair) -> float:

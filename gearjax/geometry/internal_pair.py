@@ -32,13 +32,11 @@ class FlankPoints(NamedTuple):
         gap: base radius of the external gear times the angle between the flanks, at equal radius about its centre [m].
         roll: roll angles on the external and on the internal gear [rad].
         beyond: how far the normals of both flanks are turned from the line of action, ``delta`` [rad].
-        inside: whether both flanks reach there.
     """
 
     gap: Array
     roll: tuple[Array, Array]
     beyond: tuple[Array, Array]
-    inside: Array
 
 
 class InternalPair(eqx.Module):
@@ -107,6 +105,11 @@ class InternalPair(eqx.Module):
         return begin, self.external.tip_roll
 
     @property
+    def middle(self) -> Scalar:
+        """Roll angle on the external gear in the middle of the path of contact [rad]."""
+        return 0.5 * (self.path[0] + self.path[1])
+
+    @property
     def contact_ratio(self) -> Scalar:
         """Length of the path of contact of the rigid pair over the base pitch [-]."""
         begin, end = self.path
@@ -133,7 +136,8 @@ class InternalPair(eqx.Module):
 
     def ends(self, roll: Array) -> tuple[Array, Array]:
         """Where the flanks of pairs begin and end to face each other, at the internal gear's tip and at the external
-        one's: roll angles of the external gear from the line of action [rad].
+        one's: roll angles of the external gear from the line of action [rad]. Those that begin beyond their end face
+        each other nowhere.
 
         Args:
             roll: of each pair on the line of action (`roll_of_space`) [rad].
@@ -146,15 +150,12 @@ class InternalPair(eqx.Module):
         return begin, self.external.tip_roll - roll
 
     def points(self, roll: Array, beyond: Array) -> FlankPoints:
-        """Flank points of pairs of teeth.
+        """Flank points of pairs of teeth that face each other (`ends`).
 
         Args:
             roll: of each pair on the line of action [rad].
             beyond: by how much the roll angle at each point is larger [rad], of one shape with it.
         """
-        inside = self._inside(roll, beyond)
-        beyond = jnp.where(inside, beyond, 0.0)
-        roll = jnp.where(inside, roll, 0.5 * (self.path[0] + self.path[1]))
         other, own = self._internal_roll(roll), self.external.base_radius
         moved = self._moved(self.external, roll, beyond)
         delta = self._equal_radius(roll, other, beyond, moved)
@@ -162,7 +163,7 @@ class InternalPair(eqx.Module):
         # turn between two points of one radius, by the product of their arms
         cross = own * ((across - moved[1]) - roll * (along - moved[0])) + moved[0] * across - moved[1] * along
         square = own**2 * (1 + (roll + beyond) ** 2)
-        return FlankPoints(own * jnp.arcsin(cross / square), (roll + beyond, other + delta), (beyond, delta), inside)
+        return FlankPoints(own * jnp.arcsin(cross / square), (roll + beyond, other + delta), (beyond, delta))
 
     def share(self, points: FlankPoints) -> Array:
         """Change of the gap per displacement of the internal gear along the normal of its flank [-]: near one, as the
@@ -170,12 +171,6 @@ class InternalPair(eqx.Module):
         towards = self.operating_pressure_angle + points.beyond[1]
         arm = self.internal.base_radius - self.centre_distance * jnp.cos(towards)
         return self.external.base_radius / arm
-
-    def _inside(self, roll: Array, beyond: Array) -> Array:
-        """Whether both flanks reach a point, to rounding."""
-        begin, end = self.ends(roll)
-        rounding = 64 * jnp.finfo(roll.dtype).eps
-        return (beyond >= begin - rounding) & (beyond <= end + rounding) & (begin <= end)
 
     def _internal_roll(self, roll: Array) -> Array:
         return (self.external.base_radius * roll + self._offset) / self.internal.base_radius

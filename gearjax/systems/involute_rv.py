@@ -21,7 +21,7 @@ from gearjax.systems.base import AbstractSystem
 from gearjax.systems.first_stage import FirstStage
 from gearjax.typing import Array, Float, Int, Number, Scalar
 
-FAR = 1.0  # m, gap of flanks that do not face each other
+APART = 0.05  # rad of roll between the tips of flanks that face each other nowhere, beyond which they are not followed
 
 
 class Candidates(NamedTuple):
@@ -34,6 +34,7 @@ class Candidates(NamedTuple):
             pair).
         points: shape (block, pair, point).
         shared: length of the flanks that face each other, shape (block, pair) [m].
+        apart: distance between the tips of those that face each other nowhere, else zero, shape (block, pair) [m].
     """
 
     crank: Array
@@ -41,6 +42,7 @@ class Candidates(NamedTuple):
     tooth: Int[Array, "block pair"]
     points: FlankPoints
     shared: Array
+    apart: Array
 
 
 class InvoluteRV(AbstractSystem):
@@ -205,18 +207,24 @@ class InvoluteRV(AbstractSystem):
         side = jnp.asarray([side for side, _ in blocks], theta.dtype)[:, None]
         places = jnp.asarray([2 * math.pi * gear / self.gears for _, gear in blocks], theta.dtype)
         crank = (self.orders["crank"] * theta + places)[:, None]
-        middle = pair.space_of_roll(0.5 * (pair.path[0] + pair.path[1]))
+        middle = pair.space_of_roll(pair.middle)
         # the window's middle in spaces of the ring, and the pairs in it, each its own tooth of every ``pairs``
         spaces = (side * middle + crank) * (self.internal_teeth / (2 * math.pi))
         slots = jnp.arange(self.pairs, dtype=theta.dtype)[None]
         tooth = slots + self.pairs * jnp.round((spaces - slots) / self.pairs)
         roll = pair.roll_of_space(middle + side * (tooth - spaces) * (2 * math.pi / self.internal_teeth))
         begin, end = pair.ends(roll)
+        apart = pair.external.base_radius * jnp.maximum(begin - end, 0.0)
+        followed = begin - end < APART
+        roll, begin, end = (
+            jnp.where(followed, part, other)
+            for part, other in zip((roll, begin, end), (pair.middle, *pair.ends(pair.middle)), strict=True)
+        )
         beyond = candidate_rolls(begin.ravel(), end.ravel(), self.profile_points).reshape(*roll.shape, -1)
         points = pair.points(jnp.broadcast_to(roll[..., None], beyond.shape), beyond)
         # along a flank, from one roll angle to another
-        shared = 0.5 * pair.external.base_radius * ((roll + end) ** 2 - (roll + begin) ** 2)
-        return Candidates(crank[..., None], side[..., None], tooth.astype(int), points, shared)
+        shared = 0.5 * pair.external.base_radius * jnp.maximum((roll + end) ** 2 - (roll + begin) ** 2, 0.0)
+        return Candidates(crank[..., None], side[..., None], tooth.astype(int), points, shared, apart)
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
         pair, at = self.pair, self.candidates(theta, request.back)
@@ -230,7 +238,8 @@ class InvoluteRV(AbstractSystem):
             columns.append(self._own(body, at) * share * along)
         jacobian = jnp.stack([self._each(column) for column in columns], axis=1)
         gap = at.points.gap + jnp.where(at.side < 0, pair.backlash, 0.0)
-        gap = self._each(jnp.where(at.points.inside, gap, FAR))
+        # tips that part: no jump where flanks begin to face each other, which would ring in what is interpolated
+        gap = self._each(jnp.where(at.apart[..., None] > 0, jnp.maximum(gap, 0.0) + at.apart[..., None], gap))
         views = {body: self._view(body, theta, at) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         return Pose(theta, jacobian, gap, views, mesh, places=self._places(at) if request.places else None)
