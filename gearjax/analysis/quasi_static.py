@@ -16,6 +16,7 @@ from gearjax.analysis.metrics import (
 )
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
+from gearjax.compliance import COUPLED
 from gearjax.contact import Equilibrium, Layout, Pose
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -156,7 +157,7 @@ class Backlash(eqx.Module):
 
 @arguments.checked(torque=arguments.torques)
 def transmission_error(
-    scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None, *, extremes: str = "between"
+    scene: Scene, theta: ArrayLike, torque: ArrayLike | None = None, *, extremes: str | None = None
 ) -> TransmissionError:
     """Transmission error without load, or under a static torque.
 
@@ -169,7 +170,8 @@ def transmission_error(
         theta: input angles, increasing, shape (n,) [rad].
         torque: load torque on the output, a number or shape (n,) [N m]; positive loads the driving flanks.
         extremes: where the highest and lowest value are looked for: ``"between"`` the samples too, or at the
-            ``"samples"`` alone, which is several times quicker where bodies give way or springs are coupled.
+            ``"samples"`` alone, which is several times quicker where bodies give way. Without, between them, but under
+            torque at the samples where a matrix couples the springs: their derivatives take long to compile.
 
     Returns:
         The error at each angle and its metrics [rad].
@@ -186,10 +188,10 @@ def transmission_error(
         2.246
     """
     theta = angles_of(scene, theta)
-    if extremes not in EXTREMES:
+    if extremes is not None and extremes not in EXTREMES:
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
     if torque is None:
-        return _transmission_error(scene.physics(), theta, None, extremes)
+        return _transmission_error(scene.physics(), theta, None, extremes or "between")
     require(scene, "static", "compliance")
     torque = jnp.asarray(torque, dtype=theta.dtype)
     if torque.ndim and torque.shape != theta.shape:
@@ -198,7 +200,8 @@ def transmission_error(
         raise SceneError(
             f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
         )
-    return _transmission_error(scene.physics("backlash", "compliance"), theta, torque, extremes)
+    places = extremes or ("samples" if isinstance(scene.compliance, COUPLED) else "between")
+    return _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
 
 
 @arguments.checked()
