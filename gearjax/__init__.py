@@ -60,6 +60,14 @@ from gearjax.contact import (
 )
 from gearjax.errors import AbstractError, CumulativePitch, Eccentricity, Positions, Sizes
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.influence import (
+    InfluenceTable,
+    influence_between,
+    influence_on_grid,
+    read_influence,
+    save_influence,
+    tooth_influence,
+)
 from gearjax.load import AbstractLoad, ConstantLoad, SinusoidalLoad
 from gearjax.registry import register
 from gearjax.results.profile import export_profile
@@ -148,6 +156,7 @@ __all__ = [
     "HarmonicStiffness",
     "HertzLineContact",
     "HuLineContact",
+    "InfluenceTable",
     "InitialBacklash",
     "Interference",
     "Iso286",
@@ -207,6 +216,8 @@ __all__ = [
     "grid_search",
     "growth_rate",
     "harmonic_balance",
+    "influence_between",
+    "influence_on_grid",
     "interference",
     "it_tolerance",
     "load",
@@ -218,13 +229,16 @@ __all__ = [
     "monte_carlo",
     "order_spectrum",
     "periodic_motion",
+    "read_influence",
     "register",
     "run_out_tolerance",
+    "save_influence",
     "sensitivities",
     "shooting",
     "simulate",
     "single_pitch_tolerance",
     "speed_sweep",
+    "tooth_influence",
     "torsion",
     "total_pitch_tolerance",
     "transmission_error",
