@@ -1,14 +1,11 @@
 """Stiffness of bodies meshed with bricks of eight nodes with incompatible modes."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from gearjax.checks import GearjaxError
-
-if TYPE_CHECKING:
-    from skfem import MeshHex
 
 AT_ONCE = 2048  # elements whose matrices are made together: few enough for the cache
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3)
@@ -39,7 +36,7 @@ def elasticity(youngs_modulus: float, poissons_ratio: float) -> np.ndarray:
     return matrix
 
 
-def stiffness(mesh: "MeshHex", youngs_modulus: float, poissons_ratio: float) -> tuple[sparse.csc_array, np.ndarray]:
+def stiffness(mesh: Any, youngs_modulus: float, poissons_ratio: float) -> tuple[sparse.csc_array, np.ndarray]:
     """Stiffness matrix of a body of hexahedra.
 
     To the eight shape functions of an element come three that belong to it alone, ``x (1 - x)`` in each of its
@@ -48,7 +45,7 @@ def stiffness(mesh: "MeshHex", youngs_modulus: float, poissons_ratio: float) -> 
     element by element.
 
     Args:
-        mesh: of hexahedra, nodes in [m].
+        mesh: ``skfem.MeshHex``, nodes in [m].
         youngs_modulus: [Pa].
         poissons_ratio: [-].
 
@@ -71,7 +68,7 @@ def stiffness(mesh: "MeshHex", youngs_modulus: float, poissons_ratio: float) -> 
     return matrix, places.nodal_dofs
 
 
-def _condensed(mesh: "MeshHex", element: Any, law: np.ndarray, some: np.ndarray) -> np.ndarray:
+def _condensed(mesh: Any, element: Any, law: np.ndarray, some: np.ndarray) -> np.ndarray:
     """Matrices of some elements without their own modes, shape (element, 24, 24) [N/m]."""
     points = np.stack(np.meshgrid(GAUSS, GAUSS, GAUSS, indexing="ij")).reshape(3, 8)
     mapping = mesh.mapping()

@@ -104,7 +104,7 @@ def read_influence(path: str | Path, gear: InvoluteGear) -> InfluenceTable:
 def _contents(path: Path) -> tuple[dict, list[np.ndarray]]:
     """Header and arrays of a file."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             missing = [name for name in ("header", *ARRAYS) if name not in file]
             if missing:
                 raise GearjaxError(f"{place(path)}: no array {missing[0]}; right are header, {', '.join(ARRAYS)}")

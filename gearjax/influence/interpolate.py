@@ -1,6 +1,7 @@
 """Influence between any points of the flanks of one gear, from its table."""
 
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.influence.table import InfluenceTable
 from gearjax.typing import Array, Float, Int
@@ -55,11 +56,10 @@ def influence_on_grid(table: InfluenceTable, radius: Float[Array, "tooth profile
     influence = jnp.zeros((teeth, size, teeth, size), weights.dtype)
     for distance, block in enumerate(table.matrix[:teeth]):
         block = block.reshape(radii, faces, radii, faces)
-        pairs = teeth - distance
-        one, other = weights[:pairs], weights[distance:]
+        near, far = np.arange(teeth - distance), np.arange(distance, teeth)
+        one, other = weights[near], weights[far]
         half = jnp.einsum("tpa,aibj->tpibj", one, block)
-        between = jnp.einsum("tpibj,tqb->tpiqj", half, other).reshape(pairs, size, size)
-        near, far = jnp.arange(pairs), jnp.arange(distance, teeth)
+        between = jnp.einsum("tpibj,tqb->tpiqj", half, other).reshape(len(near), size, size)
         influence = influence.at[near, :, far].set(between)
         if distance:
             influence = influence.at[far, :, near].set(jnp.swapaxes(between, 1, 2))
@@ -70,7 +70,7 @@ def along_radius(table: InfluenceTable, radius: Float[Array, " point"]) -> Float
     """Share of each node's value in a cubic spline through the nodes, shape (point, radius) [-]."""
     place, step, share = _places(table.radius, radius)
     s, rest = share[:, None], 1 - share[:, None]
-    nodes = jnp.arange(len(table.radius))[None]
+    nodes = np.arange(len(table.radius), dtype=np.int32)[None]
     left, right = (nodes == place[:, None]), (nodes == place[:, None] + 1)
     values = jnp.where(left, rest * rest * (1 + 2 * s), 0.0) + jnp.where(right, s * s * (1 + 2 * rest), 0.0)
     tilt = rest * s * step[:, None]
@@ -80,7 +80,7 @@ def along_radius(table: InfluenceTable, radius: Float[Array, " point"]) -> Float
 def across_face(table: InfluenceTable, face: Float[Array, " point"]) -> Float[Array, "point face"]:
     """Share of each node's value in straight lines between the nodes, shape (point, face) [-]."""
     place, _, share = _places(table.face, face)
-    nodes = jnp.arange(len(table.face))[None]
+    nodes = np.arange(len(table.face), dtype=np.int32)[None]
     left, right = (nodes == place[:, None]), (nodes == place[:, None] + 1)
     return jnp.where(left, 1 - share[:, None], 0.0) + jnp.where(right, share[:, None], 0.0)
 
@@ -88,6 +88,6 @@ def across_face(table: InfluenceTable, face: Float[Array, " point"]) -> Float[Ar
 def _places(nodes: Array, at: Array) -> tuple[Int[Array, " point"], Array, Array]:
     """The interval of nodes that each point is in, its length, and the share of it that lies before the point."""
     at = jnp.clip(at, nodes[0], nodes[-1])
-    place = jnp.clip(jnp.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
+    place = jnp.clip(jnp.searchsorted(nodes, at, side="right").astype(jnp.int32) - 1, 0, len(nodes) - 2)
     step = nodes[place + 1] - nodes[place]
     return place, step, (at - nodes[place]) / step
