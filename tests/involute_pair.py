@@ -1,7 +1,7 @@
 """The internal pair 236/240 of Yang, Tang, Liang (2019), written out apart from the systems of the package.
 
-``python -m tests.involute_pair`` prints the loads of Table 5 and what they owe to the two numbers that the paper does not
-print: the phase of the mesh and the depth of the fixed rim.
+``python -m tests.involute_pair`` prints the loads of Table 5 and what they owe to the two numbers that the paper does
+not print: the phase of the mesh and the depth of the fixed rim.
 """
 
 import time
@@ -86,8 +86,8 @@ def opposite(tooth: int, radius: np.ndarray, phase: float) -> tuple[np.ndarray, 
 
 
 def own_points(tooth: int, phase: float) -> np.ndarray:
-    """Radii of a tooth's points, at equal distances from the internal tip circle to the external one: those that Table 7
-    names, such as 68.19 and 68.26 of tooth 15, 68.51 of tooth 18, 68.22 of tooth 19 [mm]."""
+    """Radii of a tooth's points, at equal distances from the internal tip circle to the external one: those that
+    Table 7 names, such as 68.19 and 68.26 of tooth 15, 68.51 of tooth 18, 68.22 of tooth 19 [mm]."""
     external, internal = gears()
     tip, inner = float(external.tip_radius), float(internal.tip_radius)
     start = brentq(lambda radius: opposite(tooth, np.array([radius]), phase)[1][0] - inner, tip - 1 * mm, tip)
