@@ -62,6 +62,14 @@ from gearjax.contact import (
 )
 from gearjax.errors import AbstractError, CumulativePitch, Eccentricity, Positions, Sizes
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.influence import (
+    InfluenceTable,
+    influence_between,
+    influence_on_grid,
+    read_influence,
+    save_influence,
+    tooth_influence,
+)
 from gearjax.load import AbstractLoad, ConstantLoad, SinusoidalLoad
 from gearjax.registry import register
 from gearjax.results.profile import export_profile
@@ -152,6 +160,7 @@ __all__ = [
     "HarmonicStiffness",
     "HertzLineContact",
     "HuLineContact",
+    "InfluenceTable",
     "InitialBacklash",
     "Interference",
     "InvoluteRV",
@@ -212,6 +221,8 @@ __all__ = [
     "grid_search",
     "growth_rate",
     "harmonic_balance",
+    "influence_between",
+    "influence_on_grid",
     "interference",
     "it_tolerance",
     "load",
@@ -223,13 +234,16 @@ __all__ = [
     "monte_carlo",
     "order_spectrum",
     "periodic_motion",
+    "read_influence",
     "register",
     "run_out_tolerance",
+    "save_influence",
     "sensitivities",
     "shooting",
     "simulate",
     "single_pitch_tolerance",
     "speed_sweep",
+    "tooth_influence",
     "torsion",
     "total_pitch_tolerance",
     "transmission_error",

@@ -25,6 +25,7 @@ LAYERS = {
     "systems": 1,
     "errors": 1,
     "compliance": 1,
+    "influence": 1,
     "load": 1,
     "inertia": 1,
     "supports": 1,

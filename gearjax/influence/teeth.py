@@ -1,0 +1,206 @@
+"""Influence of the teeth of a gear on each other by finite elements."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from gearjax.checks import ParameterError
+from gearjax.geometry.involute import InvoluteGear
+from gearjax.influence.element import scikit_fem, stiffness
+from gearjax.influence.files import read_influence, write_arrays
+from gearjax.influence.mesh import TeethMesh, teeth_mesh
+from gearjax.influence.outline import flank_angle, graded, outline
+from gearjax.influence.table import InfluenceTable, gear_definition, gear_hash, hash_of
+
+AT_ONCE = 32  # loads that are solved for together
+MADE = 1  # changes with what the numbers below would be of the same parameters
+
+
+class _Elements(NamedTuple):
+    """Numbers of elements, as `tooth_influence` tells."""
+
+    profile: int
+    layers: int
+    thickness: int
+    space: int
+    teeth: int
+
+
+def tooth_influence(
+    gear: InvoluteGear,
+    *,
+    face_width: float,
+    youngs_modulus: float,
+    poissons_ratio: float,
+    rim: float,
+    touching: tuple[float, float],
+    meeting: tuple[float, float] | None = None,
+    fillet: float | None = None,
+    profile_elements: int = 10,
+    layers: int = 13,
+    thickness_elements: int = 4,
+    space_elements: int = 2,
+    teeth: int = 11,
+    distances: int = 2,
+    cache: str | Path | None = None,
+) -> InfluenceTable:
+    """Normal displacements of the flanks of a gear per unit normal force at each node, by finite elements.
+
+    Some teeth and the rim under them are meshed with bricks of eight nodes with incompatible modes and fixed at a depth
+    under the root circle and at both ends; the tooth in the middle is loaded at one node after the other (Yang, Tang,
+    Liang 2019, section IV). All teeth are equal, so that one tells of all. Forces are nodal: the displacement under one
+    grows as the elements become smaller, while that of a force spread over a surface tends to a limit.
+
+    Args:
+        gear: one gear of the pair.
+        face_width: [m].
+        youngs_modulus: [Pa].
+        poissons_ratio: [-], from 0 to below 0.5.
+        rim: depth under the root circle where the gear is fixed [m].
+        touching: radii between which teeth may touch [m]: nodes stand there at equal distances.
+        meeting: part of the face that meets the other gear, from and to [m], counted from one end; all of it if absent.
+        fillet: radius of the arc between flank and root circle [m]; 0.2 modules if absent, 0 for a corner.
+        profile_elements: between the radii where teeth may touch, at least 3.
+        layers: elements across the part of the face that meets the other gear.
+        thickness_elements: through a tooth from flank to flank.
+        space_elements: over half of the space between two teeth, beside two of the fillet.
+        teeth: that are meshed, odd.
+        distances: of teeth that move each other, in teeth.
+        cache: a folder where results are kept, and taken from where they were made before.
+
+    Returns:
+        The table, for flanks that face increasing polar angles: `InfluenceTable` tells its signs.
+
+    Raises:
+        GearjaxError: scikit-fem is missing (``pip install 'gearjax[fem]'``), a parameter is out of its range, radii do
+            not lie on the flank between fillet and tip, or the fillet does not fit.
+    """
+    scikit_fem()
+    elements = _Elements(profile_elements, layers, thickness_elements, space_elements, teeth)
+    fillet = 0.2 * float(gear.module) if fillet is None else float(fillet)
+    begin, end = (0.0, face_width) if meeting is None else meeting
+    _check_lengths(face_width, youngs_modulus, poissons_ratio, rim, fillet, (begin, end))
+    _check_numbers(elements, distances)
+    lengths = {"face_width": face_width, "rim": rim, "fillet": fillet, "meeting_from": begin, "meeting_to": end}
+    lengths |= {"touching_from": min(touching), "touching_to": max(touching)}
+    numbers = lengths | {"youngs_modulus": youngs_modulus, "poissons_ratio": poissons_ratio}
+    made = {name: f"{float(number):.12g}" for name, number in numbers.items()}
+    made |= {f"{name}_elements": str(number) for name, number in elements._asdict().items()}
+    made |= {"distances": str(distances), "by": f"gearjax tooth_influence {MADE}"}
+    file = None
+    if cache is not None:
+        file = Path(cache) / f"{hash_of({'gear': gear_definition(gear), 'made': made})}.npz"
+        if file.exists():
+            return read_influence(file, gear)
+    inner, outer = sorted(touching)
+    radii = np.linspace(inner, outer, profile_elements + 1)
+    face, zone = _levels(face_width, begin, end, layers)
+    mesh = _meshed(gear, radii, face, zone, elements, rim=rim, fillet=fillet)
+    matrix = _loaded(gear, mesh, radii, youngs_modulus, poissons_ratio, distances)
+    arrays = radii, face[zone] - begin, matrix
+    table = InfluenceTable(*arrays, made_for=gear_hash(gear))
+    if file is not None:
+        write_arrays(file, gear, made, *arrays)
+    return table
+
+
+def _levels(face_width: float, begin: float, end: float, layers: int) -> tuple[np.ndarray, slice]:
+    """Nodes across the face, and which of them meet the other gear."""
+    inner = np.linspace(begin, end, layers + 1)
+    slack, step = 1e-9 * face_width, (end - begin) / layers
+    before, after = graded(begin, step, slack), graded(face_width - end, step, slack)
+    return np.concatenate([begin - before[::-1], inner, end + after]), slice(len(before), len(before) + layers + 1)
+
+
+def _meshed(
+    gear: InvoluteGear,
+    radii: np.ndarray,
+    face: np.ndarray,
+    zone: slice,
+    elements: _Elements,
+    *,
+    rim: float,
+    fillet: float,
+) -> TeethMesh:
+    """Mesh with its flank nodes in the order of increasing radii."""
+    order = slice(None, None, -1 if gear.internal else 1)  # an outline goes from the root to the tip
+    shape = outline(gear, radii[order], rim=rim, fillet=fillet, space_elements=elements.space)
+    pitch = 2 * np.pi / gear.teeth
+    mesh = teeth_mesh(shape, pitch, elements.teeth, face, zone, thickness_elements=elements.thickness)
+    return mesh._replace(flank=mesh.flank[:, order])
+
+
+def _loaded(
+    gear: InvoluteGear,
+    mesh: TeethMesh,
+    radii: np.ndarray,
+    youngs_modulus: float,
+    poissons_ratio: float,
+    distances: int,
+) -> np.ndarray:
+    """Displacements of teeth ahead per force on a tooth, shape (distance, node, node) [m/N]."""
+    matrix, places = stiffness(mesh.mesh, youngs_modulus, poissons_ratio)
+    free = np.ones(places.size, dtype=bool)
+    free[places[:, mesh.fixed]] = False
+    index = np.cumsum(free) - 1
+    inner = sparse.csc_array(matrix[free][:, free])
+    factor = splu(inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    middle = len(mesh.axes) // 2
+    near = slice(middle - distances, middle + distances + 1)
+    at = index[places[:2][:, mesh.flank[near]]].reshape(2, 2 * distances + 1, -1)  # (axis, tooth, node)
+    inwards = np.repeat(_inwards(gear, radii, mesh.axes[near]), mesh.flank.shape[2], axis=2)
+    number = at.shape[2]
+    moved = np.empty((2 * distances + 1, number, number))  # (tooth, of force, of displacement)
+    for begin in range(0, number, AT_ONCE):
+        some = np.arange(begin, min(begin + AT_ONCE, number))
+        load = np.zeros((int(free.sum()), len(some)))
+        for axis in range(2):
+            load[at[axis, distances, some], some - begin] = inwards[axis, distances, some]
+        answer = factor.solve(load)
+        moved[:, some] = np.einsum("atnf,atn->tfn", answer[at], inwards)
+    ahead, behind = moved[distances:], moved[distances::-1]
+    return 0.5 * (ahead + behind.transpose(0, 2, 1))
+
+
+def _inwards(gear: InvoluteGear, radii: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Unit normals into the material of flanks that face increasing polar angles, shape (2, tooth, radius)."""
+    lean = np.asarray(gear.pressure_angle_at(jnp.asarray(radii))) * (-1.0 if gear.internal else 1.0)
+    angle = axes[:, None] + flank_angle(gear, radii) - lean
+    return np.stack([np.sin(angle), -np.cos(angle)])
+
+
+def _check_lengths(
+    face_width: float,
+    youngs_modulus: float,
+    poissons_ratio: float,
+    rim: float,
+    fillet: float,
+    meeting: tuple[float, float],
+) -> None:
+    """Refuse lengths and a material that no gear has."""
+    for name, value in (("face_width", face_width), ("youngs_modulus", youngs_modulus), ("rim", rim)):
+        if not (np.isfinite(value) and value > 0):
+            raise ParameterError(f"tooth_influence.{name}", value, "has to be above 0")
+    if not 0 <= poissons_ratio < 0.5:
+        raise ParameterError("tooth_influence.poissons_ratio", poissons_ratio, "from 0 to below 0.5")
+    if not 0 <= fillet < np.inf:
+        raise ParameterError("tooth_influence.fillet", fillet, "has to be 0 or above")
+    if not 0 <= meeting[0] < meeting[1] <= face_width * (1 + 1e-12):
+        raise ParameterError("tooth_influence.meeting", meeting, f"from and to, between 0 and {face_width:.6g} m")
+
+
+def _check_numbers(elements: _Elements, distances: int) -> None:
+    """Refuse numbers of elements that make no mesh."""
+    least = _Elements(profile=3, layers=1, thickness=1, space=1, teeth=1)
+    for name, given, needed in zip(elements._fields, elements, least, strict=True):
+        if given < needed:
+            raise ParameterError(f"tooth_influence.{name}", given, f"at least {needed}")
+    if elements.teeth % 2 == 0:
+        raise ParameterError("tooth_influence.teeth", elements.teeth, "an odd number: the middle one is loaded")
+    if not 0 <= distances <= elements.teeth // 2:
+        right = f"from 0 to {elements.teeth // 2}, with {elements.teeth} teeth"
+        raise ParameterError("tooth_influence.distances", distances, right)
