@@ -360,7 +360,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
             number.path: number.written_spread,
         }
     },
-    "tradeoff": lambda _: {"run": RUN | {"duration": "0.02 s", "samples": 21}},  # some forty settings
+    "tradeoff": None,  # some forty settings: tests/test_tradeoff.py
     "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
     "reproduce": None,  # of papers, not of a configuration: tests/test_published.py
 }
