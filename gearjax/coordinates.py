@@ -70,13 +70,9 @@ class Coordinates:
     @property
     def rigid(self) -> "Coordinates":
         """What still moves where nothing gives way: the output, and shafts that turn freely."""
-
-        def kept(motions: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-            left = [(name, tuple(place for place in places if place < self.free)) for name, places in motions]
-            return tuple((name, places) for name, places in left if places)
-
         names, turns = self.names[: self.free], self.turns[: self.free]
-        return Coordinates(names, self.free, turns, kept(self.motions), kept(self.rotations), self.holds)
+        motions, rotations = (_up_to(self.free, of) for of in (self.motions, self.rotations))
+        return Coordinates(names, self.free, turns, motions, rotations, self.holds)
 
     @property
     def spread(self) -> np.ndarray:
@@ -111,6 +107,12 @@ class Coordinates:
         found = np.zeros(len(self.names))
         found[list(places)] = 1.0
         return found
+
+
+def _up_to(free: int, motions: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Motions, by the first coordinates alone."""
+    left = [(name, tuple(place for place in places if place < free)) for name, places in motions]
+    return tuple((name, places) for name, places in left if places)
 
 
 def unit_of(coordinate: str) -> str:

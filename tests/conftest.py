@@ -1,8 +1,13 @@
-"""Tests run in float64, and refuse silent promotion of ranks and dtypes."""
+"""Tests run in float64, and refuse silent promotion of ranks and dtypes.
+
+What starts the workers loads this file too, and runs no test: gearjax is imported where tests need it, as its checked
+signatures take seconds to make.
+"""
 
 import dataclasses
 import gc
 import os
+import runpy
 import shutil
 import tempfile
 from pathlib import Path
@@ -10,11 +15,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-
-import gearjax as gj
-from gearjax.cli.programs import leave_out_where_from
-from gearjax.reproduce import two_kv
-from gearjax.xla import QUICK_COMPILER, is_known
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -29,6 +29,7 @@ PHASES = [f"errors.{body}.phase" for body in BODIES]
 
 FOUND = "GEARJAX_TESTS_COMPILER"  # what the process that starts the workers found out, for them
 PROGRAMS = "GEARJAX_TESTS_PROGRAMS"  # the folder of compiled programs that the workers share
+ONE_PIECE = "--xla_cpu_parallel_codegen_split_count=1"  # the workers share the cores: pieces cost a tenth of the time
 FEWER_COLLECTIONS = 100_000, 50, 100  # traces make many objects: looking for cycles took 6 % of the time of two files
 _ours: list[str] = []
 
@@ -47,7 +48,14 @@ def pytest_unconfigure() -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def pytest_configure() -> None:
+def _quick_options() -> str:
+    """XLA's options that make compiling quicker, as far as this version of it knows them."""
+    xla = runpy.run_path(str(ROOT / "gearjax" / "xla.py"))
+    quick = xla["QUICK_COMPILER"]
+    return next((options for options in (f"{quick} {ONE_PIECE}", quick) if xla["is_known"](options)), "")
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Most tests take longer to compile than to run.
 
     They have the quicker of XLA's compilers for kernels, and what LLVM spends most time on is left to those that are
@@ -55,15 +63,31 @@ def pytest_configure() -> None:
     everything where ``XLA_FLAGS`` is set, to nothing too.
     """
     _share_programs()
+    if "XLA_FLAGS" not in os.environ and FOUND not in os.environ:
+        os.environ[FOUND] = _quick_options()
+    if _starts_workers(config):
+        return
+    from gearjax.cli.programs import leave_out_where_from
+
     leave_out_where_from()
     gc.set_threshold(*FEWER_COLLECTIONS)
     if "XLA_FLAGS" in os.environ:
         return
-    if FOUND not in os.environ:
-        os.environ[FOUND] = QUICK_COMPILER if is_known(QUICK_COMPILER) else ""
     os.environ["XLA_FLAGS"] = os.environ[FOUND]
     jax.devices()  # reads the flags
     del os.environ["XLA_FLAGS"]
+
+
+def _starts_workers(config: pytest.Config) -> bool:
+    """Whether the tests run in other processes than this one."""
+    return bool(getattr(config.option, "tx", None)) and not hasattr(config, "workerinput")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish() -> None:
+    """One look for cycles finds what would have warned: pytest has five, of seconds each after many traces."""
+    gc.collect()
+    gc.freeze()
 
 
 MOST_WORKERS = 4  # each takes up to 3 GB
@@ -116,8 +140,10 @@ def rv_text() -> str:
 
 
 @pytest.fixture(scope="session")
-def scene() -> gj.Scene:
+def scene():
     """The reducer of Wang et al. (2020), phases before optimisation, without a run section."""
+    from gearjax.reproduce import two_kv
+
     return two_kv.scene()
 
 
@@ -140,8 +166,10 @@ def with_contact():
 
 
 @pytest.fixture(scope="session")
-def population(scene) -> gj.Tolerances:
+def population(scene):
     """Reducers with Rayleigh eccentricities and random phases."""
+    import gearjax as gj
+
     amplitudes = dict.fromkeys(AMPLITUDES, gj.Rayleigh(6 * gj.units.um))
     return gj.Tolerances(scene, amplitudes | dict.fromkeys(PHASES, gj.UniformPhase()))
 

@@ -169,7 +169,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
     "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
-    "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, settle=12).te,
+    "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
     "shooting": lambda case: gj.shooting(case.moved, TORQUE, 0.02, steps=64).te,
     "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
     "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
@@ -360,7 +360,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
             number.path: number.written_spread,
         }
     },
-    "tradeoff": lambda _: {"run": RUN | {"duration": "0.02 s", "samples": 21}},  # some forty settings
+    "tradeoff": None,  # some forty settings: tests/test_tradeoff.py
     "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
     "reproduce": None,  # of papers, not of a configuration: tests/test_published.py
 }

@@ -126,14 +126,6 @@ def test_a_turn_of_the_crank_in_motion():
     assert float(motion.mean) == pytest.approx(float(static.mean), rel=1e-3)
 
 
-@pytest.mark.slow
-def test_the_example_draws_the_stage_and_writes_the_disc(tmp_path):
-    with pytest.raises(SystemExit, match="0"):
-        main(["run", str(ROOT / "configs" / "rv_cycloidal" / "hu_2020.toml"), "--out", str(tmp_path)])
-    written = {path.name for path in tmp_path.rglob("*")}
-    assert {"stage.png", "contact_forces.png", "disc.csv", "disc.dxf", "results.nc"} <= written
-
-
 def test_reproduce_prints_valid_json(capsys):
     with pytest.raises(SystemExit, match="0"):
         main(["reproduce", "rv_cycloidal", "--json"])

@@ -94,6 +94,9 @@ COMMANDS = [
     ("tolerance", "two_kv/wang_2020_tolerance.toml"),
     ("tolerance", "rv_cycloidal/hu_2020_tolerance.toml"),
 ]
+WRITTEN = {
+    ("run", "rv_cycloidal/hu_2020.toml"): {"stage.png", "contact_forces.png", "disc.csv", "disc.dxf", "results.nc"}
+}
 
 
 def test_every_shipped_configuration_has_its_command():
@@ -111,3 +114,5 @@ def test_shipped_configurations_run_without_a_warning(tmp_path, word, name):
     words = re.compile("note:|warning|gearjax: error", re.IGNORECASE)
     told = [line for line in done.stderr.splitlines() if words.search(line)]
     assert told == []
+    written = {path.name for path in (tmp_path / "out").rglob("*")}
+    assert WRITTEN.get((word, name), set()) <= written  # the example draws the stage and writes the disc

@@ -115,14 +115,14 @@ def test_allocation_of_a_single_tolerance_is_the_quantile(scene):
 def test_allocation_buys_the_cheap_tolerance(population, angles):
     measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
     costs = dict(zip(AMPLITUDES, (((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 100.0),)), strict=True))
-    found = gj.allocate(population, measure, required=0.8, costs=costs, theta=angles, judged=10_000)
+    found = gj.allocate(population, measure, required=0.8, costs=costs, theta=angles, n=512, judged=10_000)
     assert found.met
     assert found.factors[3] > 1.2 * found.factors[:3].max()
     table = dict.fromkeys(AMPLITUDES, ((0.5, 10.0), (1.0, 2.0), (2.0, 1.0)))
-    stepped = gj.allocate(population, measure, required=0.8, costs=table, theta=angles, judged=10_000)
+    stepped = gj.allocate(population, measure, required=0.8, costs=table, theta=angles, n=512, judged=10_000)
     assert stepped.met
     impossible = gj.allocate(
-        population, measure, required=0.99, costs={AMPLITUDES[0]: ((1.0, 1.0),)}, theta=angles, judged=5000
+        population, measure, required=0.99, costs={AMPLITUDES[0]: ((1.0, 1.0),)}, theta=angles, n=512, judged=5000
     )
     assert not impossible.met
     assert impossible.after.high < 0.99
@@ -202,14 +202,14 @@ def test_a_tolerance_of_a_size_narrows_to_none(scene):
 def test_allocation_stays_within_tables_and_keeps_what_is_good(population, angles):
     measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
     table = dict.fromkeys(AMPLITUDES, ((0.8, 3.0), (1.0, 1.0)))
-    found = gj.allocate(population, measure, required=0.9, costs=table, theta=angles, judged=5000)
+    found = gj.allocate(population, measure, required=0.9, costs=table, theta=angles, n=512, judged=5000)
     assert not found.met
     assert found.factors.min() >= 0.8 - 1e-9
     spreads = dict.fromkeys(AMPLITUDES, gj.Normal(6 * um, 1.5 * um)) | dict.fromkeys(PHASES, gj.UniformPhase())
     steady = gj.Tolerances(population.scene, spreads)
     easy = gj.Measure("no_load", "peak_to_peak", limit=4 * arcmin)
     costs = dict.fromkeys(AMPLITUDES, ((1.0, 1.0),))
-    loose = gj.allocate(steady, easy, required=0.9, costs=costs, theta=angles, loosest=10.0, judged=5000)
+    loose = gj.allocate(steady, easy, required=0.9, costs=costs, theta=angles, loosest=10.0, n=512, judged=5000)
     assert loose.met
     assert loose.cost <= loose.cost_before
 

@@ -4,12 +4,14 @@ import json
 
 import diffrax
 import pytest
+import tomli_w
 
 import gearjax as gj
 from gearjax.config import loads
-from gearjax.studies.tradeoff import accurate_step, static_choices, tradeoff
+from gearjax.studies.tradeoff import STEPS, WIDTHS, accurate_step, static_choices, tradeoff
 from gearjax.units import arcmin
 from tests.test_cli import command
+from tests.test_matrix import GEAR_SETS, RUN
 
 
 @pytest.fixture
@@ -45,6 +47,20 @@ def test_tradeoff(short, tmp_path, capsys):
     assert best["seconds"] == min(row["seconds"] for row in good)
     for name in ("tradeoff.csv", "tradeoff.png"):
         assert (tmp_path / "out" / name).stat().st_size > 500
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gear_set", [name for name in GEAR_SETS if name != "two_kv"])  # whose report is that above
+def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
+    """Every kind of setting; of step lengths and widths the ends."""
+    monkeypatch.setattr("gearjax.studies.tradeoff.STEPS", STEPS[::4])
+    monkeypatch.setattr("gearjax.studies.tradeoff.WIDTHS", WIDTHS[::2])
+    path = tmp_path / "mine.toml"
+    tables = GEAR_SETS[gear_set].tables | {"run": RUN | {"duration": "0.02 s", "samples": 21}}
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    code, out, err = command(capsys, "tradeoff", path, "--json")
+    assert code == 0, err
+    assert json.loads(out)
 
 
 @pytest.mark.slow
