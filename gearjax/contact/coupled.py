@@ -5,27 +5,33 @@ too that turn freely, solve
 
     S f + gap - J q = y >= 0,   f >= 0,   f y = 0,   J^T f = Q
 
-with the influence matrix ``S`` [m/N], symmetric and positive definite. What is searched for is the set of contacts that
-carry: each step solves the linear problem of one set exactly, and the signs of its forces and openings tell the next
-set (Hintermueller, Ito, Kunisch 2002). The same steps are Newton's on a convex function: where the sets go around in a
-circle, each goes only so far as that function falls, so that they end. What is found is exact to rounding.
+with the influence matrix ``S`` [m/N], symmetric and positive definite. What is searched for is the set of contacts
+that carry, exactly (`active_set`); from `MANY` contacts on, conjugate gradients guess it. Many gaps and loads under one
+matrix (`jax.vmap` with the matrix held) share its products with it, lanes last, without a factorisation (`conjugate`):
+what they leave the exact steps finish, lane by lane.
 
 Derivatives are implicit and hold the set fixed: a contact that just touches gives one of its two one-sided values, that
 of the open contact where its force is rounded to nothing, else that of the closed one.
 """
 
+from collections.abc import Callable
+from functools import partial
+
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
+from jax.custom_derivatives import SymbolicZero
 
+from gearjax.contact.active_set import CLOSED, carrying, solved
+from gearjax.contact.conjugate import descended
 from gearjax.contact.contacts import ContactSet
+from gearjax.contact.lanes import finished, in_parts, side_by_side
 from gearjax.contact.train import closed_first
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
-MOST_STEPS = 100
-PLAIN_STEPS = 8  # before the convex function is looked at: nearly all problems end within
-HALVINGS = 40  # of the length of a step
-CLOSED = 64.0  # roundings of the opening, within which an open contact may overlap
+MANY = 48  # contacts; of fewer the exact steps of many lanes, side by side, are as quick
+GUESS = 20  # steps of conjugate gradients before the exact ones, of a single problem
+ENOUGH = 120  # steps of many lanes: twice what a matrix of condition 15 takes
+LANES = 128  # side by side: their numbers stay in the cache
 Solution = tuple[Scalar, Float[Array, " contact"], Int[Array, ""]]
 
 
@@ -47,6 +53,7 @@ def coupled_balance(
         Position [rad], forces [N], and 0 for found, 1 where no contact can carry the load, 2 where the matrix is not
         positive definite or the search did not end; nan with 1 and 2. Differentiable in all arguments, to any order.
     """
+    influence, lever, gap, load = (jnp.asarray(part) for part in (influence, lever, gap, load))
     frozen_lever, frozen_gap, frozen_load = jax.lax.stop_gradient((lever, gap, load))
     edge, apart, able = _from_first_touch(frozen_lever, frozen_gap, frozen_load)
     loaded = _loaded(frozen_lever, frozen_load)
@@ -85,12 +92,115 @@ def _balanced(
         loaded: contacts that hold against the load.
         able: whether all of these coordinates are held.
     """
-    frozen = jax.lax.stop_gradient((influence, levers, load))
-    closed, ended = _carrying(frozen[0], frozen[1], apart, frozen[2], loaded)
-    result = jnp.where(~able, 1, jnp.where(ended, 0, 2))
-    position, forces = _solved(influence, levers, gap - levers @ edge, load, closed)
-    good = result == 0
-    return jnp.where(good, edge + position, jnp.nan), jnp.where(good, forces, jnp.nan), result
+    place, forces, _, good = _answer(influence, levers, gap, load, (edge, apart, loaded, able))
+    good = jax.lax.stop_gradient(good) > 0
+    result = jnp.where(~able, 1, jnp.where(good, 0, 2))
+    return jnp.where(good, place, jnp.nan), jnp.where(good, forces, jnp.nan), result
+
+
+def _primal(influence: Array, levers: Array, gap: Array, load: Array, counted: tuple) -> tuple:
+    """Positions, forces, and as numbers which contacts carry and whether they were found."""
+    del gap  # counted from where contacts touch
+    edge, apart, loaded, able = counted
+    search = _search if len(apart) >= MANY else _exact
+    position, forces, closed, found = search(influence, levers, apart, load, loaded)
+    good = found & able
+    numbers = (jnp.where(good, part, 0.0) for part in (edge + position, forces, closed.astype(forces.dtype)))
+    return *numbers, good.astype(forces.dtype)
+
+
+_answer = jax.custom_jvp(_primal)
+
+
+@partial(_answer.defjvp, symbolic_zeros=True)
+def _answer_jvp(primals: tuple, tangents: tuple) -> tuple:
+    """The linear problem of the contacts that carry, whose matrix is symmetric: ``S df - J dq``, ``-J^T df``."""
+    influence, levers, _, load, _ = primals
+    place, forces, closed, good = _answer(*primals)
+    carry = jax.lax.stop_gradient(closed) > 0
+
+    def moved(way: Array | SymbolicZero, product: Callable[[Array], Array]) -> Array | float:
+        return 0.0 if isinstance(way, SymbolicZero) else product(way)
+
+    pushed = moved(tangents[2], lambda way: way) + moved(tangents[0], lambda way: way @ forces)
+    pushed = pushed - moved(tangents[1], lambda way: way @ place)
+    pulled = moved(tangents[3], lambda way: way) - moved(tangents[1], lambda way: way.T @ forces)
+    number = len(forces)
+    # one vector: of two, one may not depend on what is differentiated, which has no transpose
+    right = jnp.concatenate([jnp.where(carry, -pushed, jnp.zeros_like(forces)), jnp.zeros_like(load) - pulled])
+
+    def matrix(unknown: Array) -> Array:
+        inner, turn = jnp.where(carry, unknown[:number], 0.0), unknown[number:]
+        pressed = jnp.where(carry, influence @ inner - levers @ turn, unknown[:number])
+        return jnp.concatenate([pressed, -(levers.T @ inner)])
+
+    def solve(_: Callable, right: Array) -> Array:
+        rest, linear = jnp.where(carry, right[:number], 0.0), _linear if number >= MANY else solved
+        turn, push = linear(influence, levers, -rest, -right[number:], carry)
+        return jnp.concatenate([jnp.where(carry, push, right[:number]), turn])
+
+    change = jax.lax.custom_linear_solve(matrix, right, solve, symmetric=True)
+    push, turn = change[:number], change[number:]
+    held = jax.lax.stop_gradient(good) > 0
+    still = jnp.zeros_like(closed), jnp.zeros_like(good)
+    return (place, forces, closed, good), (jnp.where(held, turn, 0.0), jnp.where(held, push, 0.0), *still)
+
+
+def _exact(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+    """One problem of few contacts: exact steps from all that hold against the load."""
+    return carrying(influence, levers, apart, load, loaded, loaded)
+
+
+def _single(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+    """One problem of many contacts: exact steps from a guess."""
+    if len(load) > 1:
+        return _exact(influence, levers, apart, load, loaded)
+    at = descended(influence, levers, apart[:, None], load, loaded[:, None], GUESS)
+    guess = at.inside[:, 0] & (at.forces[:, 0] > 0)
+    return carrying(influence, levers, apart, load, loaded, jnp.where(guess.any(), guess, loaded))
+
+
+def _many(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+    """Many problems under one matrix: conjugate gradients, exact steps where these leave something."""
+    if load.shape[1] > 1:
+        return jax.lax.map(lambda each: _exact(influence, *each), (levers, apart, load, loaded))
+
+    def part(levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+        lever, gap = levers[:, :, 0].T, apart.T
+        at = descended(influence, lever, gap, load[:, 0], loaded.T, ENOUGH)
+        turned = lever * at.place[None]
+        reach = jnp.finfo(gap.dtype).eps * CLOSED * (jnp.abs(at.slope - gap) + jnp.abs(gap) + jnp.abs(turned))
+        clear = (loaded.T | (turned - at.slope <= reach)).all(axis=0)  # of the other side
+        closed = (at.inside & ((at.forces > 0) | (load[:, 0] == 0)[None])).T
+
+        def exact(lane: Array) -> tuple:
+            start = jnp.where(closed[lane].any(), closed[lane], loaded[lane])
+            return carrying(influence, levers[lane], apart[lane], load[lane], loaded[lane], start)
+
+        found = at.found & clear
+        return finished((at.place[:, None], at.forces.T, closed, found), found | ~loaded.any(axis=1), exact)
+
+    return in_parts(part, LANES, levers, apart, load, loaded)
+
+
+def _many_linear(influence: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple:
+    """Positions and forces with given sets of closed contacts, of many lanes under one matrix."""
+    if load.shape[1] > 1:
+        return jax.lax.map(lambda each: solved(influence, *each), (levers, rest, load, closed))
+
+    def part(levers: Array, rest: Array, load: Array, closed: Array) -> tuple:
+        at = descended(influence, levers[:, :, 0].T, rest.T, load[:, 0], closed.T, ENOUGH, one_sided=False)
+
+        def exact(lane: Array) -> tuple:
+            return solved(influence, levers[lane], rest[lane], load[lane], closed[lane])
+
+        return finished((at.place[:, None], at.forces.T), at.found, exact)
+
+    return in_parts(part, LANES, levers, rest, load, closed)
+
+
+_search = side_by_side(_single, _many)
+_linear = side_by_side(solved, _many_linear, one_factor=(0, 1, 4))
 
 
 def _from_first_touch(
@@ -109,104 +219,3 @@ def _from_first_touch(
 
 def _loaded(lever: Float[Array, " contact"], load: Scalar) -> Bool[Array, " contact"]:
     return jnp.where(load > 0, lever > 0, lever < 0)
-
-
-def _carrying(
-    influence: Float[Array, "contact contact"],
-    levers: Float[Array, "contact free"],
-    gap: Float[Array, " contact"],
-    load: Float[Array, " free"],
-    loaded: Bool[Array, " contact"],
-) -> tuple[Bool[Array, " contact"], Bool[Array, ""]]:
-    """The set of contacts that carry, and whether it was found."""
-    size = levers.shape[0]
-    rounding = jnp.finfo(gap.dtype).eps * CLOSED
-    inverse = solve_triangular(jnp.linalg.cholesky(influence), jnp.eye(size, dtype=gap.dtype), lower=True)
-    # what is left of the matrix without this much of its diagonal is positive definite still
-    own = 0.5 / (inverse * inverse).sum()
-
-    def tried(closed: Array) -> tuple[tuple, Array, Array]:
-        """Position, forces and overlaps with a set of closed contacts, whether it is right, and the next set."""
-        position, forces = _solved(influence, levers, gap, load, closed)
-        beyond = levers @ position - gap - influence @ forces
-        reach = rounding * (jnp.abs(influence) @ jnp.abs(forces) + jnp.abs(gap) + jnp.abs(levers @ position))
-        right = jnp.where(closed, forces >= 0, beyond <= reach).all()
-        overlap = jnp.where(closed, own * forces, beyond)  # of the springs of the diagonal part
-        # a contact that overlaps by rounding alone is left out: it would come and go
-        return (position, forces, overlap), right, held(jnp.where(closed, forces > 0, beyond > reach))
-
-    def held(chosen: Array) -> Array:
-        """Something has to hold each coordinate: else the first contact of its side."""
-        lacking = ~((chosen & loaded)[:, None] & (levers != 0)).any(axis=0)
-        return chosen | (loaded & (gap == 0) & ((levers != 0) & lacking[None]).any(axis=1))
-
-    def plain(state: tuple) -> tuple:
-        closed, *_, step = state
-        at, right, chosen = tried(closed)
-        return jnp.where(right, closed, chosen), at, right, step + 1
-
-    def damped(state: tuple) -> tuple:
-        closed, (position, forces, overlap), _, step = state
-        (ended, pressed, target), right, chosen = tried(closed)
-        turn, push, close = ended - position, pressed - forces, target - overlap
-        bend = influence @ push - own * push
-
-        def slope(share: Array) -> Array:
-            pressing = jnp.maximum(overlap + share * close, 0.0)
-            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - load @ turn
-
-        def halve(_, ends: tuple) -> tuple:
-            low, high = ends
-            middle = 0.5 * (low + high)
-            falls = slope(middle) < 0
-            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
-
-        zero, one = jnp.zeros((), gap.dtype), jnp.ones((), gap.dtype)
-        best = jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1]
-        share = jnp.where(slope(one) <= 0, one, best)
-        at = position + share * turn, forces + share * push, overlap + share * close
-        chosen = jnp.where(share == 1, chosen, held(at[2] > 0))
-        return jnp.where(right, closed, chosen), at, right, step + 1
-
-    def unfinished(state: tuple) -> Array:
-        *_, done, step = state
-        return ~done & (step < MOST_STEPS)
-
-    # Two loops: one would look for the shares of all steps, over many angles also of those that are whole. Plain steps
-    # start from nothing but a set: a start that is worked out, of the same set at all angles, is one matrix with many
-    # right-hand sides, which a BLAS shares among threads that wait for each other (ten times the time of all the rest)
-    nothing = jnp.zeros_like(load), jnp.zeros_like(gap), jnp.zeros_like(gap)
-    state = jax.lax.while_loop(
-        lambda state: unfinished(state) & (state[-1] < PLAIN_STEPS), plain, (loaded, nothing, jnp.asarray(False), 0)
-    )
-    closed, _, done, _ = jax.lax.while_loop(unfinished, damped, state)
-    return closed, done & jnp.isfinite(own)
-
-
-def _solved(
-    influence: Float[Array, "contact contact"],
-    levers: Float[Array, "contact free"],
-    gap: Float[Array, " contact"],
-    load: Float[Array, " free"],
-    closed: Bool[Array, " contact"],
-) -> tuple[Float[Array, " free"], Float[Array, " contact"]]:
-    """Positions and forces with a given set of closed contacts, differentiable in the others."""
-    both = closed[:, None] & closed[None, :]
-    matrix = jnp.where(both, influence, jnp.eye(closed.shape[0], dtype=influence.dtype))
-    factor = cho_factor(jax.lax.stop_gradient(matrix), lower=True)
-
-    def over(right: Array) -> Array:
-        return jax.lax.custom_linear_solve(
-            lambda x: matrix @ x, right, lambda _, b: cho_solve(factor, b), symmetric=True
-        )
-
-    arms = jnp.where(closed[:, None], levers, 0.0)
-    per_turn = jnp.stack([over(arms[:, column]) for column in range(len(load))], axis=1)
-    at_rest = over(jnp.where(closed, gap, 0.0))
-    steepness, pull = arms.T @ per_turn, load + arms.T @ at_rest
-    held = jnp.diagonal(steepness) > 0
-    safe = steepness + jnp.diag(jnp.where(held, 0.0, 1.0))
-    # one number is divided by: a factorisation of it would be a routine of its own
-    position = pull / safe[0] if len(load) == 1 else jnp.linalg.solve(safe, pull)
-    position = jnp.where(held, position, 0.0)
-    return position, jnp.where(closed, per_turn @ position - at_rest, 0.0)

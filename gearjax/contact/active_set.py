@@ -1,0 +1,148 @@
+"""Which of the contacts that a matrix couples carry: steps from set to set, each solved exactly.
+
+Each step solves the linear problem of one set of closed contacts, and the signs of its forces and openings tell the
+next set (Hintermueller, Ito, Kunisch 2002). The same steps are Newton's on a convex function: where the sets go around
+in a circle, each goes only so far as that function falls, so that they end. What is found is exact to rounding.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from gearjax.typing import Array, Bool, Float
+
+MOST_STEPS = 100
+PLAIN_STEPS = 8  # before the convex function is looked at: nearly all problems end within
+HALVINGS = 40  # of the length of a step
+CLOSED = 64.0  # roundings of the opening, within which an open contact may overlap
+GATHERED_FROM = 48  # contacts; of fewer a factorisation of all takes no longer
+PARTS = 4  # sizes that closed contacts are gathered into
+Found = tuple[Float[Array, " free"], Float[Array, " contact"], Bool[Array, " contact"], Bool[Array, ""]]
+
+
+def carrying(
+    influence: Float[Array, "contact contact"],
+    levers: Float[Array, "contact free"],
+    gap: Float[Array, " contact"],
+    load: Float[Array, " free"],
+    loaded: Bool[Array, " contact"],
+    start: Bool[Array, " contact"],
+) -> Found:
+    """Positions, forces, the contacts that carry, and whether they were found.
+
+    Args:
+        influence: approach of each contact per force on each [m/N].
+        levers: of the coordinates that only contacts hold [m/rad].
+        gap: openings at position zero [m].
+        load: on these coordinates [N m].
+        loaded: contacts that hold against the load.
+        start: the set to begin with.
+    """
+    rounding = jnp.finfo(gap.dtype).eps * CLOSED
+    few = levers.shape[0] < GATHERED_FROM
+    own = _own(influence) if few else jnp.ones((), gap.dtype)
+
+    def tried(closed: Array) -> tuple[tuple, Array, Array]:
+        """Position, forces and overlaps with a set of closed contacts, whether it is right, and the next set."""
+        position, forces = solved(influence, levers, gap, load, closed)
+        beyond = levers @ position - gap - influence @ forces
+        reach = rounding * (jnp.abs(influence) @ jnp.abs(forces) + jnp.abs(gap) + jnp.abs(levers @ position))
+        right = jnp.where(closed, forces >= 0, beyond <= reach).all()
+        # a contact that overlaps by rounding alone is left out: it would come and go
+        return (position, forces, beyond), right, held(jnp.where(closed, forces > 0, beyond > reach))
+
+    def held(chosen: Array) -> Array:
+        """Something has to hold each coordinate: else the first contact of its side."""
+        lacking = ~((chosen & loaded)[:, None] & (levers != 0)).any(axis=0)
+        return chosen | (loaded & (gap == 0) & ((levers != 0) & lacking[None]).any(axis=1))
+
+    def plain(state: tuple) -> tuple:
+        closed, *_, step = state
+        (position, forces, beyond), right, chosen = tried(closed)
+        return jnp.where(right, closed, chosen), (position, forces, beyond, closed), right, step + 1
+
+    def damped(own: Array, state: tuple) -> tuple:
+        closed, (position, forces, overlap), _, step = state
+        (ended, pressed, beyond), right, chosen = tried(closed)
+        target = jnp.where(closed, own * pressed, beyond)
+        turn, push, close = ended - position, pressed - forces, target - overlap
+        bend = influence @ push - own * push
+
+        def slope(share: Array) -> Array:
+            pressing = jnp.maximum(overlap + share * close, 0.0)
+            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - load @ turn
+
+        def halve(_, ends: tuple) -> tuple:
+            low, high = ends
+            middle = 0.5 * (low + high)
+            falls = slope(middle) < 0
+            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
+
+        zero, one = jnp.zeros((), gap.dtype), jnp.ones((), gap.dtype)
+        best = jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1]
+        share = jnp.where(slope(one) <= 0, one, best)
+        at = position + share * turn, forces + share * push, overlap + share * close
+        at = tuple(jnp.where(right, found, part) for found, part in zip((ended, pressed, target), at, strict=True))
+        chosen = jnp.where(share == 1, chosen, held(at[2] > 0))
+        return jnp.where(right, closed, chosen), at, right, step + 1
+
+    def unfinished(state: tuple) -> Array:
+        *_, done, step = state
+        return ~done & (step < MOST_STEPS)
+
+    # Two loops: one would look for the shares of all steps, over many angles also of those that are whole. Plain steps
+    # start from nothing but a set: a start that is worked out, of the same set at all angles, is one matrix with many
+    # right-hand sides, which a BLAS shares among threads that wait for each other (ten times the time of all the rest)
+    nothing = jnp.zeros_like(load), jnp.zeros_like(gap), jnp.zeros_like(gap), start
+    closed, (position, forces, beyond, last), done, step = jax.lax.while_loop(
+        lambda state: unfinished(state) & (state[-1] < PLAIN_STEPS), plain, (start, nothing, jnp.asarray(False), 0)
+    )
+    if not few:  # two thirds of a cube of the contacts, for what hardly any problem needs
+        own = jax.lax.cond(done, lambda: own, lambda: _own(influence))
+    begin = closed, (position, forces, jnp.where(last, own * forces, beyond)), done, step
+    closed, (position, forces, _), done, _ = jax.lax.while_loop(unfinished, lambda state: damped(own, state), begin)
+    return position, forces, closed, done & jnp.isfinite(own)
+
+
+def _own(influence: Array) -> Array:
+    """What is left of the matrix without this much of its diagonal is positive definite still; nan where it is not."""
+    size = influence.shape[0]
+    inverse = solve_triangular(jnp.linalg.cholesky(influence), jnp.eye(size, dtype=influence.dtype), lower=True)
+    return 0.5 / (inverse * inverse).sum()
+
+
+def solved(influence: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple[Array, Array]:
+    """Positions and forces with a given set of closed contacts: ``S f + rest - J q = 0`` within it, ``J^T f = Q``."""
+    number = closed.shape[0]
+    if number < GATHERED_FROM:
+        return _solved(jnp.where(closed[:, None] & closed[None, :], influence, 0.0), levers, rest, load, closed)
+    sizes = [-(-number * part // PARTS) for part in range(1, PARTS + 1)]
+
+    def gathered(size: int):
+        def solve(_: None) -> tuple[Array, Array]:
+            (index,) = jnp.nonzero(closed, size=size, fill_value=number)
+            at = jnp.minimum(index, number - 1)
+            there = index < number
+            inner = jnp.where(there[:, None] & there[None, :], influence[at[:, None], at[None, :]], 0.0)
+            position, forces = _solved(inner, levers[at], rest[at], load, there)
+            return position, jnp.zeros_like(rest).at[index].set(forces, mode="drop")
+
+        return solve
+
+    fits = sum((closed.sum() > size).astype(jnp.int32) for size in sizes[:-1])
+    return jax.lax.switch(fits, [gathered(size) for size in sizes], None)
+
+
+def _solved(inner: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple[Array, Array]:
+    """The same with the matrix of the closed contacts, the other rows and columns zero."""
+    factor = cho_factor(inner + jnp.diag(jnp.where(closed, 0.0, 1.0).astype(inner.dtype)), lower=True)
+    arms = jnp.where(closed[:, None], levers, 0.0)
+    per_turn = cho_solve(factor, arms)
+    at_rest = cho_solve(factor, jnp.where(closed, rest, 0.0))
+    steepness, pull = arms.T @ per_turn, load + arms.T @ at_rest
+    holding = jnp.diagonal(steepness) > 0
+    safe = steepness + jnp.diag(jnp.where(holding, 0.0, 1.0).astype(inner.dtype))
+    # one number is divided by: a factorisation of it would be a routine of its own
+    position = pull / safe[0] if len(load) == 1 else jnp.linalg.solve(safe, pull)
+    position = jnp.where(holding, position, 0.0)
+    return position, jnp.where(closed, per_turn @ position - at_rest, 0.0)

@@ -1,0 +1,87 @@
+"""Many problems under one matrix at once: what `jax.vmap` makes of a function of a matrix and of what goes with it."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from gearjax.typing import Array, Bool
+
+
+def side_by_side(one: Callable, many: Callable, one_factor: tuple[int, ...] = ()) -> Callable:
+    """A function whose lanes do together what they have in common, the matrix.
+
+    Args:
+        one: a function of a matrix and further arrays.
+        many: the same function, the further arrays with an axis of lanes in front.
+        one_factor: arguments that a factorisation in it depends on: where none of them changes, it is worked out once.
+
+    Returns:
+        The function. Lanes of lanes become one axis; where the matrix changes, one matrix comes after the other, and
+        lanes that share it meet inside.
+    """
+    alone, together = jax.custom_batching.custom_vmap(one), jax.custom_batching.custom_vmap(many)
+
+    def each(function: Callable, given: list, batched: list) -> tuple:
+        """One matrix after the other, with what belongs to it."""
+
+        def at(own: list) -> tuple:
+            taken = iter(own)
+            return function(
+                *(next(taken) if with_axis else part for part, with_axis in zip(given, batched, strict=True))
+            )
+
+        return jax.lax.map(at, [part for part, with_axis in zip(given, batched, strict=True) if with_axis])
+
+    def over(size: int, batched: list, *given: Array) -> tuple:
+        if one_factor and not any(batched[place] for place in one_factor):
+            out = jax.vmap(one, [0 if own else None for own in batched])(*given)
+        elif batched[0]:
+            out = each(alone, list(given), batched)
+        else:
+            out = together(given[0], *_broadcast(size, batched[1:], given[1:]))
+        return out, jax.tree.map(lambda _: True, out)
+
+    def merged(size: int, batched: list, *given: Array) -> tuple:
+        if batched[0]:
+            out = each(together, list(given), batched)
+        else:
+            lanes = _broadcast(size, batched[1:], given[1:])
+            flat = together(given[0], *(part.reshape(-1, *part.shape[2:]) for part in lanes))
+            out = jax.tree.map(lambda part: part.reshape(size, -1, *part.shape[1:]), flat)
+        return out, jax.tree.map(lambda _: True, out)
+
+    alone.def_vmap(over)
+    together.def_vmap(merged)
+    return alone
+
+
+def _broadcast(size: int, batched: list, given: tuple) -> list:
+    return [
+        part if own else jnp.broadcast_to(part, (size, *part.shape)) for part, own in zip(given, batched, strict=True)
+    ]
+
+
+def in_parts(function: Callable, most: int, *given: Array) -> tuple:
+    """A function of many lanes, no more than so many at a time, whose numbers the cache holds."""
+    lanes = given[0].shape[0]
+    if lanes <= most:
+        return function(*given)
+    parts = -(-lanes // most)
+    each = -(-lanes // parts)
+    index = jnp.minimum(jnp.arange(parts * each), lanes - 1).reshape(parts, each)  # the last lane fills the rest
+    out = jax.lax.map(lambda own: function(*(part[own] for part in given)), index)
+    return jax.tree.map(lambda part: part.reshape(parts * each, *part.shape[2:])[:lanes], out)
+
+
+def finished(out: tuple, found: Bool[Array, " lane"], exact: Callable) -> tuple:
+    """What was found, and of the other lanes what another function of the lane tells, one after the other."""
+
+    def one(state: tuple) -> tuple:
+        out, found = state
+        lane = jnp.argmin(found)
+        values = exact(lane)
+        out = tuple(part.at[lane].set(value) for part, value in zip(out, values, strict=True))
+        return out, found.at[lane].set(True)
+
+    return jax.lax.while_loop(lambda state: ~state[1].all(), one, (out, found))[0]
