@@ -47,6 +47,7 @@ from gearjax.compliance import (
     HarmonicStiffness,
     HertzLineContact,
     HuLineContact,
+    InfluenceMatrix,
 )
 from gearjax.config import load, loads
 from gearjax.contact import (
@@ -160,6 +161,7 @@ __all__ = [
     "HarmonicStiffness",
     "HertzLineContact",
     "HuLineContact",
+    "InfluenceMatrix",
     "InfluenceTable",
     "InitialBacklash",
     "Interference",

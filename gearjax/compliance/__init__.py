@@ -8,6 +8,7 @@ from gearjax.compliance.base import (
 )
 from gearjax.compliance.elastic_teeth import ElasticTeeth
 from gearjax.compliance.harmonic import HarmonicStiffness
+from gearjax.compliance.influence_matrix import InfluenceMatrix
 from gearjax.compliance.line_contact import LINE_CONTACTS, AbstractLineContact, HertzLineContact, HuLineContact
 
 AnyCompliance = AbstractCompliance | AbstractLineContact | AbstractCoupledCompliance | AbstractToothCompliance
@@ -16,6 +17,7 @@ COMPLIANCES: tuple[type[AnyCompliance], ...] = (
     HarmonicStiffness,
     *LINE_CONTACTS,
     ElasticTeeth,
+    InfluenceMatrix,
 )
 
 __all__ = [
@@ -30,4 +32,5 @@ __all__ = [
     "HarmonicStiffness",
     "HertzLineContact",
     "HuLineContact",
+    "InfluenceMatrix",
 ]

@@ -1,6 +1,7 @@
 """What every compliance offers to a scene."""
 
 import abc
+from typing import Self
 
 import equinox as eqx
 
@@ -58,6 +59,14 @@ class AbstractToothCompliance(eqx.Module):
         Args:
             places: of the contacts on their teeth.
         """
+
+    def made_for(self, places: Places) -> Self:
+        """The same with what it has to work out beforehand for a gear set, if there is something.
+
+        Args:
+            places: of the contacts, radii at several input angles, which are one more axis in front.
+        """
+        return self
 
 
 COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)

@@ -9,6 +9,7 @@ from typing import Any
 
 from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.compliance import AbstractToothCompliance
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
 from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys
@@ -21,6 +22,7 @@ from gearjax.registry import kinds
 from gearjax.scene import Scene
 from gearjax.shafts import Shaft
 from gearjax.supports import Support
+from gearjax.systems import places_of
 
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
@@ -145,6 +147,8 @@ def _scene(tables: dict[str, Any]) -> Scene:
     for section, known in (("compliance", kinds("gearjax.compliances")), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
             parts[section] = _one_of(section, tables[section], known)
+    if isinstance(parts.get("compliance"), AbstractToothCompliance) and system.has_places:
+        parts["compliance"] = parts["compliance"].made_for(places_of(system))
     tables, of_bodies = _apart("inertia", tables)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):

@@ -1,7 +1,7 @@
 """Influence of the teeth of a gear on each other: tables from finite elements, their files, points between nodes."""
 
 from gearjax.influence.files import read_influence, save_influence
-from gearjax.influence.interpolate import influence_between, influence_on_grid
+from gearjax.influence.interpolate import influence_between, influence_of, influence_on_grid
 from gearjax.influence.table import InfluenceTable, gear_hash
 from gearjax.influence.teeth import tooth_influence
 
@@ -9,6 +9,7 @@ __all__ = [
     "InfluenceTable",
     "gear_hash",
     "influence_between",
+    "influence_of",
     "influence_on_grid",
     "read_influence",
     "save_influence",

@@ -27,9 +27,21 @@ def influence_between(
         becomes positive definite by the influence of a second gear whose nodes the points are.
     """
     weights = along_radius(table, radius)[:, :, None] * across_face(table, face)[:, None, :]
-    weights = weights.reshape(len(radius), -1)
+    return influence_of(table, weights.reshape(len(radius), -1), tooth)
+
+
+def influence_of(
+    table: InfluenceTable, weights: Float[Array, "point node"], tooth: Array
+) -> Float[Array, "point point"]:
+    """The same of forces that spread over several nodes each.
+
+    Args:
+        table: as for `influence_between`.
+        weights: share of each force on each node, and of each node's displacement in what counts, shape (point, node).
+        tooth: as for `influence_between`, whole numbers of any type.
+    """
     apart = tooth[:, None] - tooth[None, :]
-    influence = jnp.zeros((len(radius), len(radius)), weights.dtype)
+    influence = jnp.zeros((len(weights), len(weights)), weights.dtype)
     for distance, block in enumerate(table.matrix):
         behind = weights @ block @ weights.T  # [from, to] where `to` is so many teeth ahead
         influence = influence + jnp.where(apart == -distance, behind, 0.0)

@@ -1,6 +1,8 @@
 """What every gear set offers to a scene."""
 
 import abc
+import dataclasses
+import math
 from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
 
@@ -8,11 +10,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact import Layout, Moved, Movements, Pose, Request
+from gearjax.contact import Layout, Moved, Movements, Places, Pose, Request
 from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
 from gearjax.structure import Orbit
 from gearjax.typing import Array, Float, Scalar
+
+ANGLES_OF_PLACES = 33  # of a mesh period
 
 
 @runtime_checkable
@@ -152,3 +156,18 @@ class AbstractSystem(eqx.Module):
             NotImplementedError: the system works to first order only.
         """
         raise NotImplementedError(f"{self.kind} has no exact geometry")
+
+
+def places_of(system: AbstractSystem) -> Places:
+    """Where on their teeth the contacts of a gear set are, the radii over a mesh period: angles as an axis in front."""
+    period = 2 * math.pi / system.orders["mesh"]
+    theta = jnp.linspace(0.0, period, ANGLES_OF_PLACES, dtype=system.input_speed.dtype)
+    first = system.pose(theta[0], Request(places=True)).places
+    radii = jax.vmap(lambda at: _radii(system.pose(at, Request(places=True))))(theta)
+    assert first is not None  # the system has them
+    return dataclasses.replace(first, radius=radii)
+
+
+def _radii(pose: Pose) -> tuple[Array, Array]:
+    assert pose.places is not None
+    return pose.places.radius

@@ -1,0 +1,120 @@
+"""Compliance of teeth by finite elements: tables of both gears, between whose nodes the contacts stand."""
+
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax import units
+from gearjax.checks import ParameterError, SceneError
+from gearjax.compliance.base import AbstractToothCompliance
+from gearjax.contact import Places
+from gearjax.geometry.involute import InvoluteGear
+from gearjax.influence import InfluenceTable, influence_of, read_influence, tooth_influence
+from gearjax.influence.interpolate import across_face, along_radius
+from gearjax.parameters import check_parameters, count, length, name, number
+from gearjax.typing import Array, Float, Number
+
+FEWEST_POINTS = 3  # along the profile: single nodal forces would tell of the elements, not of the teeth
+MARGIN = 1e-6  # of a radius, that nodes stand beyond the contacts
+
+
+class InfluenceMatrix(AbstractToothCompliance):
+    """Teeth of both gears by finite elements, condensed once to the nodes of their flanks (Yang, Tang, Liang 2019).
+
+    Each gear has its `InfluenceTable`: of the package's own run (`tooth_influence`, which needs the extra ``fem``), kept
+    in a folder and taken from there the next time, or of a file that another program wrote. Contacts stand between its
+    nodes, by cubic splines along the profile, without snapping as the gears turn. It needs candidates along the profile,
+    ``profile_points`` of the gear set about as many as there are elements; with a single one across the face the force of
+    each spreads over it evenly.
+
+    `made_for` finds the tables for a gear set: configurations do so as they are read. They stay what they are while
+    numbers of the gear set are varied.
+
+    Args:
+        youngs_modulus, poissons_ratio: of both gears [Pa], [-].
+        external_width, internal_width: of the teeth [m]; the narrower one meets the middle of the other.
+        rim: depth under the root circle at which a gear is held [m]: as decisive as where the teeth stand.
+        profile_elements, layers: elements along the part of the profile that may touch, and across the face.
+        external_file, internal_file: tables of another program (`save_influence`); both or none.
+        cache: folder where tables of the own run are kept; not kept without.
+    """
+
+    kind: ClassVar[str] = "influence_matrix"
+    youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
+    poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
+    external_width: Number = length(at_least=1e-6, at_most=10.0, example="6.5 mm")
+    internal_width: Number = length(at_least=1e-6, at_most=10.0, example="14 mm")
+    rim: Number = length(at_least=1e-6, at_most=10.0, example="0.8 mm")
+    profile_elements: int = count(at_least=3, at_most=100, default=10)
+    layers: int = count(at_most=200, default=13)
+    external_file: str = name(default="")
+    internal_file: str = name(default="")
+    cache: str = name(default="")
+    tables: tuple[InfluenceTable, InfluenceTable] | None = None
+
+    def __check_init__(self):
+        check_parameters(self)
+        if bool(self.external_file) != bool(self.internal_file):
+            raise ParameterError("external_file", self.external_file, "give external_file and internal_file, or none")
+
+    def made_for(self, places: Places) -> Self:
+        if self.tables is not None:
+            return self
+        if places.radius[0].shape[-1] < FEWEST_POINTS:
+            words = f"influence_matrix needs at least {FEWEST_POINTS} candidates along the profile of each pair"
+            raise ParameterError("system.profile_points", places.radius[0].shape[-1], words)
+        if self.external_file:
+            files = zip((self.external_file, self.internal_file), places.gears, strict=True)
+            tables = tuple(read_influence(file, gear) for file, gear in files)
+        else:
+            widths = float(self.external_width), float(self.internal_width)
+            each = zip(places.gears, places.radius, widths, strict=True)
+            tables = tuple(self._run(gear, radius, width, min(widths)) for gear, radius, width in each)
+        return eqx.tree_at(lambda part: part.tables, self, tables, is_leaf=lambda part: part is None)
+
+    def _run(self, gear: InvoluteGear, radius: Array, width: float, meets: float) -> InfluenceTable:
+        low, high, tip = float(radius.min()), float(radius.max()), float(gear.tip_radius)
+        low, high = (tip, high * (1 + MARGIN)) if gear.internal else (low * (1 - MARGIN), tip)
+        return tooth_influence(
+            gear,
+            face_width=width,
+            youngs_modulus=float(self.youngs_modulus),
+            poissons_ratio=float(self.poissons_ratio),
+            rim=float(self.rim),
+            touching=(low, high),
+            meeting=(0.5 * (width - meets), 0.5 * (width + meets)),
+            profile_elements=self.profile_elements,
+            layers=self.layers,
+            cache=self.cache or None,
+        )
+
+    def influence(self, places: Places) -> Float[Array, "contact contact"]:
+        if self.tables is None:
+            raise SceneError("influence_matrix has no tables: use compliance.made_for(...), as gj.load does")
+        blocks, each = places.pair.shape[0], places.radius[0][0].size * places.face.shape[0]
+        whole = jnp.zeros((blocks, each, each), places.pair.dtype)
+        for table, radius, gear in zip(self.tables, places.radius, places.gears, strict=True):
+            # driving flanks of the external gear face increasing angles, those of the ring that they press decreasing
+            # ones; back flanks come as their mirror image
+            facing = table.mirrored if gear.internal else table
+            whole = whole + jax.vmap(lambda at, tooth: _between(facing, at, tooth, places.face))(radius, places.pair)  # noqa: B023
+        apart = jnp.eye(blocks, dtype=whole.dtype)[:, None, :, None] * whole[:, :, None, :]
+        return apart.reshape(blocks * each, blocks * each)
+
+
+def _between(
+    table: InfluenceTable, radius: Float[Array, "pair point"], tooth: Float[Array, " pair"], face: Float[Array, " face"]
+) -> Float[Array, "contact contact"]:
+    """Influence of the contacts of one gear, by pair, point and place across the face."""
+    rows = along_radius(table, radius.ravel())
+    if face.shape[0] == 1:
+        parts = jnp.diff(table.face)
+        even = jnp.concatenate([parts[:1], parts[1:] + parts[:-1], parts[-1:]])[None]
+        even = even / even.sum()
+    else:
+        width = table.face[-1] - table.face[0]
+        even = across_face(table, table.face[0] + (face + 0.5) * width)
+    weights = (rows[:, None, :, None] * even[None, :, None, :]).reshape(-1, table.matrix.shape[1])
+    return influence_of(table, weights, jnp.repeat(tooth, radius.shape[1] * face.shape[0]))
