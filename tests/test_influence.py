@@ -153,6 +153,40 @@ def test_a_force_on_the_next_tooth_acts_as_on_a_tooth_behind(gear, table, monkey
         np.testing.assert_allclose(table.matrix[distance], block, atol=0.01 * largest)
 
 
+@pytest.mark.parametrize("internal", [False, True])
+def test_ahead_is_towards_increasing_polar_angles(internal, monkeypatch):
+    """One force, solved for apart, with normals from differences along the flank."""
+    gear, meshes, meshed = gear_of(60, internal=internal), [], room._meshed
+    monkeypatch.setattr(room, "_meshed", lambda *given, **named: meshes.append(meshed(*given, **named)) or meshes[-1])
+    table = table_of(gear)
+    mesh = meshes[0]
+    matrix, places = stiffness(mesh.mesh, YOUNG, POISSON)
+    step = 1e-4 * mm
+
+    def inwards(tooth, radius):
+        ends = np.array([radius - step, radius + step])
+        angle = mesh.axes[tooth] + np.asarray(gear.half_angle(jnp.asarray(ends)))
+        x, y = np.diff(ends * np.cos(angle))[0], np.diff(ends * np.sin(angle))[0]
+        return np.array([y, -x]) / np.hypot(x, y)
+
+    at, load = mesh.flank[2, 1, 0], np.zeros(places.size)
+    load[places[:2, at]] = inwards(2, float(table.radius[1]))
+    moved = held(matrix, places, mesh.fixed, np.zeros(places.size), load)
+    own, ahead = (
+        [
+            inwards(tooth, float(radius)) @ moved[places[:2, node]]
+            for radius, nodes in zip(table.radius, mesh.flank[tooth], strict=True)
+            for node in nodes
+        ]
+        for tooth in (2, 3)
+    )
+    assert mesh.axes[3] > mesh.axes[2]
+    force = len(table.face)  # node of the second radius, at one end of the face
+    np.testing.assert_allclose(own, table.matrix[0, force], rtol=1e-6, atol=1e-15)
+    difference = np.abs(np.asarray(ahead) - table.matrix[1, force]).max()
+    assert difference < 0.05 * np.abs(np.asarray(ahead) - table.matrix[1, :, force]).max()
+
+
 def test_lengths_and_stiffness_scale_as_they_must(table):
     twice = table_of(gear_of(module=2 * mm), scale=2.0, youngs_modulus=3 * YOUNG)
     np.testing.assert_allclose(twice.matrix, table.matrix / 6, rtol=1e-9)
