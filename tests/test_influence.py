@@ -1,6 +1,5 @@
-"""Influence of teeth by finite elements: the element, tables and their files, points between nodes."""
+"""Influence of teeth by finite elements: the element, tables, points between nodes."""
 
-import json
 import sys
 
 import jax
@@ -15,9 +14,8 @@ import gearjax as gj
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import teeth as room
 from gearjax.influence.element import stiffness
-from gearjax.influence.files import write_arrays
 from gearjax.influence.outline import outline
-from gearjax.influence.table import gear_hash, smallest_eigenvalue
+from gearjax.influence.table import smallest_eigenvalue
 from gearjax.units import mm
 
 YOUNG, POISSON = 2.06e11, 0.3
@@ -153,6 +151,40 @@ def test_a_force_on_the_next_tooth_acts_as_on_a_tooth_behind(gear, table, monkey
         np.testing.assert_allclose(table.matrix[distance], block, atol=0.01 * largest)
 
 
+@pytest.mark.parametrize("internal", [False, True])
+def test_ahead_is_towards_increasing_polar_angles(internal, monkeypatch):
+    """One force, solved for apart, with normals from differences along the flank."""
+    gear, meshes, meshed = gear_of(60, internal=internal), [], room._meshed
+    monkeypatch.setattr(room, "_meshed", lambda *given, **named: meshes.append(meshed(*given, **named)) or meshes[-1])
+    table = table_of(gear)
+    mesh = meshes[0]
+    matrix, places = stiffness(mesh.mesh, YOUNG, POISSON)
+    step = 1e-4 * mm
+
+    def inwards(tooth, radius):
+        ends = np.array([radius - step, radius + step])
+        angle = mesh.axes[tooth] + np.asarray(gear.half_angle(jnp.asarray(ends)))
+        x, y = np.diff(ends * np.cos(angle))[0], np.diff(ends * np.sin(angle))[0]
+        return np.array([y, -x]) / np.hypot(x, y)
+
+    at, load = mesh.flank[2, 1, 0], np.zeros(places.size)
+    load[places[:2, at]] = inwards(2, float(table.radius[1]))
+    moved = held(matrix, places, mesh.fixed, np.zeros(places.size), load)
+    own, ahead = (
+        [
+            inwards(tooth, float(radius)) @ moved[places[:2, node]]
+            for radius, nodes in zip(table.radius, mesh.flank[tooth], strict=True)
+            for node in nodes
+        ]
+        for tooth in (2, 3)
+    )
+    assert mesh.axes[3] > mesh.axes[2]
+    force = len(table.face)  # node of the second radius, at one end of the face
+    np.testing.assert_allclose(own, table.matrix[0, force], rtol=1e-6, atol=1e-15)
+    difference = np.abs(np.asarray(ahead) - table.matrix[1, force]).max()
+    assert difference < 0.05 * np.abs(np.asarray(ahead) - table.matrix[1, :, force]).max()
+
+
 def test_lengths_and_stiffness_scale_as_they_must(table):
     twice = table_of(gear_of(module=2 * mm), scale=2.0, youngs_modulus=3 * YOUNG)
     np.testing.assert_allclose(twice.matrix, table.matrix / 6, rtol=1e-9)
@@ -226,116 +258,6 @@ def test_an_outline_meets_its_radii_and_the_root_circle(gear):
     assert shape.space_angle[0] == shape.angle[0]
     assert shape.space_radius[-1] == pytest.approx(float(gear.root_radius))
     assert shape.space_angle[-1] == pytest.approx(np.pi / gear.teeth)
-
-
-# files
-
-
-def test_a_file_gives_the_table_back(gear, table, tmp_path):
-    path = gj.save_influence(tmp_path / "teeth.npz", table, gear, {"by": "hand"})
-    again = gj.read_influence(path, gear)
-    for name in ("radius", "face", "matrix", "slopes"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(table, name))
-    assert again.made_for == table.made_for
-    with np.load(path) as file:
-        header = json.loads(str(file["header"]))
-    assert header["units"]["matrix"] == "m/N"
-    assert header["gear"]["module"] == "0.001"
-    assert header["made"] == {"by": "hand"}
-
-
-def test_results_are_kept_and_found_again(gear, tmp_path, monkeypatch):
-    first = table_of(gear, cache=tmp_path)
-    assert len(list(tmp_path.glob("*.npz"))) == 1
-    monkeypatch.setattr("gearjax.influence.teeth._loaded", None)
-    again = table_of(gear, cache=tmp_path)
-    np.testing.assert_array_equal(again.matrix, first.matrix)
-    with pytest.raises(TypeError):
-        table_of(gear, cache=tmp_path, rim=1.1 * mm)
-
-
-def test_a_table_of_another_gear_is_refused(gear, table, tmp_path):
-    path = gj.save_influence(tmp_path / "teeth.npz", table, gear)
-    with pytest.raises(gj.GearjaxError, match=r"made for another gear, profile_shift 0.2 and not 0.21"):
-        gj.read_influence(path, gear_of(shift=0.21))
-    with pytest.raises(gj.GearjaxError, match="made for another gear"):
-        table.check_gear(gear_of(41))
-    with pytest.raises(gj.GearjaxError, match="made for another gear"):
-        gj.save_influence(path, table, gear_of(internal=True))
-    table.check_gear(gear)
-
-
-def test_damaged_files_are_refused_in_one_line(gear, table, tmp_path):
-    path = gj.save_influence(tmp_path / "teeth.npz", table, gear)
-    whole = path.read_bytes()
-    for place in (0, len(whole) // 2, len(whole) - 10):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
-        with pytest.raises(gj.GearjaxError, match=r"teeth\.npz: ") as caught:
-            gj.read_influence(path, gear)
-        assert "\n" not in str(caught.value)
-    for length in (0, 100, len(whole) // 2):
-        path.write_bytes(whole[:length])
-        with pytest.raises(gj.GearjaxError, match=r"teeth.npz: (damaged|cannot be read)"):
-            gj.read_influence(path, gear)
-
-
-def changed_header(path, **changed):
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays["header"] = np.array(json.dumps(json.loads(str(arrays["header"])) | changed))
-    np.savez(path, **arrays)
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"units": {"radius": "mm"}}, "header has units"),
-        ({"version": 2}, "header has version = 2; right is 1"),
-        ({"made": {"rim": "2"}}, "sha256 is not that of gear and made"),
-        ({"gear": None}, "header has no gear"),
-    ],
-)
-def test_headers_of_another_layout_are_refused(gear, table, tmp_path, changed, message):
-    path = gj.save_influence(tmp_path / "teeth.npz", table, gear)
-    changed_header(path, **changed)
-    with pytest.raises(gj.GearjaxError, match=message):
-        gj.read_influence(path, gear)
-
-
-def spoilt(matrix, what):
-    matrix = np.array(matrix)
-    if what == "nan":
-        matrix[1, 0, 0] = np.nan
-    elif what == "uneven":
-        matrix[0, 0, 1] *= 1.01
-    elif what == "indefinite":
-        matrix[0] -= 2 * np.linalg.eigvalsh(matrix[0])[0] * np.eye(len(matrix[0]))
-    elif what == "shape":
-        matrix = matrix[:, :-1]
-    return matrix
-
-
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
-        ("nan", "matrix has numbers that are not finite"),
-        ("uneven", r"matrix\[0\] is not symmetric"),
-        ("indefinite", r"not positive definite, smallest eigenvalue -[0-9.]+e-"),
-        ("shape", r"right are \(r,\), \(f,\)"),
-    ],
-)
-def test_numbers_that_are_no_influence_are_refused(gear, table, tmp_path, what, message):
-    path = tmp_path / "teeth.npz"
-    write_arrays(path, gear, {}, np.asarray(table.radius), np.asarray(table.face), spoilt(table.matrix, what))
-    with pytest.raises(gj.GearjaxError, match=f"teeth.npz: influence table: .*{message}"):
-        gj.read_influence(path, gear)
-
-
-def test_neighbours_that_outweigh_a_tooth_are_refused(table, gear):
-    blocks = np.array(table.matrix)
-    blocks[1] = 0.6 * blocks[0]
-    with pytest.raises(gj.GearjaxError, match="not positive definite"):
-        gj.InfluenceTable(table.radius, table.face, blocks, made_for=gear_hash(gear))
 
 
 # points between nodes

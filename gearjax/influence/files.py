@@ -78,8 +78,9 @@ def read_influence(path: str | Path, gear: InvoluteGear) -> InfluenceTable:
             influence: see `InfluenceTable`.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> import gearjax as gj
-        >>> gear = InvoluteGear(40, 1e-3, 0.35, 0.0, 1.0, 1.25)
+        >>> gear = InvoluteGear(40, *map(jnp.asarray, (1e-3, 0.35, 0.0, 1.0, 1.25)))
         >>> gj.read_influence("teeth.npz", gear)
         Traceback (most recent call last):
             ...

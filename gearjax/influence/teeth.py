@@ -67,7 +67,7 @@ def tooth_influence(
         profile_elements: between the radii where teeth may touch, at least 3.
         layers: elements across the part of the face that meets the other gear.
         thickness_elements: through a tooth from flank to flank.
-        space_elements: over half of the space between two teeth, beside two of the fillet.
+        space_elements: over half of the space between two teeth, beside those of the fillet.
         teeth: that are meshed, odd.
         distances: of teeth that move each other, in teeth.
         cache: a folder where results are kept, and taken from where they were made before.
@@ -78,6 +78,16 @@ def tooth_influence(
     Raises:
         GearjaxError: scikit-fem is missing (``pip install 'gearjax[fem]'``), a parameter is out of its range, radii do
             not lie on the flank between fillet and tip, or the fillet does not fit.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import gearjax as gj
+        >>> gear = InvoluteGear(40, *map(jnp.asarray, (1e-3, 0.35, 0.0, 1.0, 1.25)))
+        >>> steel = {"youngs_modulus": 2.06e11, "poissons_ratio": 0.3}
+        >>> few = {"profile_elements": 3, "layers": 2, "thickness_elements": 2, "teeth": 5}
+        >>> table = gj.tooth_influence(gear, face_width=3e-3, rim=1e-3, touching=(20e-3, 21e-3), **steel, **few)
+        >>> table.matrix.shape  # of teeth up to two further on, between 4 radii times 3 places across the face
+        (3, 12, 12)
     """
     scikit_fem()
     elements = _Elements(profile_elements, layers, thickness_elements, space_elements, teeth)
