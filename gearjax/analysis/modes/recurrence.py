@@ -155,8 +155,8 @@ def _recur_jvp(static: tuple, primals: tuple, tangents: tuple) -> tuple[Array, A
     record = _recur(static, *primals)
 
     def motion(parts: list) -> Linear:
-        arrays, *others = jax.tree.unflatten(tree, parts)
-        return Linear(eqx.combine(arrays, rest), *others, shares)
+        arrays, products, begun, overlap, table = jax.tree.unflatten(tree, parts)
+        return Linear(eqx.combine(arrays, rest), products, begun, overlap, table, shares)
 
     values, tree = jax.tree.flatten(primals)
     ways = {i: way for i, way in enumerate(jax.tree.leaves(tangents)) if not isinstance(way, SymbolicZero)}
@@ -167,11 +167,11 @@ def _recur_jvp(static: tuple, primals: tuple, tangents: tuple) -> tuple[Array, A
         return motion([moved.get(i, value) for i, value in enumerate(values)]).pushes(path)
 
     _, driven = jax.jvp(pushes, ({i: values[i] for i in ways},), (ways,))
-    start = (
+    whole, overlap = (
         jnp.zeros_like(value) if isinstance(way, SymbolicZero) else way
         for value, way in ((primals[2].whole, tangents[2].whole), (primals[3], tangents[3]))
     )
-    return record, held.moved(held.slopes(path), driven, tuple(start))
+    return record, held.moved(held.slopes(path), driven, (whole, overlap))
 
 
 class Path(NamedTuple):
@@ -295,7 +295,7 @@ def _slope(function: Callable[[Array], Array], at: Array, pair: np.ndarray, seen
     pairs, kinds = seen
     ways = (jnp.asarray(kinds == kind, at.dtype) for kind in range(kinds.max() + 1))
     along = jnp.stack([jax.jvp(function, (at,), (way,))[1] for way in ways])
-    return along[kinds].T * (pair[:, None] == pairs[None, :])
+    return jnp.where(pair[:, None] == pairs[None, :], along[kinds].T, 0.0)
 
 
 def _product(matrix: Array, vector: Array) -> Array:
