@@ -70,8 +70,8 @@ def test_the_derivative_is_that_of_the_loop(case, nodes, rng):
     record, moving = recorded(CASES[case], nodes)
     path = record(moving)[1]
     assert np.isfinite(np.asarray(path)).all()
-    weights = jnp.asarray(rng.normal(size=path.shape)) / jnp.abs(path).max(axis=0)
-    directions = jax.tree.map(lambda leaf: leaf * rng.normal(size=(3, *leaf.shape)), moving)
+    weights = jnp.asarray(rng.normal(size=path.shape)) / jnp.abs(path).max(axis=0, keepdims=True)
+    directions = jax.tree.map(lambda leaf: leaf[None] * rng.normal(size=(3, *leaf.shape)), moving)
 
     def size(moving, rule=True):
         ended, path = record(moving, rule)
