@@ -115,6 +115,27 @@ GEAR_SETS = {
         },
     ),
 }
+GEAR_SETS["involute_rv"] = GearSet(
+    "involute_rv/yang_2019.toml",
+    {
+        "system": {"pairs": 7, "profile_points": 1, "input_speed": "60 rpm"},
+        "compliance": {
+            "kind": "harmonic_stiffness",
+            "mean": "2e8 N/m",
+            "relative_amplitudes": [0.1],
+            "phases": ["0 deg"],
+        },
+        "load": {"kind": "constant"},
+        "inertia": {"moment_of_inertia": "0.5 kg*m^2"},
+        "damping": {"ratio": 0.05},
+    },
+    {
+        "phase": Number("errors.gear_1.phase"),
+        "amplitude": Number("errors.gear_1.amplitude", ("1 um", "3 um"), (1 * um, 3 * um)),
+        "element": Number("compliance.relative_amplitudes[0]", (0.05, 0.15), (0.05, 0.15)),
+        "system": Number("system.centre_distance", ("1.498 mm", "1.5 mm"), (1.498e-3, 1.5e-3)),
+    },
+)
 KINDS = ("phase", "amplitude", "element", "system")
 
 
@@ -255,11 +276,15 @@ OF_NO_GEAR_SET = {
     "xla_options",
 }
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
-    ("contact_pressure", "two_kv", ""): "line contacts",
-    ("export_profile", "two_kv", ""): "has no disc with a profile",
+    **{("contact_pressure", kind, ""): "line contacts" for kind in ("two_kv", "involute_rv")},
+    **{("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv")},
     ("allocate", "", "phase"): "is no tolerance",
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
-    **{(name, "two_kv", "element"): "does not depend on it" for name in ("grid_search", "minimise", "optimise")},
+    **{
+        (name, kind, "element"): "does not depend on it"
+        for name in ("grid_search", "minimise", "optimise")
+        for kind in ("two_kv", "involute_rv")
+    },
 }
 
 

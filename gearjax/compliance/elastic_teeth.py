@@ -16,6 +16,7 @@ from gearjax.typing import Array, Float, Number, Scalar
 
 NODES = 8  # of Gauss' quadrature from the root to a load
 SHEAR = 1.2  # of a rectangular section
+FILLET = 0.2  # modules
 SHORTEST = 1e-9  # m, of a strip that presses
 
 
@@ -29,6 +30,7 @@ class ElasticTeeth(AbstractToothCompliance):
     - foundation: turning and shifting of the root on the edge of a half-plane, with the lever u of each force, its
       slant b and the root's thickness s, ``cos b_a cos b_b / E' (18 / pi u_a u_b / s^2 + (1 - 2 nu) / (1 - nu) (u_a +
       u_b) / s + 4.8 / pi (1 + (1 - nu) / 2.4 tan b_a tan b_b))`` (the same);
+      Held at a depth h under the root circle it is stiffer, by ``h / (h + s)`` (fitted to finite elements);
     - contact: a pressed strip on a half-plane as deep as half of the tooth, ``2 (1 - nu^2) / (pi E b) ln(2 t / x)``.
 
     Flanks of gears of few teeth difference lie on each other over all of the profile that they share: a single
@@ -36,11 +38,16 @@ class ElasticTeeth(AbstractToothCompliance):
     foundation as an elastic layer does that forgets over the coupling length (``v - l^2 v''``, free ends), and press
     each its own slice. Neighbouring teeth do not move each other here, by finite elements a third of a per cent.
 
+    The root is where the fillet begins, 0.2 modules from the root circle. Of the pair of Yang, Tang and Liang (2019)
+    five candidates along the profile give the load of every tooth within 2 % of the largest one that finite elements
+    give with a rim of 0.8 mm, within 4 % with one of 2 mm (`InfluenceMatrix`); a single candidate within 10 %.
+
     Args:
         youngs_modulus: E, of both gears [Pa].
         poissons_ratio: nu [-].
         external_width, internal_width: of the teeth [m]; contacts run over the narrower one.
         coupling_length: l across the face, in modules [-].
+        rim: depth under the root circle at which the gears are held [m]; without, a half-plane is under the teeth.
     """
 
     kind: ClassVar[str] = "elastic_teeth"
@@ -49,6 +56,7 @@ class ElasticTeeth(AbstractToothCompliance):
     external_width: Number = length(at_least=1e-6, at_most=10.0, example="6.5 mm")
     internal_width: Number = length(at_least=1e-6, at_most=10.0, example="14 mm")
     coupling_length: Number = number(units.RATIO, above=0.0, at_most=100.0, default=1.5)
+    rim: Number | None = length(at_least=1e-6, at_most=10.0, default=None, example="0.8 mm")
 
     def __check_init__(self):
         check_parameters(self)
@@ -105,7 +113,9 @@ class ElasticTeeth(AbstractToothCompliance):
         turned = 18 / math.pi * lever[:, None] * lever[None, :]
         turned = turned + (1 - 2 * nu) / (1 - nu) * (lever[:, None] + lever[None, :])
         shifted = 4.8 / math.pi * (shear + (1 - nu) / 2.4 * press)
-        return beam + (shear * turned + shifted) / modulus
+        thickness = 2 * root_half
+        held = 1.0 if self.rim is None else self.rim / (self.rim + thickness)
+        return beam + held * (shear * turned + shifted) / modulus
 
     def _contact(
         self, gear: InvoluteGear, radius: Float[Array, " point"], shared: Scalar
@@ -158,8 +168,11 @@ def even_across(loaded: Scalar, width: Scalar, reach: Scalar) -> Scalar:
 
 
 def root_of(gear: InvoluteGear) -> Scalar:
-    """Radius where the flank of a tooth ends at its root, not below the base circle of an external gear [m]."""
-    return gear.root_radius if gear.internal else jnp.maximum(gear.root_radius, gear.base_radius * (1 + 1e-9))
+    """Radius where the fillet of a tooth begins, not below the base circle of an external gear [m]."""
+    fillet = FILLET * gear.module
+    if gear.internal:
+        return gear.root_radius - fillet
+    return jnp.maximum(gear.root_radius + fillet, gear.base_radius * (1 + 1e-9))
 
 
 def _section(gear: InvoluteGear, radius: Array) -> tuple[Array, Array, Array]:

@@ -23,11 +23,11 @@ MARGIN = 1e-6  # of a radius, that nodes stand beyond the contacts
 class InfluenceMatrix(AbstractToothCompliance):
     """Teeth of both gears by finite elements, condensed once to the nodes of their flanks (Yang, Tang, Liang 2019).
 
-    Each gear has its `InfluenceTable`: of the package's own run (`tooth_influence`, which needs the extra ``fem``), kept
-    in a folder and taken from there the next time, or of a file that another program wrote. Contacts stand between its
-    nodes, by cubic splines along the profile, without snapping as the gears turn. It needs candidates along the profile,
-    ``profile_points`` of the gear set about as many as there are elements; with a single one across the face the force of
-    each spreads over it evenly.
+    Each gear has its `InfluenceTable`: of the package's own run (`tooth_influence`, which needs the extra ``fem``),
+    kept in a folder and taken from there the next time, or of a file that another program wrote. Contacts stand between
+    its nodes, by cubic splines along the profile, without snapping as the gears turn. It needs candidates along the
+    profile, ``profile_points`` of the gear set about as many as there are elements; with a single one across the face
+    the force of each spreads over it evenly.
 
     `made_for` finds the tables for a gear set: configurations do so as they are read. They stay what they are while
     numbers of the gear set are varied.

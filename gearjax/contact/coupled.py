@@ -52,6 +52,7 @@ def coupled_balance(
     Returns:
         Position [rad], forces [N], and 0 for found, 1 where no contact can carry the load, 2 where the matrix is not
         positive definite or the search did not end; nan with 1 and 2. Differentiable in all arguments, to any order.
+        From `MANY` contacts on the matrix is looked at only as far as contacts carry.
     """
     influence, lever, gap, load = (jnp.asarray(part) for part in (influence, lever, gap, load))
     frozen_lever, frozen_gap, frozen_load = jax.lax.stop_gradient((lever, gap, load))
