@@ -266,6 +266,11 @@ OF_NUMBERS: dict[str, Callable[[Case], Any]] = {
     ],
 }
 OF_NO_GEAR_SET = {
+    "influence_between",
+    "influence_on_grid",
+    "read_influence",
+    "save_influence",
+    "tooth_influence",
     "it_tolerance",
     "load",
     "loads",

@@ -1,7 +1,6 @@
 """What every compliance offers to a scene."""
 
 import abc
-from typing import Self
 
 import equinox as eqx
 
@@ -60,7 +59,7 @@ class AbstractToothCompliance(eqx.Module):
             places: of the contacts on their teeth.
         """
 
-    def made_for(self, places: Places) -> Self:
+    def made_for(self, places: Places) -> "AbstractToothCompliance":
         """The same with what it has to work out beforehand for a gear set, if there is something.
 
         Args:

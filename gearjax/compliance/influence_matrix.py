@@ -1,6 +1,6 @@
 """Compliance of teeth by finite elements: tables of both gears, between whose nodes the contacts stand."""
 
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -59,7 +59,7 @@ class InfluenceMatrix(AbstractToothCompliance):
         if bool(self.external_file) != bool(self.internal_file):
             raise ParameterError("external_file", self.external_file, "give external_file and internal_file, or none")
 
-    def made_for(self, places: Places) -> Self:
+    def made_for(self, places: Places) -> "InfluenceMatrix":
         if self.tables is not None:
             return self
         if places.radius[0].shape[-1] < FEWEST_POINTS:
