@@ -61,7 +61,16 @@ from gearjax.contact import (
     Rim,
     SoftplusContact,
 )
-from gearjax.errors import AbstractError, CumulativePitch, Eccentricity, Positions, Sizes
+from gearjax.errors import (
+    AbstractError,
+    CumulativePitch,
+    Eccentricity,
+    Positions,
+    ProfileForm,
+    ProfileSlope,
+    Sizes,
+    TipRelief,
+)
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.influence import (
     InfluenceTable,
@@ -184,6 +193,8 @@ __all__ = [
     "Periodic",
     "Pose",
     "Positions",
+    "ProfileForm",
+    "ProfileSlope",
     "Published",
     "QuadraticContact",
     "QuasiStatic",
@@ -205,6 +216,7 @@ __all__ = [
     "Support",
     "Sweep",
     "Term",
+    "TipRelief",
     "Tolerances",
     "Torsion",
     "TransmissionError",

@@ -89,6 +89,7 @@ def test_a_part_of_a_cycle_is_told_in_the_table(scene):
 COMMANDS = [
     ("run", "two_kv/wang_2020.toml"),
     ("run", "rv_cycloidal/hu_2020.toml"),
+    ("run", "involute_rv/yang_2019.toml"),
     ("optimise", "two_kv/wang_2020_phases.toml"),
     ("optimise", "rv_cycloidal/hu_2020_phases.toml"),
     ("tolerance", "two_kv/wang_2020_tolerance.toml"),

@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 
 from gearjax.contact import Layout, Places
+from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -59,11 +60,14 @@ class AbstractToothCompliance(eqx.Module):
             places: of the contacts on their teeth.
         """
 
-    def made_for(self, places: Places) -> "AbstractToothCompliance":
+    def made_for(
+        self, gears: tuple[InvoluteGear, InvoluteGear], radii: tuple[Array, Array]
+    ) -> "AbstractToothCompliance":
         """The same with what it has to work out beforehand for a gear set, if there is something.
 
         Args:
-            places: of the contacts, radii at several input angles, which are one more axis in front.
+            gears: whose teeth the contacts are on.
+            radii: of the contacts on each over a mesh period, shape (angle, block, pair, point) [m].
         """
         return self
 

@@ -1,4 +1,19 @@
-"""Analytic compliance of involute teeth: beam, foundation and contact, of points along their profile and face."""
+"""Analytic compliance of involute teeth: beam, foundation and contact, of points along their profile and face.
+
+Of each gear, for a force at one place of the profile and the approach at another:
+
+- beam: bending, shear and compression from where the fillet begins, 0.2 modules from the root circle, over the sections
+  that both forces see, ``M_a M_b / (E' I) + 1.2 Q_a Q_b / (G A) + N_a N_b / (E' A)`` (Weber and Banaschek 1953);
+- foundation: turning and shifting of the root on the edge of a half-plane, with the lever u of each force, its slant b
+  and the root's thickness s, ``cos b_a cos b_b / E' (18 / pi u_a u_b / s^2 + (1 - 2 nu) / (1 - nu) (u_a + u_b) / s +
+  4.8 / pi (1 + (1 - nu) / 2.4 tan b_a tan b_b))`` (the same). Held at a depth h under the root circle it is stiffer, by
+  ``h / (h + s)``, which is fitted to finite elements;
+- contact: a pressed strip on a half-plane as deep as half of the tooth, ``2 (1 - nu^2) / (pi E b) ln(2 t / x)``.
+
+Flanks of gears of few teeth difference lie on each other over all of the profile that they share: a single candidate of
+a pair presses evenly there, of several each its own part. Across the face forces deflect beam and foundation as an
+elastic layer does that forgets over the coupling length (``v - l^2 v''``, free ends), and press each its own slice.
+"""
 
 import math
 from typing import ClassVar
@@ -23,24 +38,10 @@ SHORTEST = 1e-9  # m, of a strip that presses
 class ElasticTeeth(AbstractToothCompliance):
     """Involute teeth as beams on an elastic foundation, with the contact between them.
 
-    Of each gear, for a force at one place of the profile and the approach at another:
-
-    - beam: bending, shear and compression from the root on, over the sections that both forces see, ``M_a M_b / (E' I)
-      + 1.2 Q_a Q_b / (G A) + N_a N_b / (E' A)`` (Weber and Banaschek 1953);
-    - foundation: turning and shifting of the root on the edge of a half-plane, with the lever u of each force, its
-      slant b and the root's thickness s, ``cos b_a cos b_b / E' (18 / pi u_a u_b / s^2 + (1 - 2 nu) / (1 - nu) (u_a +
-      u_b) / s + 4.8 / pi (1 + (1 - nu) / 2.4 tan b_a tan b_b))`` (the same);
-      Held at a depth h under the root circle it is stiffer, by ``h / (h + s)`` (fitted to finite elements);
-    - contact: a pressed strip on a half-plane as deep as half of the tooth, ``2 (1 - nu^2) / (pi E b) ln(2 t / x)``.
-
-    Flanks of gears of few teeth difference lie on each other over all of the profile that they share: a single
-    candidate of a pair presses evenly there, of several each its own part. Across the face forces deflect beam and
-    foundation as an elastic layer does that forgets over the coupling length (``v - l^2 v''``, free ends), and press
-    each its own slice. Neighbouring teeth do not move each other here, by finite elements a third of a per cent.
-
-    The root is where the fillet begins, 0.2 modules from the root circle. Of the pair of Yang, Tang and Liang (2019)
-    five candidates along the profile give the load of every tooth within 2 % of the largest one that finite elements
-    give with a rim of 0.8 mm, within 4 % with one of 2 mm (`InfluenceMatrix`); a single candidate within 10 %.
+    The candidates of a pair move each other, those of other pairs do not: by finite elements a third of a per cent.
+    A single candidate of a pair presses evenly over the profile that both teeth share. Of the pair of Yang, Tang and
+    Liang (2019) five candidates along the profile give the load of every tooth within 2 % of the largest one that
+    finite elements give with a rim of 0.8 mm, within 4 % with one of 2 mm; a single candidate within 10 %.
 
     Args:
         youngs_modulus: E, of both gears [Pa].

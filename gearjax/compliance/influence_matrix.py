@@ -59,18 +59,19 @@ class InfluenceMatrix(AbstractToothCompliance):
         if bool(self.external_file) != bool(self.internal_file):
             raise ParameterError("external_file", self.external_file, "give external_file and internal_file, or none")
 
-    def made_for(self, places: Places) -> "InfluenceMatrix":
+    def made_for(self, gears: tuple[InvoluteGear, InvoluteGear], radii: tuple[Array, Array]) -> "InfluenceMatrix":
         if self.tables is not None:
             return self
-        if places.radius[0].shape[-1] < FEWEST_POINTS:
+        points = radii[0].shape[-1]
+        if points < FEWEST_POINTS:
             words = f"influence_matrix needs at least {FEWEST_POINTS} candidates along the profile of each pair"
-            raise ParameterError("system.profile_points", places.radius[0].shape[-1], words)
+            raise ParameterError("system.profile_points", points, words)
         if self.external_file:
-            files = zip((self.external_file, self.internal_file), places.gears, strict=True)
+            files = zip((self.external_file, self.internal_file), gears, strict=True)
             tables = tuple(read_influence(file, gear) for file, gear in files)
         else:
             widths = float(self.external_width), float(self.internal_width)
-            each = zip(places.gears, places.radius, widths, strict=True)
+            each = zip(gears, radii, widths, strict=True)
             tables = tuple(self._run(gear, radius, width, min(widths)) for gear, radius, width in each)
         return eqx.tree_at(lambda part: part.tables, self, tables, is_leaf=lambda part: part is None)
 

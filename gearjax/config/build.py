@@ -22,7 +22,7 @@ from gearjax.registry import kinds
 from gearjax.scene import Scene
 from gearjax.shafts import Shaft
 from gearjax.supports import Support
-from gearjax.systems import places_of
+from gearjax.systems import flank_radii
 
 _LARGEST_FILE = 1_000_000  # bytes
 _LONGEST_SERIES = 1000
@@ -148,7 +148,7 @@ def _scene(tables: dict[str, Any]) -> Scene:
         if section in tables:
             parts[section] = _one_of(section, tables[section], known)
     if isinstance(parts.get("compliance"), AbstractToothCompliance) and system.has_places:
-        parts["compliance"] = parts["compliance"].made_for(places_of(system))
+        parts["compliance"] = parts["compliance"].made_for(*flank_radii(system))
     tables, of_bodies = _apart("inertia", tables)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):

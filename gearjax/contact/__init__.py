@@ -5,7 +5,7 @@ from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
 from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
 from gearjax.contact.layout import Layout
-from gearjax.contact.pose import BodyView, Flank, Moved, Movements, Places, Pose, Request, Rim
+from gearjax.contact.pose import BodyView, Moved, Movements, Places, Pose, ProfilePlace, Request, Rim
 from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "ContactSet",
     "CoupledSprings",
     "Equilibrium",
-    "Flank",
     "HardContact",
     "Layout",
     "LineSprings",
@@ -24,6 +23,7 @@ __all__ = [
     "Overlap",
     "Places",
     "Pose",
+    "ProfilePlace",
     "QuadraticContact",
     "Request",
     "Rim",

@@ -76,7 +76,7 @@ class Places(eqx.Module):
     face: Float[Array, " face"]
 
 
-class Flank(eqx.Module):
+class ProfilePlace(eqx.Module):
     """Where along their profile the contacts of a body are.
 
     Args:
@@ -152,7 +152,7 @@ class BodyView(eqx.Module):
     sine: Float[Array, " contact"]
     cosine: Float[Array, " contact"]
     rim: Rim | None
-    flank: Flank | None
+    flank: ProfilePlace | None
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class BodyView(eqx.Module):
         influence: Float[Array, " contact"],
         rim: Rim | None = None,
         of_place: tuple[Float[Array, " contact"], Float[Array, " contact"]] | None = None,
-        flank: Flank | None = None,
+        flank: ProfilePlace | None = None,
     ):
         sine, cosine = jnp.sin(turn), jnp.cos(turn)
         self.angle, self.influence, self.rim, self.flank = turn + place, influence, rim, flank

@@ -92,6 +92,17 @@ class CumulativePitch(AbstractError):
         return Displacement(self.body, sine, cosine, self.waves)
 
 
+def spread(key: str, values: Float[Array, " given"], view: BodyView) -> Float[Array, " contact"]:
+    """One value per contact from one per tooth of its body, or one for all.
+
+    Raises:
+        ParameterError: another number of them, or the body has no teeth that are told apart.
+    """
+    if view.rim is None:
+        return jnp.broadcast_to(values, view.influence.shape)
+    return _spread(key, values, view.rim)
+
+
 def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, " contact"]:
     """One value per contact from one per element, or one for all."""
     contacts = rim.sine.shape[0]

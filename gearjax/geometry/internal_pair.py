@@ -150,7 +150,7 @@ class InternalPair(eqx.Module):
         return begin, self.external.tip_roll - roll
 
     def points(self, roll: Array, beyond: Array) -> FlankPoints:
-        """Flank points of pairs of teeth that face each other (`ends`).
+        """Points on the flanks of pairs of teeth that face each other (`ends`).
 
         Args:
             roll: of each pair on the line of action [rad].

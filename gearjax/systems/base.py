@@ -1,7 +1,6 @@
 """What every gear set offers to a scene."""
 
 import abc
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
@@ -13,6 +12,7 @@ import jax.numpy as jnp
 from gearjax.contact import Layout, Moved, Movements, Places, Pose, Request
 from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
+from gearjax.geometry.involute import InvoluteGear
 from gearjax.structure import Orbit
 from gearjax.typing import Array, Float, Scalar
 
@@ -160,16 +160,15 @@ class AbstractSystem(eqx.Module):
         raise NotImplementedError(f"{self.kind} has no exact geometry")
 
 
-def places_of(system: AbstractSystem) -> Places:
-    """Where on their teeth the contacts of a gear set are, the radii over a mesh period: angles as an axis in front."""
+def flank_radii(system: AbstractSystem) -> tuple[tuple[InvoluteGear, InvoluteGear], tuple[Array, Array]]:
+    """Gears of a gear set that shows the places of its contacts, and the radii of these on each of them over a mesh
+    period, shape (angle, block, pair, point) [m]."""
     period = 2 * math.pi / system.orders["mesh"]
     theta = jnp.linspace(0.0, period, ANGLES_OF_PLACES, dtype=system.input_speed.dtype)
-    first = system.pose(theta[0], Request(places=True)).places
-    radii = jax.vmap(lambda at: _radii(system.pose(at, Request(places=True))))(theta)
-    assert first is not None  # the system has them
-    return dataclasses.replace(first, radius=radii)
 
+    def places(angle: Scalar) -> Places:
+        shown = system.pose(angle, Request(places=True)).places
+        assert shown is not None  # the system has them
+        return shown
 
-def _radii(pose: Pose) -> tuple[Array, Array]:
-    assert pose.places is not None
-    return pose.places.radius
+    return places(theta[0]).gears, jax.vmap(lambda angle: places(angle).radius)(theta)

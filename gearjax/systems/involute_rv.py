@@ -11,21 +11,21 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
-from gearjax.contact import BodyView, Flank, Layout, Places, Pose, Request, Rim
+from gearjax.contact import BodyView, Layout, Places, Pose, ProfilePlace, Request, Rim
+from gearjax.geometry.first_stage import FirstStage
 from gearjax.geometry.internal_checks import faults
 from gearjax.geometry.internal_pair import FlankPoints, InternalPair, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import angle, check_parameters, count, length, number
 from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
-from gearjax.systems.first_stage import FirstStage
 from gearjax.typing import Array, Float, Int, Number, Scalar
 
-APART = 0.05  # rad of roll between the tips of flanks that face each other nowhere, beyond which they are not followed
+APART = 0.05  # rad of roll between tips of flanks that face each other nowhere, beyond which they are not followed
 
 
 class Candidates(NamedTuple):
-    """Flank points that may touch, in blocks: of each external gear its driving flanks, then of each its back flanks.
+    """Points on flanks that may touch, in blocks: of each external gear its driving flanks, then of each its back ones.
 
     Args:
         crank: angle of the throw of each block's gear, seen from the ring's first space, shape (block, 1, 1) [rad].
@@ -201,7 +201,7 @@ class InvoluteRV(AbstractSystem):
         return _layout(self.gears, self.pairs, self.profile_points * self.face_points, request.back)
 
     def candidates(self, theta: Scalar, back: bool) -> Candidates:
-        """Flank points that may touch at an input angle [rad]."""
+        """Points on flanks that may touch at an input angle [rad]."""
         pair, sides = self.pair, (1, -1) if back else (1,)
         blocks = [(side, gear) for side in sides for gear in range(self.gears)]
         side = jnp.asarray([side for side, _ in blocks], theta.dtype)[:, None]
@@ -293,7 +293,7 @@ class InvoluteRV(AbstractSystem):
         outward, around = seen * jnp.sin(pressure), at.side * seen * jnp.cos(pressure)
         rim = Rim(self._each(place), self._each(outward), self._each(around), gear.teeth, self._each(tooth))
         to_tip = gear.base_radius * jnp.abs(gear.tip_roll - roll)
-        return {"rim": rim, "flank": Flank(self._each(to_tip), self.pair.contact_ratio * self.pair.base_pitch)}
+        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), self.pair.contact_ratio * self.pair.base_pitch)}
 
 
 @functools.cache  # by analyses too, each time that they are called

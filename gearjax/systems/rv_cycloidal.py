@@ -13,8 +13,8 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Moved, Movements, Pose, Request, Rim
-from gearjax.geometry import base_radius
 from gearjax.geometry.cycloid import Cycloid, Touch, curvature, gap, largest_offset, pin_distance, touch
+from gearjax.geometry.first_stage import FirstStage
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import angle, check_parameters, count, length, name, number
 from gearjax.structure import Orbit
@@ -82,10 +82,7 @@ class RVCycloidal(AbstractSystem):
 
     def __check_init__(self):
         check_parameters(self)
-        first = {key: getattr(self, key) for key in ("sun_teeth", "planet_teeth", "first_stage_module")}
-        missing = [key for key, value in first.items() if value is None]
-        if 0 < len(missing) < len(first):
-            raise ParameterError(missing[0], None, f"a first stage needs {', '.join(first)}: give all or none")
+        _ = self._first_stage
         profile = self.profile
         if not is_concrete(profile):
             return
@@ -120,9 +117,13 @@ class RVCycloidal(AbstractSystem):
     @property
     def ratio(self) -> Fraction:
         """Turns of the input per turn of the output: ``1 + z_2 z_p / z_1`` with a first stage, else ``z_c``."""
-        if self.sun_teeth is None or self.planet_teeth is None:
-            return Fraction(self.pins - 1)
-        return 1 + Fraction(self.planet_teeth * self.pins, self.sun_teeth)
+        first = self._first_stage
+        return Fraction(self.pins - 1) if first is None else first.ratio(Fraction(self.pins))
+
+    @property
+    def _first_stage(self) -> FirstStage | None:
+        numbers = self.sun_teeth, self.planet_teeth, self.first_stage_module, self.first_stage_pressure_angle
+        return FirstStage.of(*numbers)
 
     @property
     def tip_clearance(self) -> Scalar:
@@ -189,8 +190,8 @@ class RVCycloidal(AbstractSystem):
     @property
     def with_output(self) -> Scalar:
         """Turn of the cranks per turn of the output while the input is held, ``1 + z_1 / z_2`` with a first stage."""
-        turns = 0.0 if self.sun_teeth is None or self.planet_teeth is None else 1 + self.sun_teeth / self.planet_teeth
-        return jnp.asarray(turns, self.eccentricity.dtype)
+        first = self._first_stage
+        return jnp.asarray(0.0 if first is None else first.with_output, self.eccentricity.dtype)
 
     @property
     def lever_radius(self) -> Scalar:
@@ -300,9 +301,9 @@ class RVCycloidal(AbstractSystem):
     @property
     def _planet_radius(self) -> Scalar:
         """Base radius of the first stage's planet wheels [m]."""
-        assert self.planet_teeth is not None
-        assert self.first_stage_module is not None
-        return base_radius(self.planet_teeth, self.first_stage_module, self.first_stage_pressure_angle)
+        first = self._first_stage
+        assert first is not None
+        return first.planet_radius
 
     def _share(self, body: str, dtype: jnp.dtype) -> Float[Array, " contact"]:
         """One at the contacts of a disc, zero at those of the others."""

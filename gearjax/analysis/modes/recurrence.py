@@ -39,11 +39,14 @@ class Begun(NamedTuple):
         whole: state with the inputs of the lines now and a step before, shape (state + 2 line,).
         known: known inputs a step before, shape (known,).
         now: what drives the motion now.
+        overlap: of the contacts now, shape (contact,) [m]; of a start from the coordinates themselves, as without a
+            torque it is zero, whose sign decides.
     """
 
     whole: Array
     known: Array
     now: Driving
+    overlap: Array
 
 
 def recur(
@@ -59,14 +62,14 @@ def recur(
         shares: of the rows in each step, shape (block, step of a block, row); ``None`` where there is one per step.
     """
     arrays, rest = eqx.partition(lines, eqx.is_inexact_array)
-    overlap = lines.overlap(begun.now, products.sight @ begun.whole[: products.sizes[2]])
     march = _recur if lines.apart else _primal
-    record = march((rest, shares), arrays, products, begun, overlap, table)
+    record = march((rest, shares), arrays, products, begun, table)
     _, number, states = products.sizes
     inputs = jnp.concatenate([begun.whole[None, states : states + number], record[-2:, states:]])
     last = rows_of(table, shares, 2)
     known = lines.known(begun.now if len(record) == 1 else _at(last, 0))
-    return Begun(jnp.concatenate([record[-1], inputs[-2]]), known, _at(last, -1)), record
+    overlap = lines.overlap(_at(last, -1), products.sight @ record[-1, :states])
+    return Begun(jnp.concatenate([record[-1], inputs[-2]]), known, _at(last, -1), overlap), record
 
 
 def rows_of(table: Driving, shares: np.ndarray | None, last: int = 0) -> Driving:
@@ -121,15 +124,15 @@ def _advance(lines: Lines, products: Products, carry: tuple, now: Driving) -> tu
 
 
 def _primal(
-    static: tuple, arrays: Lines, products: Products, begun: Begun, overlap: Array, table: Driving
+    static: tuple, arrays: Lines, products: Products, begun: Begun, table: Driving
 ) -> Float[Array, "step number"]:
-    (rest, shares), carry = static, overlap
+    rest, shares = static
     lines = eqx.combine(arrays, rest)
 
     def along(carry: tuple, rows: Driving) -> tuple[tuple, Array]:
         return jax.lax.scan(partial(_advance, lines, products), carry, rows, unroll=UNROLL)
 
-    carry = begun.whole, (lines.known(begun.now), begun.known), overlap
+    carry = begun.whole, (lines.known(begun.now), begun.known), begun.overlap
     if shares is None:
         return along(carry, table)[1]
     flat, unpacked = packed(table)
@@ -155,8 +158,8 @@ def _recur_jvp(static: tuple, primals: tuple, tangents: tuple) -> tuple[Array, A
     record = _recur(static, *primals)
 
     def motion(parts: list) -> Linear:
-        arrays, products, begun, overlap, table = jax.tree.unflatten(tree, parts)
-        return Linear(eqx.combine(arrays, rest), products, begun, overlap, table, shares)
+        arrays, products, begun, table = jax.tree.unflatten(tree, parts)
+        return Linear(eqx.combine(arrays, rest), products, begun, table, shares)
 
     values, tree = jax.tree.flatten(primals)
     ways = {i: way for i, way in enumerate(jax.tree.leaves(tangents)) if not isinstance(way, SymbolicZero)}
@@ -169,7 +172,7 @@ def _recur_jvp(static: tuple, primals: tuple, tangents: tuple) -> tuple[Array, A
     _, driven = jax.jvp(pushes, ({i: values[i] for i in ways},), (ways,))
     whole, overlap = (
         jnp.zeros_like(value) if isinstance(way, SymbolicZero) else way
-        for value, way in ((primals[2].whole, tangents[2].whole), (primals[3], tangents[3]))
+        for value, way in ((primals[2].whole, tangents[2].whole), (primals[2].overlap, tangents[2].overlap))
     )
     return record, held.moved(held.slopes(path), driven, (whole, overlap))
 
@@ -200,7 +203,6 @@ class Linear(NamedTuple):
     lines: Lines
     products: Products
     begun: Begun
-    overlap: Array
     table: Driving
     shares: np.ndarray | None
 
@@ -223,7 +225,7 @@ class Linear(NamedTuple):
         coming, inputs = self.coming(rows, whole), record[:, states:]
         found = coming[:, sights : 2 * sights] + inputs @ self.products.after[:sights].T
         ended = record[:, :states] @ self.products.sight.T
-        overlap = _before(self.overlap, jax.vmap(lines.overlap)(rows, ended))
+        overlap = _before(self.begun.overlap, jax.vmap(lines.overlap)(rows, ended))
         missed = jax.vmap(lines.missed)(rows, overlap, found) if _kinks(lines) else None
         return Path(whole, overlap, coming[:, :sights], found, ended, inputs, missed)
 

@@ -82,7 +82,8 @@ class Steps(eqx.Module):
         here, slope, now = jax.jvp(inputs, (self.begin, place, speed), along, has_aux=True)
         own_before, known_before = jax.tree.map(lambda x, dx: x - self.step * dx, here, slope)
         state = self.scaled.back @ jnp.concatenate([place, speed])
-        return Begun(jnp.concatenate([state, here[0], own_before]), known_before, now)
+        overlap = lines.overlap(now, lines.sights(place, speed))
+        return Begun(jnp.concatenate([state, here[0], own_before]), known_before, now, overlap)
 
     def coordinates(self, state: Array) -> Float[Array, "2 coordinate"]:
         """Coordinates and their velocities."""

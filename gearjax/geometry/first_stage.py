@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 from gearjax.checks import ParameterError
-from gearjax.geometry import base_radius
+from gearjax.geometry.involute import base_radius
 from gearjax.typing import Scalar
 
 NAMES = ("sun_teeth", "planet_teeth", "first_stage_module")
