@@ -286,15 +286,15 @@ class Scene(eqx.Module):
         if isinstance(self.compliance, AbstractCoupledCompliance):
             return CoupledSprings(self.compliance.influence(layout))
         if isinstance(self.compliance, AbstractToothCompliance):
-            request = Request(layout.has_back, places=True)
+            request = Request(self.backlash is not None, places=True)
             places = self.system.pose(pose.theta, request).places if pose.places is None else pose.places
             assert places is not None  # the system has them
             return CoupledSprings(self.compliance.influence(places))
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
-        angle = (
-            self.system.pose(pose.theta, Request(mesh=True)).mesh_angle if pose.mesh_angle is None else pose.mesh_angle
-        )
+        angle = pose.mesh_angle
+        if angle is None:
+            angle = self.system.pose(pose.theta, Request(self.backlash is not None, mesh=True)).mesh_angle
         assert angle is not None  # it was asked for
         return LinearSprings(layout.per_contact(self.compliance.stiffness(angle)))
 
@@ -367,10 +367,7 @@ def _check_coupled(scene: Scene) -> None:
     if not is_concrete((compliance, scene.system)):
         return
     with jax.ensure_compile_time_eval():  # while something else is traced
-        number = len(scene.layout.side)
-        springs = scene.contacts(jnp.zeros_like(scene.system.input_speed), "mean").springs
-        assert isinstance(springs, CoupledSprings)
-        influence = np.asarray(springs.influence)
+        number, influence = len(scene.layout.side), np.asarray(_influence(scene))
     if influence.shape != (number, number):
         raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
     if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):
@@ -378,6 +375,13 @@ def _check_coupled(scene: Scene) -> None:
     smallest = float(np.linalg.eigvalsh(influence)[0])
     if not smallest > 0:
         raise SceneError(f"[compliance]: its matrix is not positive definite (smallest eigenvalue {smallest:.3g} m/N)")
+
+
+@eqx.filter_jit  # one program: its single operations would each be compiled apart
+def _influence(scene: Scene) -> Float[Array, "contact contact"]:
+    springs = scene.contacts(jnp.zeros_like(scene.system.input_speed), "mean").springs
+    assert isinstance(springs, CoupledSprings)
+    return springs.influence
 
 
 def require(scene: Scene, what: str, *slots: str) -> None:

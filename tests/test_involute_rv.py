@@ -46,6 +46,16 @@ class Place(NamedTuple):
     back: bool
 
 
+_drawn: dict[int, tuple[gj.InvoluteRV, Curves]] = {}
+
+
+def curves_of(own: gj.InvoluteRV) -> Curves:
+    """The gears of a system as curves, worked out once: their numbers are arrays, which take longer than the gaps."""
+    if id(own) not in _drawn:
+        _drawn[id(own)] = own, Curves(own.pair)
+    return _drawn[id(own)][1]
+
+
 def true_gap(
     own: gj.InvoluteRV,
     theta: float,
@@ -61,7 +71,7 @@ def true_gap(
     Displacements from the ideal motion: cranks ahead and the output ahead, against them [rad]; the external gear's
     centre, its flanks on it, and the ring, in axes of the ideal throw [m].
     """
-    curves = Curves(own.pair)
+    curves = curves_of(own)
     z1, z2 = own.external_teeth, own.internal_teeth
     crank = own.orders["crank"] * theta + 2 * np.pi * place.gear / own.gears
     # tooth 0 is in the space 0 while the throw points there, driving flanks touching

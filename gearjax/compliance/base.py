@@ -1,6 +1,7 @@
 """What every compliance offers to a scene."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 
@@ -51,6 +52,8 @@ class AbstractToothCompliance(eqx.Module):
     configuration."""
 
     kind: eqx.AbstractClassVar[str]
+    prepares: ClassVar[bool] = False
+    """Whether it has something to work out beforehand for a gear set (`made_for`)."""
 
     @abc.abstractmethod
     def influence(self, places: Places) -> Float[Array, "contact contact"]:

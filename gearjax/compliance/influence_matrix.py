@@ -42,6 +42,7 @@ class InfluenceMatrix(AbstractToothCompliance):
     """
 
     kind: ClassVar[str] = "influence_matrix"
+    prepares: ClassVar[bool] = True
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
     poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
     external_width: Number = length(at_least=1e-6, at_most=10.0, example="6.5 mm")

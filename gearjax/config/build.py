@@ -147,8 +147,9 @@ def _scene(tables: dict[str, Any]) -> Scene:
     for section, known in (("compliance", kinds("gearjax.compliances")), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
             parts[section] = _one_of(section, tables[section], known)
-    if isinstance(parts.get("compliance"), AbstractToothCompliance) and system.has_places:
-        parts["compliance"] = parts["compliance"].made_for(*flank_radii(system))
+    compliance = parts.get("compliance")
+    if isinstance(compliance, AbstractToothCompliance) and compliance.prepares and system.has_places:
+        parts["compliance"] = compliance.made_for(*flank_radii(system))
     tables, of_bodies = _apart("inertia", tables)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
     for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):

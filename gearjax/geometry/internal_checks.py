@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax import units
 from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
+from gearjax.typing import Scalar
 
 THINNEST = 0.05  # modules, of a tip
 ROUNDING = 1e-9  # m
@@ -86,14 +88,20 @@ def tip_overlap(pair: InternalPair) -> float:
 
     With few teeth difference the tips can meet far from the path of contact (ISO 21771: interference of tips).
     """
-    teeth = np.arange(-(pair.external.teeth // 2), pair.external.teeth // 2 + 1)
-    space = float(pair.space_of_roll(pair.middle)) + teeth * (2 * np.pi / pair.internal.teeth)
-    roll = pair.roll_of_space(jnp.asarray(space, pair.middle.dtype))
-    begin, end = (np.asarray(edge) for edge in pair.ends(roll))
+    return -min(0.0, float(_least_gap(pair)))
+
+
+@eqx.filter_jit  # one program: its single operations would each be compiled apart
+def _least_gap(pair: InternalPair) -> Scalar:
+    teeth = np.arange(-(pair.external.teeth // 2), pair.external.teeth // 2 + 1) * (2 * np.pi / pair.internal.teeth)
+    roll = pair.roll_of_space(pair.space_of_roll(pair.middle) + jnp.asarray(teeth, pair.middle.dtype))
+    begin, end = pair.ends(roll)
     facing = begin < end
-    roll, beyond = roll[facing], candidate_rolls(jnp.asarray(begin[facing]), jnp.asarray(end[facing]), PLACES)
+    roll = jnp.where(facing, roll, pair.middle)
+    begin, end = (jnp.where(facing, one, 0.0) for one in (begin, end))
+    beyond = candidate_rolls(begin, end, PLACES)
     points = pair.points(jnp.broadcast_to(roll[:, None], beyond.shape), beyond)
-    return -min(0.0, float(points.gap.min()))
+    return jnp.where(facing[:, None], points.gap, 0.0).min()
 
 
 def radial_assembly(pair: InternalPair) -> float:

@@ -200,8 +200,9 @@ class Harmonics(NamedTuple):
 
 def mesh_phases(equation: Equation, time: Scalar) -> Float[Array, " pair"]:
     """Mesh phase of each pair at a time [s]."""
-    system = equation.scene.system
-    angle = system.pose(system.input_speed * time, Request(mesh=True)).mesh_angle
+    scene = equation.scene
+    asked = Request(scene.backlash is not None, mesh=True)
+    angle = scene.system.pose(scene.system.input_speed * time, asked).mesh_angle
     assert angle is not None  # it was asked for
     return angle
 
