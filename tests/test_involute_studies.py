@@ -1,0 +1,45 @@
+"""Populations of involute RV reducers: fast curves of contacts that go from tooth to tooth are what analyses give."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+import gearjax as gj
+from gearjax.studies.select import pick
+from gearjax.tolerance.measures import Measure, Measures
+from gearjax.units import um
+from tests.conftest import ROOT
+
+
+def test_a_population_is_measured_as_its_analyses_do(rng):
+    """Random teeth, over many angles: each member's metrics are those of the public functions."""
+    base = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
+    teeth = gj.Positions(body="gear_1", outward=jnp.zeros(0), around=jnp.asarray(rng.normal(size=236) * um))
+    scene = dataclasses.replace(
+        base,
+        system=dataclasses.replace(base.system, profile_points=1, pairs=9),
+        errors=base.errors | {"teeth": teeth},
+        compliance=gj.HarmonicStiffness(mean=2e8, relative_amplitudes=[], phases=[]),
+        run=None,
+    )
+    varied = {
+        "errors.gear_1.phase": gj.UniformPhase(),
+        "errors.ring.phase": gj.UniformPhase(),
+        "errors.teeth.around[16]": gj.Uniform(-3 * um, 3 * um),
+        "errors.gear_1.amplitude": gj.Uniform(1 * um, 6 * um),
+    }
+    theta = np.linspace(0.0, 1.3, 1601)
+    named = [Measure.named(name) for name in ("no_load.peak_to_peak", "static.std@100Nm", "backlash.minimum")]
+    measures = Measures(named, gj.Tolerances(scene, varied), theta, "samples")
+    assert measures.curves is not None  # quick ones are what is tested
+    for row in ([0.3, 2.0, 1 * um, 2 * um], [3.0, 5.0, -2 * um, 5 * um]):
+        member = pick(scene, list(varied)).set(scene, jnp.asarray(row))
+        known = [
+            gj.transmission_error(member, theta, extremes="samples").peak_to_peak,
+            gj.transmission_error(member, theta, torque=100.0, extremes="samples").std,
+            gj.backlash(member, theta).backlash.min(),
+        ]
+        found, code = measures(jnp.asarray(row))
+        assert int(code) == 0
+        np.testing.assert_allclose(found, known, rtol=1e-8)
