@@ -142,9 +142,19 @@ def test_softplus_equilibrium_is_the_reference_form():
     assert float(found.position) == pytest.approx(float(expected), rel=1e-12)
 
 
-def test_too_many_pairs_for_the_smooth_form():
-    with pytest.raises(ValueError, match=r"at most 5 pairs, this scene has 6: use contact"):
-        equilibrium(contact_set([0.0] * 6), jnp.asarray(-1.0), SoftplusContact(1e-7))
+@pytest.mark.parametrize("law", [SoftplusContact, QuadraticContact])
+def test_of_many_pairs_the_smooth_balance_is_searched_for(law, rng):
+    """More than the closed form is for: it balances the torque and tends to the hard one with the width."""
+    contacts = contact_set(list(rng.uniform(0, 5e-6, 12)))
+    for torque in (1.0, 50.0):
+        hard = equilibrium(contacts, jnp.asarray(-torque), HardContact())
+        apart = []
+        for width in (1e-7, 1e-9):
+            smooth = equilibrium(contacts, jnp.asarray(-torque), law(width))
+            assert float(contacts.lever @ smooth.forces) == pytest.approx(-torque, rel=1e-9)
+            apart.append(abs(float(smooth.position - hard.position)) * LEVER)
+        assert apart[0] < 1e-7 * np.log(2**12)
+        assert apart[1] < 1e-9 * np.log(2**12)
 
 
 def test_rigid_contacts_are_refused():

@@ -25,7 +25,7 @@ from gearjax.contact.train import closed_first, touching
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 MOST_ONE_BY_ONE = 24  # contacts; of more, the program would grow
-MAX_SMOOTH_PAIRS = 5  # the smooth equilibrium looks at every subset of each flank
+MAX_SMOOTH_PAIRS = 5  # the smooth closed form looks at every subset of each flank; of more the balance is searched for
 SHORTEST_LEVER = 0.03  # of the mean one, below which a contact is radial: it does not say where the output is
 FAR = 1.0  # rad, where a contact that does not touch counts as touching
 
@@ -90,10 +90,10 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
     equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
     maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
-    show a slightly negative force). Contacts whose levers tell their side, and springs that are not linear, are
-    searched for their balance; there a smooth law makes the forces smooth. So are contacts between bodies that have
-    supports, in all their coordinates at once (`supported`), and springs that a matrix couples (`coupled_balance`), by
-    the hard law.
+    show a slightly negative force). Of more than 5 pairs, of contacts whose levers tell their side, and of springs
+    that are not linear the balance is searched for; there a smooth law makes the forces smooth. So it is for contacts
+    between bodies that have supports, in all their coordinates at once (`supported`), and for springs that a matrix
+    couples (`coupled_balance`), by the hard law.
 
     Args:
         contacts: candidate contacts, with a stiffness.
@@ -112,7 +112,8 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     if alone and not contacts.layout.sides_turn and isinstance(springs, LinearSprings):
         if isinstance(law, HardContact):
             return _hard(contacts, springs.stiffness, load)
-        return _smooth(contacts, springs.stiffness, load, law)
+        if contacts.layout.teeth <= MAX_SMOOTH_PAIRS:
+            return _smooth(contacts, springs.stiffness, load, law)
     edge, counted = _from_first_touch(contacts, load)
     if alone:
         position, forces, found = search(counted, load, law)
@@ -293,11 +294,6 @@ def _smooth(
     so its root is the ``max over S min over R`` of their roots (reference form for two pairs:
     ``max(D1 - q, D2 - q, (D1 + D2 - q) / 2)``)."""
     layout, dtype = contacts.layout, contacts.gap.dtype
-    if layout.teeth > MAX_SMOOTH_PAIRS:
-        raise ValueError(
-            f"the smooth equilibrium is for at most {MAX_SMOOTH_PAIRS} pairs, this scene has {layout.teeth}: "
-            'use contact "hard"'
-        )
     drive, back = (_subsets(layout.side.count(side)) for side in (1, -1))
     held = np.zeros((len(drive), len(back), len(layout.side)))  # (drive subset, back subset, contact)
     held[:, :, layout.on(1)], held[:, :, layout.on(-1)] = drive[:, None, :], back[None, :, :]
