@@ -4,6 +4,7 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from gearjax.contact import Layout, Places
 from gearjax.geometry.involute import InvoluteGear
@@ -77,3 +78,10 @@ class AbstractToothCompliance(eqx.Module):
 
 COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)
 """Those whose contacts move each other, as `isinstance` takes them."""
+
+
+def block_diagonal(blocks: Float[Array, "block own own"]) -> Float[Array, "contact contact"]:
+    """The influence of contacts in blocks that do not move each other, shape (block * own, block * own) [m/N]."""
+    number, own, _ = blocks.shape
+    apart = jnp.eye(number, dtype=blocks.dtype)[:, None, :, None] * blocks[:, :, None, :]
+    return apart.reshape(number * own, number * own)

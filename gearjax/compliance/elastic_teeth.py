@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import units
-from gearjax.compliance.base import AbstractToothCompliance
+from gearjax.compliance.base import AbstractToothCompliance, block_diagonal
 from gearjax.contact import Places
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import check_parameters, length, number
@@ -69,10 +69,7 @@ class ElasticTeeth(AbstractToothCompliance):
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         own = jax.vmap(jax.vmap(lambda radii, shared: self._pair(places, radii, shared)))(places.radius, places.shared)
-        own = own.reshape(-1, *own.shape[2:])
-        number, contacts, _ = own.shape
-        apart = jnp.eye(number, dtype=own.dtype)[:, None, :, None] * own[:, :, None, :]
-        return apart.reshape(number * contacts, number * contacts)
+        return block_diagonal(own.reshape(-1, *own.shape[2:]))
 
     def _pair(
         self, places: Places, radii: tuple[Float[Array, " point"], Float[Array, " point"]], shared: Scalar
@@ -114,8 +111,7 @@ class ElasticTeeth(AbstractToothCompliance):
         turned = 18 / math.pi * lever[:, None] * lever[None, :]
         turned = turned + (1 - 2 * nu) / (1 - nu) * (lever[:, None] + lever[None, :])
         shifted = 4.8 / math.pi * (shear + (1 - nu) / 2.4 * press)
-        thickness = 2 * root_half
-        held = 1.0 if self.rim is None else self.rim / (self.rim + thickness)
+        held = 1.0 if self.rim is None else self.rim / (self.rim + 2 * root_half)
         return beam + held * (shear * turned + shifted) / modulus
 
     def _contact(
@@ -137,10 +133,10 @@ class ElasticTeeth(AbstractToothCompliance):
 def _across(place: Float[Array, " face"], loaded: Scalar, width: Scalar, reach: Scalar) -> Float[Array, "face face"]:
     if place.shape[0] == 1:
         return even_across(loaded, width, reach)[None, None]
-    return across_face(place, width, reach)
+    return deflection_across(place, width, reach)
 
 
-def across_face(place: Float[Array, " face"], width: Scalar, reach: Scalar) -> Float[Array, "face face"]:
+def deflection_across(place: Float[Array, " face"], width: Scalar, reach: Scalar) -> Float[Array, "face face"]:
     """Deflection at places across a face per force at others, over that of the unit of width under an even load [1/m].
 
     Of an elastic layer that forgets over a length l: ``cosh(low / l) cosh(high / l) / (l sinh(w / l))`` with the

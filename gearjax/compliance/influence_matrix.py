@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from gearjax import units
 from gearjax.checks import ParameterError, SceneError
-from gearjax.compliance.base import AbstractToothCompliance
+from gearjax.compliance.base import AbstractToothCompliance, block_diagonal
 from gearjax.contact import Places
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import InfluenceTable, influence_of, read_influence, tooth_influence
@@ -95,15 +95,14 @@ class InfluenceMatrix(AbstractToothCompliance):
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         if self.tables is None:
             raise SceneError("influence_matrix has no tables: use compliance.made_for(...), as gj.load does")
-        blocks, each = places.pair.shape[0], places.radius[0][0].size * places.face.shape[0]
-        whole = jnp.zeros((blocks, each, each), places.pair.dtype)
+        each = places.radius[0][0].size * places.face.shape[0]
+        whole = jnp.zeros((places.pair.shape[0], each, each), places.pair.dtype)
         for table, radius, gear in zip(self.tables, places.radius, places.gears, strict=True):
             # driving flanks of the external gear face increasing angles, those of the ring that they press decreasing
             # ones; back flanks come as their mirror image
             facing = table.mirrored if gear.internal else table
-            whole = whole + jax.vmap(lambda at, tooth: _between(facing, at, tooth, places.face))(radius, places.pair)  # noqa: B023
-        apart = jnp.eye(blocks, dtype=whole.dtype)[:, None, :, None] * whole[:, :, None, :]
-        return apart.reshape(blocks * each, blocks * each)
+            whole = whole + jax.vmap(_between, (None, 0, 0, None))(facing, radius, places.pair, places.face)
+        return block_diagonal(whole)
 
 
 def _between(

@@ -120,5 +120,5 @@ def radial_assembly(pair: InternalPair) -> float:
     return float((tips[1] * np.sin(theirs) - tips[0] * np.sin(own)).min())
 
 
-def _mm(length: object) -> str:
-    return f"{float(length) / units.mm:.6g} mm"  # type: ignore[arg-type]
+def _mm(length: Scalar | float) -> str:
+    return f"{float(length) / units.mm:.6g} mm"

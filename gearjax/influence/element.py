@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from gearjax.checks import GearjaxError
 
@@ -36,7 +35,7 @@ def elasticity(youngs_modulus: float, poissons_ratio: float) -> np.ndarray:
     return matrix
 
 
-def stiffness(mesh: Any, youngs_modulus: float, poissons_ratio: float) -> tuple[sparse.csc_array, np.ndarray]:
+def stiffness(mesh: Any, youngs_modulus: float, poissons_ratio: float) -> tuple[Any, np.ndarray]:
     """Stiffness matrix of a body of hexahedra.
 
     To the eight shape functions of an element come three that belong to it alone, ``x (1 - x)`` in each of its
@@ -64,6 +63,8 @@ def stiffness(mesh: Any, youngs_modulus: float, poissons_ratio: float) -> tuple[
     # displacements of an element: those of its first node, of its second, ...
     at = places.element_dofs.T
     rows, columns = np.repeat(at, 24, axis=1).ravel(), np.tile(at, (1, 24)).ravel()
+    from scipy import sparse  # takes a tenth of a second, which only this needs
+
     matrix = sparse.coo_array((values.ravel(), (rows, columns)), shape=(places.N, places.N)).tocsc()
     return matrix, places.nodal_dofs
 

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
 
 from gearjax.checks import GearjaxError
 from gearjax.geometry.involute import InvoluteGear
@@ -107,6 +106,8 @@ def _fillet(gear: InvoluteGear, radius: float) -> tuple[np.ndarray, np.ndarray]:
         """Angle between the flank and the radius."""
         step = 1e-2 * radius
         return np.arctan((width(height + step) - width(height - step)) / (2 * step))
+
+    from scipy.optimize import brentq  # takes a tenth of a second, which only this needs
 
     root_of = brentq(lambda height: height - radius * (1 - np.sin(lean(height))), -radius, 2 * radius)
     touch = float(np.asarray(root_of))

@@ -6,7 +6,6 @@ import json
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from gearjax.checks import GearjaxError
 from gearjax.geometry.involute import InvoluteGear
@@ -46,6 +45,8 @@ class InfluenceTable(eqx.Module):
     def __init__(self, radius: ArrayLike, face: ArrayLike, matrix: ArrayLike, made_for: str):
         radii, faces, blocks = checked(radius, face, matrix)
         self.radius, self.face, self.matrix = jnp.asarray(radii), jnp.asarray(faces), jnp.asarray(blocks)
+        from scipy.interpolate import CubicSpline  # takes a tenth of a second, which only this needs
+
         self.slopes = jnp.asarray(CubicSpline(radii, np.eye(len(radii)))(radii, 1))
         self.made_for = made_for
 

@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from gearjax.checks import ParameterError
 from gearjax.geometry.involute import InvoluteGear
@@ -157,6 +155,9 @@ def _loaded(
     free = np.ones(places.size, dtype=bool)
     free[places[:, mesh.fixed]] = False
     index = np.cumsum(free) - 1
+    from scipy import sparse  # takes a tenth of a second, which only this needs
+    from scipy.sparse.linalg import splu
+
     inner = sparse.csc_array(matrix[free][:, free])
     factor = splu(inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     middle = len(mesh.axes) // 2
