@@ -61,6 +61,15 @@ def test_all_conditions_hold(number, rng):
         assert missed(*given, position, forces) < 1e-12
 
 
+@pytest.mark.parametrize("seed", [26, 62, 86, 125, 145])
+def test_searches_that_take_more_than_a_hundred_steps_end(seed):
+    """Three of a hundred problems of 300 contacts with a condition of 1e6 do."""
+    matrix, lever, gap, _ = problem("gauss", 300, np.random.default_rng(seed))
+    position, forces, result = (np.asarray(part) for part in balance(matrix, lever, gap, -0.4))
+    assert result == 0
+    assert missed(matrix, lever, gap, -0.4, position, forces) < 1e-12
+
+
 def test_least_squares_find_the_same_forces(rng):
     """min f S f / 2 + gap f under J f = Q, f >= 0, by scipy's active set, the load as a heavy row."""
     for family in FAMILIES:

@@ -11,7 +11,7 @@ from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from gearjax.typing import Array, Bool, Float
 
-MOST_STEPS = 100
+MOST_STEPS = 1000  # never reached where the matrix is positive definite: conditions of 1e6 took up to 200
 PLAIN_STEPS = 8  # before the convex function is looked at: nearly all problems end within
 HALVINGS = 40  # of the length of a step
 CLOSED = 64.0  # roundings of the opening, within which an open contact may overlap
@@ -87,8 +87,8 @@ def carrying(
         return jnp.where(right, closed, chosen), at, right, step + 1
 
     def unfinished(state: tuple) -> Array:
-        *_, done, step = state
-        return ~done & (step < MOST_STEPS)
+        _, (position, *_), done, step = state
+        return ~done & (step < MOST_STEPS) & jnp.isfinite(position).all()
 
     # Two loops: one would look for the shares of all steps, over many angles also of those that are whole. Plain steps
     # start from nothing but a set: a start that is worked out, of the same set at all angles, is one matrix with many
