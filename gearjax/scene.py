@@ -41,6 +41,7 @@ from gearjax.shafts import Shaft
 from gearjax.structure import Moving, Structure
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem
+from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float, Scalar
 
 _OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
@@ -221,7 +222,7 @@ class Scene(eqx.Module):
             theta: input angle [rad].
             stiffness: as for `contacts`.
         """
-        return self.system.pose(theta, self._request(stiffness))
+        return pose_of(self.system, theta, self._request(stiffness))
 
     def contacts(
         self, theta: Scalar | Pose, stiffness: Stiffness = "rigid", position: Scalar | None = None
@@ -257,7 +258,7 @@ class Scene(eqx.Module):
             motions = motions[:, np.array([0, *(names[name] for name in coordinates.asked)])]
         elif motions.shape[1] < 1 + asked:  # of a pose that was asked for rigid contacts
             request = Request(self.backlash is not None, coordinates=coordinates.asked)
-            motions = self.system.pose(pose.theta, request).jacobian
+            motions = pose_of(self.system, pose.theta, request).jacobian
         spread = coordinates.spread
         alike = spread.shape[0] == spread.shape[1] and (spread == np.eye(len(spread))).all()
         return motions if alike else motions @ jnp.asarray(spread, motions.dtype)
@@ -280,21 +281,21 @@ class Scene(eqx.Module):
         if self.compliance is None:
             raise SceneError("the scene has no compliance: list a [compliance] to find forces under torque")
         if isinstance(self.compliance, AbstractLineContact):
-            radii = self.system.pose(pose.theta, Request(radii=True)).radii if pose.radii is None else pose.radii
+            radii = pose_of(self.system, pose.theta, Request(radii=True)).radii if pose.radii is None else pose.radii
             assert radii is not None  # the system has them
             return self.compliance.springs(radii)
         if isinstance(self.compliance, AbstractCoupledCompliance):
             return CoupledSprings(self.compliance.influence(layout))
         if isinstance(self.compliance, AbstractToothCompliance):
             request = Request(self.backlash is not None, places=True)
-            places = self.system.pose(pose.theta, request).places if pose.places is None else pose.places
+            places = pose_of(self.system, pose.theta, request).places if pose.places is None else pose.places
             assert places is not None  # the system has them
             return CoupledSprings(self.compliance.influence(places))
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
         angle = pose.mesh_angle
         if angle is None:
-            angle = self.system.pose(pose.theta, Request(self.backlash is not None, mesh=True)).mesh_angle
+            angle = pose_of(self.system, pose.theta, Request(self.backlash is not None, mesh=True)).mesh_angle
         assert angle is not None  # it was asked for
         return LinearSprings(layout.per_contact(self.compliance.stiffness(angle)))
 
@@ -321,7 +322,7 @@ def _check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
     """Refuse an error of pins or teeth that its body does not have."""
 
     def gap(error: AbstractError) -> Array:
-        seen = system.pose(jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
+        seen = pose_of(system, jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
         return error.gap(seen.views[error.body])
 
     try:

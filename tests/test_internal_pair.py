@@ -1,14 +1,12 @@
 """An external gear in an internal one, against their curves written out apart from the package, as complex numbers."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from gearjax.geometry.internal_checks import faults, radial_assembly, tip_overlap
-from gearjax.geometry.internal_pair import candidate_rolls
+from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
 from gearjax.geometry.involute import inverse_involute, involute
 from gearjax.units import deg, mm, um
 from tests.internal_gears import Curves, pair_of, random_pair
@@ -74,7 +72,7 @@ def test_backlash_closes_at_the_tight_centre_distance(rng):
     for _ in range(5):
         pair = random_pair(rng)
         assert float(pair.backlash) == pytest.approx(0.0, abs=1e-15)
-        nearer = dataclasses.replace(pair, centre_distance=pair.centre_distance - 5 * um)
+        nearer = InternalPair(pair.external, pair.internal, pair.centre_distance - 5 * um)
         curves = Curves(nearer)
         space = float(rng.uniform(-0.1, 0.1))
         ahead, behind = curves.tooth_that_touches(space), -curves.tooth_that_touches(-space)

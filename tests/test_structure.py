@@ -9,6 +9,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.checks import ParameterError, SceneError
+from gearjax.dependence import depends
 from gearjax.structure import Moving, Orbit, Structure
 from tests.rv import system
 
@@ -116,3 +117,9 @@ def test_what_does_not_go_together_is_refused():
         gj.BodyInertia(0.0)
     with pytest.raises(SceneError, match=r"\[inertia.disc_1\] is for a body that gives way: list \[supports.disc_1\]"):
         gj.Scene(system(), {}, body_inertia={"disc_1": gj.BodyInertia(1.0)})
+
+
+def test_what_depends_is_told_through_functions_that_are_compiled_apart():
+    """Of the results of such a function, those that it does not take from the argument do not depend on it."""
+    inner = jax.jit(lambda moved, still: (2 * moved, still + 1.0, moved * still))
+    assert depends(lambda x: (*inner(x, jnp.ones(())), jnp.zeros(())), jnp.ones(())) == [True, False, True, False]

@@ -11,6 +11,7 @@ from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.compliance import AbstractLineContact
 from gearjax.contact import Request
 from gearjax.scene import Scene, require
+from gearjax.systems.base import pose_of
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 LOST_MOTION_SHARE = 0.03  # of the rated torque, as in catalogues of precision reducers
@@ -153,7 +154,7 @@ def pressures(
         )
 
     def at(angle: Scalar, forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        radii = scene.system.pose(angle, Request(radii=True)).radii
+        radii = pose_of(scene.system, angle, Request(radii=True)).radii
         assert radii is not None  # the system has them
         return law.pressure(radii, forces)
 

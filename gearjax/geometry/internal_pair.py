@@ -21,8 +21,45 @@ import jax.numpy as jnp
 from gearjax.geometry.involute import InvoluteGear, inverse_involute, involute
 from gearjax.typing import Array, Float, Scalar
 
-STEPS = 3  # of Newton's method for equal radii; it begins within some micrometres
+STEPS = 2  # of Newton's method for equal radii; it begins within some micrometres
 SMALLEST = 1e-12  # under roots of numbers that vanish where a flank begins
+
+
+class Turn(NamedTuple):
+    """An angle, and what differences of small ones need: each to its own rounding, arrays of one shape.
+
+    Args:
+        angle: [rad].
+        sine: of it.
+        less: one less its cosine.
+        late: the angle less its sine [rad].
+    """
+
+    angle: Array
+    sine: Array
+    less: Array
+    late: Array
+
+    def towards(self, start: tuple[Scalar, Scalar]) -> tuple[Array, Array]:
+        """Sine and cosine of this angle added to one whose sine and cosine are given."""
+        sine, cosine = start
+        return sine + (cosine * self.sine - sine * self.less), cosine - (cosine * self.less + sine * self.sine)
+
+
+@jax.custom_jvp
+def turned(angle: Array) -> Turn:
+    """The numbers of an angle [rad], whose derivatives are among them."""
+    half = 0.5 * angle
+    sine, cosine = jnp.sin(half), jnp.cos(half)
+    whole, square = 2 * sine * cosine, angle * angle
+    series = angle * square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110))))
+    return Turn(angle, whole, 2 * sine * sine, jnp.where(jnp.abs(angle) < 0.5, series, angle - whole))
+
+
+@turned.defjvp
+def _turned_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Turn, Turn]:
+    at, way = turned(*primals), tangents[0]
+    return at, Turn(way, way - at.less * way, at.sine * way, at.less * way)
 
 
 class FlankPoints(NamedTuple):
@@ -36,7 +73,7 @@ class FlankPoints(NamedTuple):
 
     gap: Array
     roll: tuple[Array, Array]
-    beyond: tuple[Array, Array]
+    beyond: tuple[Turn, Turn]
 
 
 class InternalPair(eqx.Module):
@@ -45,26 +82,39 @@ class InternalPair(eqx.Module):
     Args:
         external, internal: the gears, of one module and one pressure angle.
         centre_distance: [m].
+
+    Attributes:
+        base_radii: of the external and of the internal gear [m]. Like the other attributes they are worked out once:
+            what a gear set shows at an angle asks for them many times.
+        base_pitch: distance of flanks along the line of action [m].
+        base_difference: base radius of the internal gear less that of the external one [m].
+        offset: by how much the flank of the internal gear is further from its tangent point on the line of action [m].
+        operating_pressure_angle: ``cos alpha_w = (r_b2 - r_b1) / a`` [rad] (ISO 21771).
+        tip_rolls: roll angles at the tips of the external and of the internal gear [rad].
+        path: roll angles on the external gear where contact on the line of action begins, at the internal gear's tip,
+            and ends, at its own [rad].
     """
 
     external: InvoluteGear
     internal: InvoluteGear
     centre_distance: Scalar
+    base_radii: tuple[Scalar, Scalar]
+    base_pitch: Scalar
+    base_difference: Scalar
+    offset: Scalar
+    operating_pressure_angle: Scalar
+    tip_rolls: tuple[Scalar, Scalar]
+    path: tuple[Scalar, Scalar]
 
-    @property
-    def base_difference(self) -> Scalar:
-        """Base radius of the internal gear less that of the external one [m]."""
-        return 0.5 * (self.internal.teeth - self.external.teeth) * self.base_pitch / jnp.pi
-
-    @property
-    def base_pitch(self) -> Scalar:
-        """Distance of flanks along the line of action [m]."""
-        return jnp.pi * self.external.module * jnp.cos(self.external.pressure_angle)
-
-    @property
-    def operating_pressure_angle(self) -> Scalar:
-        """``cos alpha_w = (r_b2 - r_b1) / a`` [rad] (ISO 21771)."""
-        return jnp.arccos(self.base_difference / self.centre_distance)
+    def __init__(self, external: InvoluteGear, internal: InvoluteGear, centre_distance: Scalar):
+        self.external, self.internal, self.centre_distance = external, internal, centre_distance
+        own, theirs = self.base_radii = external.base_radius, internal.base_radius
+        self.base_pitch = jnp.pi * external.module * jnp.cos(external.pressure_angle)
+        self.base_difference = 0.5 * (internal.teeth - external.teeth) * self.base_pitch / jnp.pi
+        self.offset = jnp.sqrt((centre_distance - self.base_difference) * (centre_distance + self.base_difference))
+        self.operating_pressure_angle = jnp.arccos(self.base_difference / centre_distance)
+        self.tip_rolls = external.tip_roll, internal.tip_roll
+        self.path = (theirs * self.tip_rolls[1] - self.offset) / own, self.tip_rolls[0]
 
     @property
     def tight_pressure_angle(self) -> Scalar:
@@ -98,13 +148,6 @@ class InternalPair(eqx.Module):
         return 2 * self.external.module * jnp.cos(angle) * (room + jnp.tan(angle) * self.shift_difference)
 
     @property
-    def path(self) -> tuple[Scalar, Scalar]:
-        """Roll angles on the external gear where contact on the line of action begins, at the internal gear's tip, and
-        ends, at its own [rad]."""
-        begin = (self.internal.base_radius * self.internal.tip_roll - self._offset) / self.external.base_radius
-        return begin, self.external.tip_roll
-
-    @property
     def middle(self) -> Scalar:
         """Roll angle on the external gear in the middle of the path of contact [rad]."""
         return 0.5 * (self.path[0] + self.path[1])
@@ -113,12 +156,12 @@ class InternalPair(eqx.Module):
     def contact_ratio(self) -> Scalar:
         """Length of the path of contact of the rigid pair over the base pitch [-]."""
         begin, end = self.path
-        return self.external.base_radius * (end - begin) / self.base_pitch
+        return self.base_radii[0] * (end - begin) / self.base_pitch
 
     @property
-    def _offset(self) -> Scalar:
-        """By how much the flank of the internal gear is further from its tangent point on the line of action [m]."""
-        return self.centre_distance * jnp.sin(self.operating_pressure_angle)
+    def line_of_action(self) -> tuple[Scalar, Scalar]:
+        """Sine and cosine of the operating pressure angle."""
+        return self.offset / self.centre_distance, self.base_difference / self.centre_distance
 
     def roll_of_space(self, angle: Array) -> Array:
         """Roll angle on the external gear at which a tooth touches on the line of action [rad].
@@ -126,12 +169,12 @@ class InternalPair(eqx.Module):
         Args:
             angle: of the middle of the internal gear's space that it is in, from the throw [rad].
         """
-        internal = self.internal.base_radius * (angle + self.internal.base_half_angle + self.operating_pressure_angle)
-        return (internal - self._offset) / self.external.base_radius
+        internal = self.base_radii[1] * (angle + self.internal.base_half_angle + self.operating_pressure_angle)
+        return (internal - self.offset) / self.base_radii[0]
 
     def space_of_roll(self, roll: Array) -> Array:
         """The reverse of `roll_of_space` [rad]."""
-        internal = (self.external.base_radius * roll + self._offset) / self.internal.base_radius
+        internal = (self.base_radii[0] * roll + self.offset) / self.base_radii[1]
         return internal - self.internal.base_half_angle - self.operating_pressure_angle
 
     def ends(self, roll: Array) -> tuple[Array, Array]:
@@ -142,12 +185,12 @@ class InternalPair(eqx.Module):
         Args:
             roll: of each pair on the line of action (`roll_of_space`) [rad].
         """
-        along, across = self._moved(self.internal, self._internal_roll(roll), self._internal_tip(roll))
-        own = self.external.base_radius
+        other, (own, theirs) = self._internal_roll(roll), self.base_radii
+        along, across = (theirs * part for part in _offset(other, turned(self.tip_rolls[1] - other)))
         further = 2 * (along + roll * across) / own + (along**2 + across**2) / own**2  # of the squares of rolls
         # flanks begin at the base circle
         begin = jnp.sqrt(jnp.maximum(roll**2 + further, SMALLEST)) - roll
-        return begin, self.external.tip_roll - roll
+        return begin, self.tip_rolls[0] - roll
 
     def points(self, roll: Array, beyond: Array) -> FlankPoints:
         """Points on the flanks of pairs of teeth that face each other (`ends`).
@@ -156,69 +199,82 @@ class InternalPair(eqx.Module):
             roll: of each pair on the line of action [rad].
             beyond: by how much the roll angle at each point is larger [rad], of one shape with it.
         """
-        other, own = self._internal_roll(roll), self.external.base_radius
-        moved = self._moved(self.external, roll, beyond)
-        delta = self._equal_radius(roll, other, beyond, moved)
-        along, across = self._moved(self.internal, other, delta)
-        # turn between two points of one radius, by the product of their arms
-        cross = own * ((across - moved[1]) - roll * (along - moved[0])) + moved[0] * across - moved[1] * along
-        square = own**2 * (1 + (roll + beyond) ** 2)
-        return FlankPoints(own * jnp.arcsin(cross / square), (roll + beyond, other + delta), (beyond, delta))
+        ahead, other = turned(beyond), self._internal_roll(roll)
+        gap, delta = facing(roll, other, ahead, *self.base_radii)
+        return FlankPoints(gap, (roll + beyond, other + delta.angle), (ahead, delta))
 
     def share(self, points: FlankPoints) -> Array:
         """Change of the gap per displacement of the internal gear along the normal of its flank [-]: near one, as the
         gap counts about the centre of the external one."""
-        towards = self.operating_pressure_angle + points.beyond[1]
-        arm = self.internal.base_radius - self.centre_distance * jnp.cos(towards)
-        return self.external.base_radius / arm
+        delta, own = points.beyond[1], self.base_radii[0]
+        return own / (own + self.base_difference * delta.less + self.offset * delta.sine)
 
     def _internal_roll(self, roll: Array) -> Array:
-        return (self.external.base_radius * roll + self._offset) / self.internal.base_radius
-
-    def _internal_tip(self, roll: Array) -> Array:
-        """Roll angle of the internal gear's tip, from the line of action."""
-        return self.internal.tip_roll - self._internal_roll(roll)
-
-    def _equal_radius(self, roll: Array, other: Array, beyond: Array, moved: tuple[Array, Array]) -> Array:
-        """Roll angle of the internal flank from the line of action, as far from the external gear's centre [rad]."""
-        own, theirs = self.external.base_radius, self.internal.base_radius
-        wanted = own**2 * (2 * roll * beyond + beyond**2)
-
-        def step(delta: Array, roll: Array, other: Array, wanted: Array, own: Array, theirs: Array) -> Array:
-            along, across = _offset(other, delta)
-            along, across = theirs * along, theirs * across
-            missed = 2 * own * (along + roll * across) + along**2 + across**2 - wanted
-            slope = (own + along) * jnp.cos(delta) - (own * roll + across) * jnp.sin(delta)
-            return delta - missed / (2 * theirs * (other + delta) * slope)
-
-        # the external flank's own point is within the gap of it
-        further = (2 * theirs * (moved[0] + other * moved[1]) + moved[0] ** 2 + moved[1] ** 2) / theirs**2
-        numbers = roll, other, wanted, own, theirs
-        known = jax.lax.stop_gradient(numbers)
-        delta = jax.lax.stop_gradient(jnp.sqrt(jnp.maximum(other**2 + further, SMALLEST)) - other)
-        for _ in range(STEPS):
-            delta = step(delta, *known)
-        return step(jax.lax.stop_gradient(delta), *numbers)
-
-    @staticmethod
-    def _moved(gear: InvoluteGear, roll: Array, beyond: Array) -> tuple[Array, Array]:
-        """Place on a flank from its point on the line of action: along ``u`` and along ``n`` there [m]."""
-        along, across = _offset(roll, beyond)
-        return gear.base_radius * along, gear.base_radius * across
+        return (self.base_radii[0] * roll + self.offset) / self.base_radii[1]
 
 
-def _offset(roll: Array, beyond: Array) -> tuple[Array, Array]:
-    """The same in base radii, without the loss of digits of small angles."""
-    half, sine = jnp.sin(0.5 * beyond), jnp.sin(beyond)
-    less = 2 * half**2  # 1 - cos
-    return (roll + beyond) * sine - less, _late(beyond, sine) - (roll + beyond) * less
+def _offset(roll: Array, beyond: Turn) -> tuple[Array, Array]:
+    """Place on a flank from its point on the line of action, in base radii: along ``u`` and along ``n`` there."""
+    whole = roll + beyond.angle
+    return whole * beyond.sine - beyond.less, beyond.late - whole * beyond.less
 
 
-def _late(angle: Array, sine: Array) -> Array:
-    """``angle - sin angle``."""
-    square = angle * angle
-    series = angle * square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110))))
-    return jnp.where(jnp.abs(angle) < 0.5, series, angle - sine)
+@jax.custom_jvp
+def facing(roll: Array, other: Array, beyond: Turn, own: Scalar, theirs: Scalar) -> tuple[Array, Turn]:
+    """The gap at points of an external flank, and by how much the internal one's normal is turned at as large a radius.
+
+    Newton's method for equal radii begins within the gap. A loop, whose results are worked out once for all that reads
+    them; derivatives are those of the conditions that they fulfil.
+
+    Args:
+        roll, other: roll angles of the pair on the line of action, on the external and on the internal gear [rad].
+        beyond: of the points, in roll angle from there.
+        own, theirs: base radii of the external and of the internal gear [m].
+    """
+    along, across = (own * part for part in _offset(roll, beyond))  # from the point on the line of action
+    square = 1 + (roll + beyond.angle) ** 2
+    wanted = own**2 * (2 * roll * beyond.angle + beyond.angle**2)
+    further = (2 * theirs * (along + other * across) + along**2 + across**2) / theirs**2
+
+    def step(_: Array, state: tuple) -> tuple:
+        delta: Array = state[0]
+        at = turned(delta)
+        ahead, aside = (theirs * part for part in _offset(other, at))
+        # turn between two points of one radius, by the product of their arms
+        cross = own * ((aside - across) - roll * (ahead - along)) + along * aside - across * ahead
+        missed = 2 * own * (ahead + roll * aside) + ahead**2 + aside**2 - wanted
+        slope = (own + ahead) * (1 - at.less) - (own * roll + aside) * at.sine
+        better = delta - missed / (2 * theirs * (other + delta) * slope)
+        return better, own * jnp.arcsin(cross / (own**2 * square)), at
+
+    delta = jnp.sqrt(jnp.maximum(other**2 + further, SMALLEST)) - other
+    begin = delta, jnp.zeros_like(delta), Turn(*(jnp.zeros_like(delta) for _ in Turn._fields))
+    _, gap, at = jax.lax.fori_loop(0, STEPS + 1, step, begin)
+    return gap, at
+
+
+@facing.defjvp
+def _facing_jvp(primals: tuple, tangents: tuple) -> tuple[tuple[Array, Turn], tuple[Array, Turn]]:
+    """Of the points' places from the external gear's centre, along ``u`` and ``n`` of the line of action."""
+    roll, other, beyond, own, theirs = primals
+    roll_way, other_way, beyond_way, own_way, theirs_way = tangents
+    gap, at = facing(*primals)
+    (along, across), (ahead, aside) = _offset(roll, beyond), _offset(other, at)
+    # the internal flank's point from that centre and from the external one's, which is within the gap of it
+    here, side = own + theirs * ahead, own * roll + theirs * aside
+    apart, beside = theirs * ahead - own * along, theirs * aside - own * across
+    whole = roll + beyond.angle
+    moved = own_way * along + own * (beyond.sine * roll_way + whole * (1 - beyond.less) * beyond_way.angle)
+    raised = own_way * across - own * (beyond.less * roll_way + whole * beyond.sine * beyond_way.angle)
+    parted = theirs_way * ahead + theirs * at.sine * other_way - moved
+    rises = theirs_way * aside - theirs * at.less * other_way - raised
+    moved, raised = moved + own_way, raised + own_way * roll + own * roll_way
+    cosine, arm = 1 - at.less, theirs * (other + at.angle)
+    missed = here * parted + side * rises + apart * moved + beside * raised
+    way = -missed / (arm * (here * cosine - side * at.sine))
+    parted, rises = parted + arm * cosine * way, rises - arm * at.sine * way
+    turn = (apart * raised - beside * moved + here * rises - side * parted) / (own**2 * (1 + whole**2))
+    return (gap, at), (gap / own * own_way + own * turn, Turn(way, cosine * way, at.sine * way, at.less * way))
 
 
 def candidate_rolls(

@@ -160,6 +160,13 @@ class AbstractSystem(eqx.Module):
         raise NotImplementedError(f"{self.kind} has no exact geometry")
 
 
+@eqx.filter_jit
+def pose_of(system: AbstractSystem, theta: Scalar, request: Request) -> Pose:
+    """The same as `AbstractSystem.pose`, written down once: programs look at a pose in many places, each with its own
+    derivatives and batches."""
+    return system.pose(theta, request)
+
+
 def flank_radii(system: AbstractSystem) -> tuple[tuple[InvoluteGear, InvoluteGear], tuple[Array, Array]]:
     """Gears of a gear set that shows the places of its contacts, and the radii of these on each of them over a mesh
     period, shape (angle, block, pair, point) [m]."""
@@ -167,7 +174,7 @@ def flank_radii(system: AbstractSystem) -> tuple[tuple[InvoluteGear, InvoluteGea
     theta = jnp.linspace(0.0, period, ANGLES_OF_PLACES, dtype=system.input_speed.dtype)
 
     def places(angle: Scalar) -> Places:
-        shown = system.pose(angle, Request(places=True)).places
+        shown = pose_of(system, angle, Request(places=True)).places
         assert shown is not None  # the system has them
         return shown
 

@@ -14,7 +14,7 @@ from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Places, Pose, ProfilePlace, Request, Rim
 from gearjax.geometry.first_stage import FirstStage
 from gearjax.geometry.internal_checks import faults
-from gearjax.geometry.internal_pair import FlankPoints, InternalPair, candidate_rolls
+from gearjax.geometry.internal_pair import FlankPoints, InternalPair, Turn, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import angle, check_parameters, count, length, number
 from gearjax.structure import Orbit
@@ -28,7 +28,7 @@ class Candidates(NamedTuple):
     """Points on flanks that may touch, in blocks: of each external gear its driving flanks, then of each its back ones.
 
     Args:
-        crank: angle of the throw of each block's gear, seen from the ring's first space, shape (block, 1, 1) [rad].
+        pair: the gears in each other.
         side: of the flanks, 1 or -1, shape (block, 1, 1).
         tooth: number of each pair, counted on from the one in the direction of the throw at its start, shape (block,
             pair).
@@ -37,7 +37,7 @@ class Candidates(NamedTuple):
         apart: distance between the tips of those that face each other nowhere, else zero, shape (block, pair) [m].
     """
 
-    crank: Array
+    pair: InternalPair
     side: Array
     tooth: Int[Array, "block pair"]
     points: FlankPoints
@@ -203,10 +203,8 @@ class InvoluteRV(AbstractSystem):
     def candidates(self, theta: Scalar, back: bool) -> Candidates:
         """Points on flanks that may touch at an input angle [rad]."""
         pair, sides = self.pair, (1, -1) if back else (1,)
-        blocks = [(side, gear) for side in sides for gear in range(self.gears)]
-        side = jnp.asarray([side for side, _ in blocks], theta.dtype)[:, None]
-        places = jnp.asarray([2 * math.pi * gear / self.gears for _, gear in blocks], theta.dtype)
-        crank = (self.orders["crank"] * theta + places)[:, None]
+        side = jnp.asarray(np.repeat(sides, self.gears), theta.dtype)[:, None]
+        crank = (self.orders["crank"] * theta + jnp.asarray(self._throws(len(sides)), theta.dtype))[:, None]
         middle = pair.space_of_roll(pair.middle)
         # the window's middle in spaces of the ring, and the pairs in it, each its own tooth of every ``pairs``
         spaces = (side * middle + crank) * (self.internal_teeth / (2 * math.pi))
@@ -214,7 +212,7 @@ class InvoluteRV(AbstractSystem):
         tooth = slots + self.pairs * jnp.round((spaces - slots) / self.pairs)
         roll = pair.roll_of_space(middle + side * (tooth - spaces) * (2 * math.pi / self.internal_teeth))
         begin, end = pair.ends(roll)
-        apart = pair.external.base_radius * jnp.maximum(begin - end, 0.0)
+        apart = pair.base_radii[0] * jnp.maximum(begin - end, 0.0)
         followed = begin - end < APART
         roll, begin, end = (
             jnp.where(followed, part, other)
@@ -223,18 +221,20 @@ class InvoluteRV(AbstractSystem):
         beyond = candidate_rolls(begin.ravel(), end.ravel(), self.profile_points).reshape(*roll.shape, -1)
         points = pair.points(jnp.broadcast_to(roll[..., None], beyond.shape), beyond)
         # along a flank, from one roll angle to another
-        shared = 0.5 * pair.external.base_radius * jnp.maximum((roll + end) ** 2 - (roll + begin) ** 2, 0.0)
-        return Candidates(crank[..., None], side[..., None], tooth.astype(int), points, shared, apart)
+        shared = 0.5 * pair.base_radii[0] * jnp.maximum((roll + end) ** 2 - (roll + begin) ** 2, 0.0)
+        return Candidates(pair, side[..., None], tooth.astype(int), points, shared, apart)
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
-        pair, at = self.pair, self.candidates(theta, request.back)
-        # angle of the normal of the ring's flank, from across the throw
-        towards, share = pair.operating_pressure_angle + at.points.beyond[1], pair.share(at.points)
-        lever = pair.external.base_radius + self.with_output * self.centre_distance * share * jnp.cos(towards)
+        at = self.candidates(theta, request.back)
+        pair = at.pair
+        # direction of the normal of the ring's flank, from across the throw
+        sine, cosine = at.points.beyond[1].towards(pair.line_of_action)
+        share = pair.share(at.points)
+        lever = pair.base_radii[0] + self.with_output * self.centre_distance * share * cosine
         columns = [-at.side * lever]
         for coordinate in request.coordinates:
             body, _, direction = coordinate.partition(".")
-            along = jnp.sin(towards) if direction == "x" else at.side * jnp.cos(towards)
+            along = sine if direction == "x" else at.side * cosine
             columns.append(self._own(body, at) * share * along)
         jacobian = jnp.stack([self._each(column) for column in columns], axis=1)
         gap = at.points.gap + jnp.where(at.side < 0, pair.backlash, 0.0)
@@ -246,7 +246,11 @@ class InvoluteRV(AbstractSystem):
 
     def _each(self, of_points: Array) -> Array:
         """One value per contact, from one per point of the profile."""
-        return jnp.repeat(of_points.ravel(), self.face_points, total_repeat_length=of_points.size * self.face_points)
+        return jnp.broadcast_to(of_points.ravel()[:, None], (of_points.size, self.face_points)).ravel()
+
+    def _throws(self, sides: int) -> np.ndarray:
+        """Angle of the throw of each block's gear from that of the first [rad]."""
+        return np.tile(2 * np.pi * np.arange(self.gears) / self.gears, sides)
 
     def _own(self, body: str, at: Candidates) -> Float[Array, "block one one"]:
         """One in the blocks of an external gear, zero in those of the others."""
@@ -254,7 +258,7 @@ class InvoluteRV(AbstractSystem):
         return jnp.asarray(blocks, at.side.dtype)[:, None, None]
 
     def _places(self, at: Candidates) -> Places:
-        pair = self.pair
+        pair = at.pair
         radii = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
         face = jnp.linspace(-0.5, 0.5, self.face_points) if self.face_points > 1 else jnp.zeros(1)
         tooth = at.side[..., 0] * at.tooth.astype(at.side.dtype)  # of back flanks as their mirror image
@@ -264,36 +268,55 @@ class InvoluteRV(AbstractSystem):
         """How a displacement fixed on a body is seen from the normals."""
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
-        pair, still = self.pair, jnp.zeros_like(theta)
-        own, ring = (pair.operating_pressure_angle + turned for turned in at.points.beyond)
-        side, share = jnp.broadcast_to(at.side, own.shape), pair.share(at.points)
+        pair, still, share = at.pair, jnp.zeros_like(theta), at.pair.share(at.points)
         if body in ("sun", "planet"):
             first = self._first_stage
             assert first is not None
-            ahead = -side * self.centre_distance * share * jnp.cos(ring) / first.planet_radius
-            return BodyView(self.orders[body] * theta, self._each(jnp.zeros_like(ring)), self._each(ahead))
-        # a displacement at the angle p from the throw has the part sin(towards + p) along a driving normal, and
-        # sin(towards - p) along a back one: side * sin(side * towards + p)
+            _, cosine = at.points.beyond[1].towards(pair.line_of_action)
+            ahead = -at.side * self.centre_distance * share * cosine / first.planet_radius
+            return BodyView(self.orders[body] * theta, self._each(jnp.zeros_like(share)), self._each(ahead))
         if body == "throw":
-            return BodyView(still, self._each(side * ring), self._each(-side * share))
+            return self._seen(still, 0.0, at, at.points.beyond[1], -at.side * share)
+        crank = self.orders["crank"] * theta
         if body == "ring":
-            seen, roll, place = share, at.points.roll[1], side * ring - at.crank
-            of_teeth = self._teeth(pair.internal, at, roll, seen)
-            return BodyView(still, self._each(place), self._each(side * seen), **of_teeth)
+            of_teeth = self._teeth(pair.internal, at, at.points.roll[1], share)
+            return self._seen(-crank, 1.0, at, at.points.beyond[1], at.side * share, **of_teeth)
         # its flanks move beside its centre: it is the normals of these that count
-        seen = jnp.broadcast_to(-self._own(body, at), own.shape)
-        place = side * own - at.crank * (self.internal_teeth / self.external_teeth)
+        seen = jnp.broadcast_to(-self._own(body, at), share.shape)
         of_teeth = self._teeth(pair.external, at, at.points.roll[0], seen)
-        return BodyView(still, self._each(place), self._each(side * seen), **of_teeth)
+        turns = self.internal_teeth / self.external_teeth
+        return self._seen(-turns * crank, turns, at, at.points.beyond[0], at.side * seen, **of_teeth)
+
+    def _seen(
+        self, turn: Scalar, turns: float, at: Candidates, beyond: Turn, influence: Array, **of_teeth: Any
+    ) -> BodyView:
+        """A displacement at the angle p from the throw has the part sin(towards + p) along a driving normal, and
+        sin(towards - p) along a back one: side * sin(side * towards + p).
+
+        Args:
+            turn: of the body, seen from the throw of the first gear [rad].
+            turns: of the body back per turn from one gear's throw to another's.
+            beyond: how far the normals are turned from the line of action.
+        """
+        sine, cosine = beyond.towards(at.pair.line_of_action)
+        sine, place = at.side * sine, at.side * (at.pair.operating_pressure_angle + beyond.angle)
+        if self.gears > 1:
+            back = self._throws(at.tooth.shape[0] // self.gears)[:, None, None] * turns
+            by = [jnp.asarray(part, place.dtype) for part in (np.sin(back), np.cos(back), back)]
+            sine, cosine, place = sine * by[1] - cosine * by[0], cosine * by[1] + sine * by[0], place - by[2]
+        sine, cosine, place, influence = (self._each(part) for part in (sine, cosine, place, influence))
+        return BodyView(turn, place, influence, of_place=(sine, cosine), **of_teeth)
 
     def _teeth(self, gear: InvoluteGear, at: Candidates, roll: Array, seen: Array) -> dict[str, Any]:
         """How single teeth of a gear are seen: their radius stands at the pressure angle from the flank."""
         tooth = jnp.broadcast_to(jnp.mod(at.tooth, gear.teeth)[..., None], roll.shape)
-        place, pressure = tooth.astype(roll.dtype) * (2 * math.pi / gear.teeth), jnp.arctan(roll)
-        outward, around = seen * jnp.sin(pressure), at.side * seen * jnp.cos(pressure)
+        place, cosine = tooth.astype(roll.dtype) * (2 * math.pi / gear.teeth), 1 / jnp.sqrt(1 + roll * roll)
+        outward, around = seen * roll * cosine, at.side * seen * cosine
         rim = Rim(self._each(place), self._each(outward), self._each(around), gear.teeth, self._each(tooth))
-        to_tip = gear.base_radius * jnp.abs(gear.tip_roll - roll)
-        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), self.pair.contact_ratio * self.pair.base_pitch)}
+        number = int(gear.internal)
+        to_tip = at.pair.base_radii[number] * jnp.abs(at.pair.tip_rolls[number] - roll)
+        length = at.pair.contact_ratio * at.pair.base_pitch
+        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length)}
 
 
 @functools.cache  # by analyses too, each time that they are called

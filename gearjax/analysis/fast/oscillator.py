@@ -11,6 +11,7 @@ from gearjax.analysis.equation import Equation, Moment
 from gearjax.analysis.fast.fitted import State
 from gearjax.contact import HardContact, Request
 from gearjax.contact.layout import Place
+from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float, Scalar
 
 FEW = 8  # pairs that are written out
@@ -202,7 +203,7 @@ def mesh_phases(equation: Equation, time: Scalar) -> Float[Array, " pair"]:
     """Mesh phase of each pair at a time [s]."""
     scene = equation.scene
     asked = Request(scene.backlash is not None, mesh=True)
-    angle = scene.system.pose(scene.system.input_speed * time, asked).mesh_angle
+    angle = pose_of(scene.system, scene.system.input_speed * time, asked).mesh_angle
     assert angle is not None  # it was asked for
     return angle
 
