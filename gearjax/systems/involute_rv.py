@@ -14,7 +14,7 @@ from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Places, Pose, ProfilePlace, Request, Rim
 from gearjax.geometry.first_stage import FirstStage
 from gearjax.geometry.internal_checks import faults
-from gearjax.geometry.internal_pair import FlankPoints, InternalPair, Turn, candidate_rolls
+from gearjax.geometry.internal_pair import FlankPoints, InternalPair, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import angle, check_parameters, count, length, number
 from gearjax.structure import Orbit
@@ -33,6 +33,10 @@ class Candidates(NamedTuple):
         tooth: number of each pair, counted on from the one in the direction of the throw at its start, shape (block,
             pair).
         points: shape (block, pair, point).
+        normals: sine and cosine of the angle from across the throw to the normal of the external gear's flank, and of
+            the internal one's, shape (block, pair, point).
+        share: change of the gap per displacement of the internal gear along the normal of its flank, shape (block,
+            pair, point) [-].
         shared: length of the flanks that face each other, shape (block, pair) [m].
         apart: distance between the tips of those that face each other nowhere, else zero, shape (block, pair) [m].
     """
@@ -41,6 +45,8 @@ class Candidates(NamedTuple):
     side: Array
     tooth: Int[Array, "block pair"]
     points: FlankPoints
+    normals: tuple[tuple[Array, Array], tuple[Array, Array]]
+    share: Array
     shared: Array
     apart: Array
 
@@ -222,20 +228,20 @@ class InvoluteRV(AbstractSystem):
         points = pair.points(jnp.broadcast_to(roll[..., None], beyond.shape), beyond)
         # along a flank, from one roll angle to another
         shared = 0.5 * pair.base_radii[0] * jnp.maximum((roll + end) ** 2 - (roll + begin) ** 2, 0.0)
-        return Candidates(pair, side[..., None], tooth.astype(int), points, shared, apart)
+        normals = tuple(turn.towards(pair.line_of_action) for turn in points.beyond)
+        share = pair.share(points)
+        return Candidates(pair, side[..., None], tooth.astype(int), points, normals, share, shared, apart)
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
         at = self.candidates(theta, request.back)
         pair = at.pair
-        # direction of the normal of the ring's flank, from across the throw
-        sine, cosine = at.points.beyond[1].towards(pair.line_of_action)
-        share = pair.share(at.points)
-        lever = pair.base_radii[0] + self.with_output * self.centre_distance * share * cosine
+        sine, cosine = at.normals[1]
+        lever = pair.base_radii[0] + self.with_output * self.centre_distance * at.share * cosine
         columns = [-at.side * lever]
         for coordinate in request.coordinates:
             body, _, direction = coordinate.partition(".")
             along = sine if direction == "x" else at.side * cosine
-            columns.append(self._own(body, at) * share * along)
+            columns.append(self._own(body, at) * at.share * along)
         jacobian = jnp.stack([self._each(column) for column in columns], axis=1)
         gap = at.points.gap + jnp.where(at.side < 0, pair.backlash, 0.0)
         # tips that part: no jump where flanks begin to face each other, which would ring in what is interpolated
@@ -246,7 +252,10 @@ class InvoluteRV(AbstractSystem):
 
     def _each(self, of_points: Array) -> Array:
         """One value per contact, from one per point of the profile."""
-        return jnp.broadcast_to(of_points.ravel()[:, None], (of_points.size, self.face_points)).ravel()
+        along = of_points.ravel()
+        if self.face_points == 1:
+            return along
+        return jnp.broadcast_to(along[:, None], (along.size, self.face_points)).ravel()
 
     def _throws(self, sides: int) -> np.ndarray:
         """Angle of the throw of each block's gear from that of the first [rad]."""
@@ -268,27 +277,26 @@ class InvoluteRV(AbstractSystem):
         """How a displacement fixed on a body is seen from the normals."""
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
-        pair, still, share = at.pair, jnp.zeros_like(theta), at.pair.share(at.points)
+        pair, still, share = at.pair, jnp.zeros_like(theta), at.share
         if body in ("sun", "planet"):
             first = self._first_stage
             assert first is not None
-            _, cosine = at.points.beyond[1].towards(pair.line_of_action)
-            ahead = -at.side * self.centre_distance * share * cosine / first.planet_radius
+            ahead = -at.side * self.centre_distance * share * at.normals[1][1] / first.planet_radius
             return BodyView(self.orders[body] * theta, self._each(jnp.zeros_like(share)), self._each(ahead))
         if body == "throw":
-            return self._seen(still, 0.0, at, at.points.beyond[1], -at.side * share)
+            return self._seen(still, 0.0, at, 1, -at.side * share)
         crank = self.orders["crank"] * theta
         if body == "ring":
             of_teeth = self._teeth(pair.internal, at, at.points.roll[1], share)
-            return self._seen(-crank, 1.0, at, at.points.beyond[1], at.side * share, **of_teeth)
+            return self._seen(-crank, 1.0, at, 1, at.side * share, **of_teeth)
         # its flanks move beside its centre: it is the normals of these that count
         seen = jnp.broadcast_to(-self._own(body, at), share.shape)
         of_teeth = self._teeth(pair.external, at, at.points.roll[0], seen)
         turns = self.internal_teeth / self.external_teeth
-        return self._seen(-turns * crank, turns, at, at.points.beyond[0], at.side * seen, **of_teeth)
+        return self._seen(-turns * crank, turns, at, 0, at.side * seen, **of_teeth)
 
     def _seen(
-        self, turn: Scalar, turns: float, at: Candidates, beyond: Turn, influence: Array, **of_teeth: Any
+        self, turn: Scalar, turns: float, at: Candidates, number: int, influence: Array, **of_teeth: Any
     ) -> BodyView:
         """A displacement at the angle p from the throw has the part sin(towards + p) along a driving normal, and
         sin(towards - p) along a back one: side * sin(side * towards + p).
@@ -296,10 +304,11 @@ class InvoluteRV(AbstractSystem):
         Args:
             turn: of the body, seen from the throw of the first gear [rad].
             turns: of the body back per turn from one gear's throw to another's.
-            beyond: how far the normals are turned from the line of action.
+            number: whose normals count, 0 for the external gear's, 1 for the internal one's.
         """
-        sine, cosine = beyond.towards(at.pair.line_of_action)
-        sine, place = at.side * sine, at.side * (at.pair.operating_pressure_angle + beyond.angle)
+        sine, cosine = at.normals[number]
+        towards = at.pair.operating_pressure_angle + at.points.beyond[number].angle
+        sine, place = at.side * sine, at.side * towards
         if self.gears > 1:
             back = self._throws(at.tooth.shape[0] // self.gears)[:, None, None] * turns
             by = [jnp.asarray(part, place.dtype) for part in (np.sin(back), np.cos(back), back)]
