@@ -56,6 +56,7 @@ def _measured(unit: Any) -> str | None:
     return next((words for words, forms in _FORMS.items() if found in map(_dimensionality, forms)), None)
 
 
+@functools.lru_cache(maxsize=1024)
 def _suits(unit: Any, dimension: Dimension) -> bool:
     if not dimension.unit:
         return unit.dimensionless
@@ -119,7 +120,12 @@ def unit_size(key: str, given: Any, unit: str, dimension: Dimension) -> float:
         words = _measured(measured)
         told = f"is {words}" if words else f"is not written as {dimension.described}"
         raise ParameterError(key, given, f"{told}{_meant(written, dimension)}; {needs}")
-    return float(registry().Quantity(1.0, measured).to_base_units().magnitude)
+    return _in_si(measured)
+
+
+@functools.lru_cache(maxsize=1024)
+def _in_si(unit: Any) -> float:
+    return float(registry().Quantity(1.0, unit).to_base_units().magnitude)
 
 
 def _meant(written: tuple[Factor, ...], dimension: Dimension) -> str:

@@ -159,6 +159,7 @@ def factors(text: str) -> tuple[Factor, ...]:
         rest = rest[sign.end() :]
 
 
+@functools.lru_cache(maxsize=1024)  # a configuration writes the same few units again and again
 def unit_of(written: tuple[Factor, ...]) -> Any:
     """The unit of pint that some factors make.
 
