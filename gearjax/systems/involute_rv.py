@@ -228,9 +228,9 @@ class InvoluteRV(AbstractSystem):
         points = pair.points(jnp.broadcast_to(roll[..., None], beyond.shape), beyond)
         # along a flank, from one roll angle to another
         shared = 0.5 * pair.base_radii[0] * jnp.maximum((roll + end) ** 2 - (roll + begin) ** 2, 0.0)
-        normals = tuple(turn.towards(pair.line_of_action) for turn in points.beyond)
+        first, second = (turn.towards(pair.line_of_action) for turn in points.beyond)
         share = pair.share(points)
-        return Candidates(pair, side[..., None], tooth.astype(int), points, normals, share, shared, apart)
+        return Candidates(pair, side[..., None], tooth.astype(int), points, (first, second), share, shared, apart)
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
         at = self.candidates(theta, request.back)
