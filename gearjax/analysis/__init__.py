@@ -8,6 +8,7 @@ from gearjax.analysis.harmonic_balance import harmonic_balance
 from gearjax.analysis.metrics import FewAngles
 from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
+from gearjax.analysis.one_contact import Reduction, one_contact
 from gearjax.analysis.periodic import Periodic, Sweep, shooting, speed_sweep
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, interference, transmission_error
 from gearjax.analysis.repeats import periodic_motion
@@ -29,6 +30,7 @@ __all__ = [
     "Motion",
     "Periodic",
     "QuasiStatic",
+    "Reduction",
     "RungeKutta4",
     "Spectrum",
     "Sweep",
@@ -42,6 +44,7 @@ __all__ = [
     "harmonic_balance",
     "interference",
     "lost_motion",
+    "one_contact",
     "order_spectrum",
     "periodic_motion",
     "shooting",

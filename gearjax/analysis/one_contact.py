@@ -1,0 +1,171 @@
+"""The loaded analysis of a gear set as one contact, for motion where a matrix couples its springs."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import arguments
+from gearjax.analysis.resting import rest
+from gearjax.checks import ParameterError, SceneError, is_concrete
+from gearjax.clearance import InitialBacklash
+from gearjax.compliance.wave_stiffness import WaveStiffness
+from gearjax.geometry.waves import Waves
+from gearjax.parameters import Named
+from gearjax.scene import Scene, require
+from gearjax.systems.one_contact import OneContact
+from gearjax.typing import Array, ArrayLike, Float, Scalar
+
+REPEATS = 1e-6  # of the mean lag, by which the static TE may differ after a period
+
+
+class Reduction(eqx.Module):
+    """A gear set as one contact, made at one torque.
+
+    Args:
+        scene: with the one contact, for `gearjax.simulate` and the other analyses of motion.
+        whole: the scene that it stands for.
+        torque: that it was made at [N m].
+        theta: angles of one period that it was made from, shape (n,) [rad].
+    """
+
+    scene: Scene
+    whole: Scene
+    torque: Scalar
+    theta: Float[Array, " n"]
+
+    def static(self, torque: ArrayLike) -> Float[Array, " n"]:
+        """Static TE of the one contact under a positive torque [N m], with the stiffness of each angle, shape (n,)
+        [rad]."""
+        system, compliance = self.scene.system, self.scene.compliance
+        assert isinstance(system, OneContact)
+        assert isinstance(compliance, WaveStiffness)
+        phase = system.orders["mesh"] * self.theta
+        load = jnp.asarray(torque, self.theta.dtype)
+        pressed = load / (system.lever * compliance.stiffness(phase))
+        return -(system.gaps[0].at(phase) + pressed) / system.lever
+
+    def error(self, torque: ArrayLike) -> Scalar:
+        """By how much its static TE under a positive torque [N m] differs at most from that of the whole scene [rad]:
+        at its own torque what the harmonics leave out, at others also what the number of contacts changes."""
+        load = jnp.asarray(torque, self.theta.dtype)
+        return jnp.abs(self.static(load) - _rest(self.whole, self.theta, load)[0]).max()
+
+
+@arguments.checked()
+def one_contact(
+    scene: Scene,
+    torque: ArrayLike,
+    *,
+    period: float | None = None,
+    samples: int = 128,
+    harmonics: int = 16,
+) -> Reduction:
+    """A scene with one contact in place of all, as the loaded analysis at a torque shows them: a reduction.
+
+    Its stiffness is the tangent stiffness of the whole scene at each angle, ``k = (dT/dq) / r^2``, and its gap is such
+    that it holds the same position under the torque, ``gap = -r q - T / (r k)``. Motion under torques about that one
+    follows, also where a matrix couples the springs of the whole scene, which `gearjax.simulate` refuses. What it
+    leaves out: contacts that come and go with the torque (`Reduction.error` measures that at other torques), and the
+    masses of bodies on supports, which follow at once. [damping] is that of as many pairs as carry on average. The back
+    flank, where [backlash] is listed, is that under the torque reversed, with the stiffness of the driving one.
+
+    Args:
+        scene: the scene, with a compliance.
+        torque: about which it moves, positive [N m].
+        period: input angle after which the static TE repeats [rad]; without, one mesh period, as without errors.
+        samples: angles of the period that are looked at.
+        harmonics: of the period that stiffness and gap keep; samples are more than twice as many.
+
+    Returns:
+        The reduction. Differentiable in the numbers of the scene and in the torque.
+
+    Raises:
+        SceneError: the scene lacks a compliance, or its output turns unevenly, or the torque finds no equilibrium, or
+            the TE does not repeat.
+        ParameterError: the torque is not positive, or samples are too few.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> reduced = gj.one_contact(scene, 100.0, period=scene.system.cycle, samples=2048, harmonics=256)
+        >>> reduced.scene.system.kind
+        'one_contact'
+    """
+    require(scene, "one contact", "compliance")
+    system = scene.system
+    if not system.turns_evenly:
+        raise SceneError(f'"one contact" is for outputs that turn evenly, which that of a {system.kind} does not')
+    mesh = 2 * math.pi / system.orders["mesh"]
+    period = mesh if period is None else float(period)
+    _check(scene, torque, period, mesh, samples, harmonics)
+    load = jnp.asarray(torque, scene.dtype)
+    theta = jnp.asarray(period / samples * np.arange(samples), scene.dtype)
+    whole = scene.physics("backlash", "compliance")
+    place, stiffness, pairs, result = _rest(whole, theta, load)
+    if is_concrete(result):
+        _check_rest(whole, place, result, load, period)
+    lever = jnp.abs(whole.contacts(theta[0]).output_levers).mean()
+    waves = Waves.of(stiffness / lever**2, harmonics)
+    compliance = WaveStiffness(waves)
+    phase = jnp.asarray(2 * np.pi / samples * np.arange(samples), scene.dtype)
+    pressed = load / (lever * waves.at(phase))
+    gaps = [-lever * place - pressed]
+    if whole.has_back:
+        gaps.append(lever * _rest(whole, theta, -load)[0] - pressed)
+    names = tuple((name, order) for name, order in system.orders.items() if name not in ("mesh", "waves"))
+    reduced = OneContact(
+        jnp.asarray(system.input_speed), lever, tuple(Waves.of(gap, harmonics) for gap in gaps), period, names
+    )
+    parts = {name: getattr(scene, name) for name in ("load", "contact", "inertia", "run")}
+    if whole.has_back:
+        parts["backlash"] = InitialBacklash(jnp.zeros((), scene.dtype))
+    if scene.damping is not None:  # of each pair, whose stiffness is a part of the whole
+        each = dataclasses.replace(scene.damping, ratio=scene.damping.ratio * jnp.sqrt(pairs.mean()))
+        parts["damping"] = each
+    return Reduction(Scene(reduced, compliance=compliance, **parts), whole, load, theta)
+
+
+@eqx.filter_jit
+def _rest(scene: Scene, theta: Array, torque: Scalar) -> tuple[Array, Array, Array, Array]:
+    """Positions, tangent stiffness [N m/rad], numbers of pairs that carry, and result codes, shape (n,) each."""
+    scene = scene.anchored()
+    members = [np.asarray(own) for own in scene.layout.members]
+
+    def position(load: Scalar, angle: Scalar) -> tuple[Scalar, tuple[Array, Array]]:
+        found = rest(scene, angle, load)
+        carrying = jnp.stack([(found.forces[own] > 0).any() for own in members])
+        return found.position, (carrying.sum().astype(theta.dtype), found.result)
+
+    def at(angle: Scalar) -> tuple[Array, Array, Array, Array]:
+        place, way, told = jax.jvp(lambda load: position(load, angle), (torque,), (jnp.ones_like(torque),), True)
+        return place, -1 / way, told[0], told[1]
+
+    return jax.vmap(at)(theta)
+
+
+def _check(scene: Scene, torque: ArrayLike, period: float, mesh: float, samples: int, harmonics: int) -> None:
+    if is_concrete(torque) and not (np.ndim(torque) == 0 and float(np.asarray(torque)) > 0):
+        raise ParameterError("torque", np.asarray(torque).tolist(), "must be one positive number [N m]")
+    if not 0 < period < math.inf:
+        raise ParameterError("period", period, "must be a positive input angle [rad]")
+    if harmonics < 1:
+        raise ParameterError("harmonics", harmonics, "must be at least 1")
+    if samples <= 2 * harmonics:
+        raise ParameterError("samples", samples, f"must be more than twice the {harmonics} harmonics")
+    frequency = getattr(scene.load, "frequency", None)
+    if isinstance(frequency, Named) and frequency.name == "mesh" and not math.isclose(period, mesh):
+        raise SceneError('one contact: a load at the frequency "mesh" is for a period of one mesh: give it in Hz')
+
+
+def _check_rest(scene: Scene, place: Array, result: Array, torque: Scalar, period: float) -> None:
+    if (np.asarray(result) != 0).any():
+        raise SceneError(f"one contact: there is no equilibrium under {float(torque):g} N*m at some angles")
+    later = _rest(scene, jnp.asarray([period], place.dtype), torque)[0][0]
+    off, lag = abs(float(later - place[0])), abs(float(place.mean()))
+    if off > max(REPEATS, 100 * float(jnp.finfo(place.dtype).eps)) * lag:
+        words = f"the static TE differs by {off:.2g} rad after a period of {period:g} rad"
+        raise SceneError(f"one contact: {words}: errors repeat after scene.system.cycle = {scene.system.cycle:.6g} rad")

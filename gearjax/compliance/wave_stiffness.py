@@ -1,0 +1,34 @@
+"""Mesh stiffness whose waves were worked out, with derivatives where some of them vanish."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from gearjax.compliance.base import AbstractCompliance
+from gearjax.geometry.waves import Waves
+from gearjax.typing import Array, Float, Scalar
+
+
+class WaveStiffness(AbstractCompliance):
+    """Stiffness of a pair over its mesh phase, by cosines and sines: those of a `HarmonicStiffness` have amplitudes and
+    phases, of which a wave that vanishes has none to derive by.
+
+    Args:
+        waves: of the mesh phase [N/m].
+    """
+
+    kind: ClassVar[str] = "wave_stiffness"
+    waves: Waves
+
+    def mean_stiffness(self, pairs: int) -> Float[Array, " pair"]:
+        return jnp.broadcast_to(self.waves.mean, (pairs,))
+
+    def stiffness(self, mesh_angle: Float[Array, " pair"]) -> Float[Array, " pair"]:
+        return self.waves.at(mesh_angle)
+
+    @property
+    def harmonics(self) -> int:
+        return self.waves.cosine.shape[0]
+
+    def peak_stiffness(self) -> Scalar:
+        return self.waves.mean + self.waves.reach

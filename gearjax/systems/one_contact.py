@@ -1,0 +1,68 @@
+"""A gear set whose contacts are one: what `gearjax.one_contact` makes of the loaded analysis of another."""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import ParameterError
+from gearjax.contact import Layout, Pose, Request
+from gearjax.geometry.waves import Waves
+from gearjax.systems.base import AbstractSystem
+from gearjax.typing import Array, Scalar
+
+
+class OneContact(AbstractSystem):
+    """One driving flank, and one back flank where asked for, whose gaps run in waves of the input angle.
+
+    It has no bodies: the errors of the gear set that it stands for are in its gaps.
+
+    Args:
+        input_speed: [rad/s].
+        lever: of both flanks [m].
+        gaps: of the driving flank, and of the back flank where there is one [m]; of the angle that goes round once in
+            each period.
+        period: input angle after which they repeat [rad].
+        names: orders of the gear set that it stands for, per turn of the input.
+    """
+
+    kind: ClassVar[str] = "one_contact"
+    input_speed: Array
+    lever: Scalar
+    gaps: tuple[Waves, ...]
+    period: float = eqx.field(static=True)
+    names: tuple[tuple[str, float], ...] = eqx.field(static=True)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def orders(self) -> Mapping[str, float]:
+        mesh = 2 * math.pi / self.period
+        return dict(self.names) | {"mesh": mesh, "waves": mesh * self.gaps[0].cosine.shape[0]}
+
+    @property
+    def cycle(self) -> float:
+        return self.period
+
+    @property
+    def told_of_forces(self) -> str | None:
+        return "forces are those of all contacts together: one contact stands for them"
+
+    def contact_name(self, contact: int) -> str:
+        return f"the contact that stands for all {('driving', 'back')[contact]} flanks"
+
+    def layout(self, request: Request) -> Layout:
+        return Layout.of_flanks(1, request.back)
+
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        if request.bodies:
+            raise ParameterError("body", request.bodies[0], "is on no body: one contact has none")
+        side = jnp.asarray(np.asarray(self.layout(request).side), theta.dtype)
+        phase = jnp.reshape(self.orders["mesh"] * theta, (1,))
+        gap = jnp.concatenate([waves.at(phase) for waves in self.gaps[: len(side)]])
+        return Pose(theta, -side[:, None] * self.lever, gap, {}, phase if request.mesh else None)
