@@ -71,7 +71,8 @@ def one_contact(
     follows, also where a matrix couples the springs of the whole scene, which `gearjax.simulate` refuses. What it
     leaves out: contacts that come and go with the torque (`Reduction.error` measures that at other torques), and the
     masses of bodies on supports, which follow at once. [damping] is that of as many pairs as carry on average. The back
-    flank, where [backlash] is listed, is that under the torque reversed, with the stiffness of the driving one.
+    flank, where [backlash] is listed, is that under the torque reversed, with the stiffness of the driving one. Statics
+    of the reduction's scene use its mean stiffness, as those of every gear set; `Reduction.static` that of each angle.
 
     Args:
         scene: the scene, with a compliance.
