@@ -1,4 +1,4 @@
-"""The methods of Yang, Tang and Liang (2019): two-dimensional, eqs. (9) and (10), and their linear programme (3), (4)."""
+"""Both methods of Yang, Tang and Liang (2019): two-dimensional, (9) and (10), and the linear programme (3), (4)."""
 
 from typing import NamedTuple
 

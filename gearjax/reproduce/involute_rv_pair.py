@@ -75,13 +75,27 @@ def tables(rim: float = RIM) -> Tables:
         GearjaxError: scikit-fem is missing.
     """
     external, internal = pair().external, pair().internal
-    steel = {"youngs_modulus": YOUNGS_MODULUS, "poissons_ratio": POISSONS_RATIO}
-    common = steel | {"rim": rim, "fillet": TOOL_RADIUS, "layers": LAYERS, "profile_elements": 10}
     tip, inner = float(external.tip_radius), float(internal.tip_radius)
-    own, theirs = (tip - REACH[0], tip), (inner, inner + REACH[1])
     return (
-        tooth_influence(external, face_width=EXTERNAL_WIDTH, touching=own, **common),
-        tooth_influence(internal, face_width=INTERNAL_WIDTH, meeting=MEETING, touching=theirs, **common),
+        _table(external, EXTERNAL_WIDTH, (tip - REACH[0], tip), (0.0, EXTERNAL_WIDTH), rim),
+        _table(internal, INTERNAL_WIDTH, (inner, inner + REACH[1]), MEETING, rim),
+    )
+
+
+def _table(
+    gear: InvoluteGear, width: float, touching: tuple[float, float], meeting: tuple[float, float], rim: float
+) -> InfluenceTable:
+    return tooth_influence(
+        gear,
+        face_width=width,
+        youngs_modulus=YOUNGS_MODULUS,
+        poissons_ratio=POISSONS_RATIO,
+        rim=rim,
+        touching=touching,
+        meeting=meeting,
+        fillet=TOOL_RADIUS,
+        profile_elements=10,
+        layers=LAYERS,
     )
 
 
