@@ -2,13 +2,15 @@
 
 from pathlib import Path
 
+from gearjax.reproduce.involute_rv_pair import PHASE, POINTS, RIM
 from gearjax.reproduce.rows import Row
+from gearjax.units import mm
 
-TEETH = range(13, 22)  # candidates of Yang, Tang and Liang (2019)
+TEETH = sorted(POINTS)
 SERIES = (  # item of the rows, label, whether the printed value or ours
     ("Table 5, tooth {}", "paper, finite elements and linear programme", True),
     ("Table 5, ANSYS, tooth {}", "paper, ANSYS", True),
-    ("Table 5, tooth {}", "gearjax, finite elements", False),
+    ("Table 5, tooth {}", f"gearjax, rim {RIM / mm:g} mm and phase {PHASE} fitted", False),
 )
 
 
@@ -40,6 +42,6 @@ def save_loads_figure(rows: list[Row], folder: Path) -> list[Path]:
     finish(above, "Yang, Tang, Liang (2019), Table 5: loads under 100 N m", x="tooth pair", y="load [N]")
     finish(below, "Difference from the paper's own method", x="tooth pair", y="difference [N]")
     for ax in (above, below):
-        ax.set_xticks(list(TEETH))
-        ax.legend(fontsize="small", loc="upper left")
+        ax.set(xticks=TEETH, xlim=(TEETH[0] - 0.5, TEETH[-1] + 0.5))
+        ax.legend(fontsize="small", loc="upper right")
     return [save_figure(figure, folder / "involute_rv_loads.png")]

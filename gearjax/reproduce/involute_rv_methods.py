@@ -11,8 +11,10 @@ from gearjax.contact import Places
 from gearjax.contact.coupled import coupled_balance
 from gearjax.geometry.internal_pair import candidate_rolls
 from gearjax.reproduce import involute_rv_pair as own
+from gearjax.units import um
 
-MICRO = 1e-6  # m: lengths of the programme are near one
+LENGTH = 1e-8  # m, unit of the programme: far above the tolerances of its solver
+EARLY = 3 * um  # gaps of the points that carry in the first programme; more or fewer change its time alone
 EXACT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 MOST_PROGRAMMES = 20
 SETTLED = 1e-9  # of a programme's own numbers
@@ -50,9 +52,9 @@ class _Programme(NamedTuple):
     """A solved linear programme (4).
 
     Args:
-        values: force of each point that may carry [N], slack of the others [um], shape (point,).
-        approach: delta [um].
-        objective: sum of the artificial variables, eq. (3) [um] and [N].
+        values: force of each point that may carry [N], slack of the others [0.01 um], shape (point,).
+        approach: delta [0.01 um].
+        objective: sum of the artificial variables, eq. (3) [0.01 um] and [N].
         entering: change of it per unit of what each point does not have, shape (point,).
     """
 
@@ -66,7 +68,7 @@ def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Presse
     """The same by the paper's linear programme, with another solver, HiGHS.
 
     That of each point either the force or the slack is zero is no linear condition. Conry and Seireg (1971) let enter
-    the basis only what keeps it; here a programme has one of both for each point, forces to begin with, and points
+    the basis only what keeps it; here a programme has one of both for each point, and points
     where the one is zero and the other would lessen the objective change over until the objective is zero.
 
     Args:
@@ -74,8 +76,8 @@ def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Presse
         gap: shape (point,) [m].
         force: that all carry together [N].
     """
-    scaled, clearance = influence / MICRO, gap / MICRO
-    carry = np.ones(len(gap), dtype=bool)
+    scaled, clearance = influence / LENGTH, gap / LENGTH
+    carry = gap <= max(EARLY, float(gap.min()))
     found = _programme(scaled, clearance, force, carry)
     for _ in range(MOST_PROGRAMMES):
         change = (found.values <= SETTLED) & (found.entering < -SETTLED)
@@ -84,7 +86,7 @@ def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Presse
         carry = carry ^ change
         found = _programme(scaled, clearance, force, carry)
     assert found.objective < 1e-6, "the artificial variables of eq. (4) have not left the basis"
-    return Pressed(np.where(carry, found.values, 0.0), found.approach * MICRO)
+    return Pressed(np.where(carry, found.values, 0.0), found.approach * LENGTH)
 
 
 def _programme(influence: np.ndarray, gap: np.ndarray, force: float, carry: np.ndarray) -> _Programme:

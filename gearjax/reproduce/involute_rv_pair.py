@@ -55,9 +55,11 @@ class Candidates(NamedTuple):
 def pair() -> InternalPair:
     """Both gears of Table 1, whose first column is the internal gear's."""
     common = jnp.asarray(MODULE), jnp.asarray(PRESSURE_ANGLE)
-    external, internal = (tuple(map(jnp.asarray, (*own, DEDENDUM))) for own in (EXTERNAL, INTERNAL))
-    gears = InvoluteGear(236, *common, *external), InvoluteGear(240, *common, *internal, internal=True)
-    return InternalPair(*gears, jnp.asarray(CENTRE_DISTANCE))
+    (shift, height), (other_shift, other_height) = (tuple(map(jnp.asarray, own)) for own in (EXTERNAL, INTERNAL))
+    dedendum = jnp.asarray(DEDENDUM)
+    external = InvoluteGear(236, *common, shift, height, dedendum)
+    internal = InvoluteGear(240, *common, other_shift, other_height, dedendum, internal=True)
+    return InternalPair(external, internal, jnp.asarray(CENTRE_DISTANCE))
 
 
 def total_load() -> float:
