@@ -34,8 +34,8 @@ def test_candidates_are_those_written_out_apart():
     """`tests.involute_pair` finds gaps and opposite points by another geometry."""
     points = own.candidates()
     assert points.tooth.size == 1274
-    for tooth, number in own.POINTS.items():
-        inside = points.tooth == tooth
+    for tooth in (13, 17, 20):
+        number, inside = own.POINTS[tooth], points.tooth == tooth
         radius = points.radius[inside].reshape(number, -1)
         np.testing.assert_allclose(radius[:, 0], involute_pair.own_points(tooth, own.PHASE), rtol=1e-10)
         gap, mate = involute_pair.opposite(tooth, radius[:, 0], own.PHASE)

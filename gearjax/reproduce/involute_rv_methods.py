@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +10,13 @@ import numpy as np
 from gearjax.compliance import ElasticTeeth
 from gearjax.contact import Places
 from gearjax.contact.coupled import coupled_balance
-from gearjax.geometry.internal_pair import candidate_rolls
+from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
 from gearjax.reproduce import involute_rv_pair as own
+from gearjax.typing import Array
 from gearjax.units import um
 
 LENGTH = 1e-8  # m, unit of the programme: far above the tolerances of its solver
-EARLY = 3 * um  # gaps of the points that carry in the first programme; more or fewer change its time alone
+EARLY = 3 * um  # gaps of the points that may carry in the first programme: all take longer, too few do not settle
 EXACT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 MOST_PROGRAMMES = 20
 SETTLED = 1e-9  # of a programme's own numbers
@@ -68,8 +70,8 @@ def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Presse
     """The same by the paper's linear programme, with another solver, HiGHS.
 
     That of each point either the force or the slack is zero is no linear condition. Conry and Seireg (1971) let enter
-    the basis only what keeps it; here a programme has one of both for each point, and points
-    where the one is zero and the other would lessen the objective change over until the objective is zero.
+    the basis only what keeps it; here a programme has one of both for each point, and points where the one is zero and
+    the other would lessen the objective change over until the objective is zero.
 
     Args:
         influence: shape (point, point) [m/N].
@@ -131,17 +133,23 @@ def pair_stiffness(depth: float | None) -> PairStiffness:
     Args:
         depth: of the foundation under the root circle [m]; ``None`` for a half-plane.
     """
-    both, (tooth, roll) = own.pair(), own.rolls()
-    begin, end = both.ends(jnp.asarray(roll))
-    points = both.points(jnp.asarray(roll)[:, None], candidate_rolls(begin, end, 1))
-    outer, inner = both.external.radius_at(points.roll[0]), both.internal.radius_at(points.roll[1])
+    tooth, roll = own.rolls()
+    clearance, yielding = _pairs(own.pair(), jnp.asarray(roll), None if depth is None else jnp.asarray(depth))
+    return PairStiffness(tooth, np.asarray(clearance), 1 / np.asarray(yielding))
+
+
+@eqx.filter_jit
+def _pairs(both: InternalPair, roll: Array, depth: Array | None) -> tuple[Array, Array]:
+    """Clearance [m] and approach per force [m/N] of each pair."""
+    begin, end = both.ends(roll)
+    points = both.points(roll[:, None], candidate_rolls(begin, end, 1))
+    radii = both.external.radius_at(points.roll[0])[None], both.internal.radius_at(points.roll[1])[None]
     shared = 0.5 * both.base_radii[0] * ((roll + end) ** 2 - (roll + begin) ** 2)
-    ahead = jnp.asarray(own.FIRST - tooth, shared.dtype)
-    gears = both.external, both.internal
-    places = Places(gears, (outer[None], inner[None]), ahead[None], shared[None], jnp.zeros(1))
+    none = jnp.zeros_like(shared)  # no pair moves another one, whichever teeth they are
+    places = Places((both.external, both.internal), radii, none[None], shared[None], jnp.zeros(1))
     steel = own.YOUNGS_MODULUS, own.POISSONS_RATIO
     teeth = ElasticTeeth(*steel, own.EXTERNAL_WIDTH, own.INTERNAL_WIDTH, rim=depth)
-    return PairStiffness(tooth, np.asarray(points.gap)[:, 0], 1 / np.diagonal(np.asarray(teeth.influence(places))))
+    return points.gap[:, 0], jnp.diagonal(teeth.influence(places))
 
 
 def two_dimensional(pairs: PairStiffness, force: float) -> np.ndarray:

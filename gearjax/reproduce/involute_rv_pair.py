@@ -3,12 +3,14 @@
 from functools import cache
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax.geometry.internal_pair import InternalPair
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import InfluenceTable, influence_on_grid, tooth_influence
+from gearjax.typing import Array, Float
 from gearjax.units import deg, mm
 
 TORQUE = 100.0  # N m on one external gear
@@ -129,7 +131,7 @@ def candidates(phase: float = PHASE) -> Candidates:
     share = np.maximum(np.arange(most) - missing[:, None], 0) / (most - 1 - missing)[:, None]
     radius = begin[:, None] + share * (tip - begin)[:, None]
     own = both.external.roll_at(jnp.asarray(radius))
-    points = both.points(jnp.asarray(roll)[:, None], own - roll[:, None])
+    points = eqx.filter_jit(both.points)(jnp.asarray(roll)[:, None], own - roll[:, None])
     mate = np.asarray(both.internal.radius_at(points.roll[1]))
     layers = LAYERS + 1
     there = np.repeat((np.arange(most) >= missing[:, None]).ravel(), layers)
@@ -146,7 +148,11 @@ def influence(both: Tables, points: Candidates) -> np.ndarray:
         both: of the external and of the internal gear.
         points: that may touch.
     """
-    external, internal = both
-    own, mate = jnp.asarray(points.grid)
-    whole = np.asarray(influence_on_grid(external, own) + influence_on_grid(internal.mirrored, mate))
+    whole = np.asarray(_on_grid(both, jnp.asarray(points.grid)))
     return whole[np.ix_(points.there, points.there)]
+
+
+@eqx.filter_jit
+def _on_grid(both: Tables, radii: Float[Array, "2 tooth profile"]) -> Float[Array, "point point"]:
+    external, internal = both
+    return influence_on_grid(external, radii[0]) + influence_on_grid(internal.mirrored, radii[1])
