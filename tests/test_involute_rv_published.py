@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gearjax.cli import main
+from gearjax.cli.commands import _papers
 from gearjax.reproduce import PAPERS, involute_rv
 from gearjax.reproduce import involute_rv_methods as methods
 from gearjax.reproduce import involute_rv_pair as own
@@ -31,16 +32,20 @@ def by_item(rows):
 
 
 def test_candidates_are_those_written_out_apart():
-    """`tests.involute_pair` finds gaps and opposite points by another geometry."""
-    points = own.candidates()
+    """At equal distances from tip circle to tip circle; `tests.involute_pair` finds gaps by another geometry."""
+    points, pair = own.candidates(), own.pair()
     assert points.tooth.size == 1274
-    for tooth in (13, 17, 20):
-        number, inside = own.POINTS[tooth], points.tooth == tooth
-        radius = points.radius[inside].reshape(number, -1)
-        np.testing.assert_allclose(radius[:, 0], involute_pair.own_points(tooth, own.PHASE), rtol=1e-10)
-        gap, mate = involute_pair.opposite(tooth, radius[:, 0], own.PHASE)
-        np.testing.assert_allclose(points.gap[inside].reshape(number, -1)[:, 3], gap, atol=1e-12)
-        np.testing.assert_allclose(points.mate[inside].reshape(number, -1)[:, 3], mate, rtol=1e-10)
+    for tooth, number in own.POINTS.items():
+        radius, mate, gap = (
+            part[points.tooth == tooth].reshape(number, -1)[:, 3] for part in (points.radius, points.mate, points.gap)
+        )
+        assert mate[0] == pytest.approx(float(pair.internal.tip_radius), rel=1e-10)
+        assert radius[-1] == pytest.approx(float(pair.external.tip_radius), rel=1e-12)
+        np.testing.assert_allclose(np.diff(radius), np.diff(radius).mean(), rtol=1e-9)
+        if tooth in (13, 18):
+            apart = involute_pair.opposite(tooth, radius, own.PHASE)
+            np.testing.assert_allclose(gap, apart[0], atol=1e-12)
+            np.testing.assert_allclose(mate, apart[1], rtol=1e-10)
 
 
 def test_points_of_tables_7_and_8_are_ours():
@@ -96,6 +101,14 @@ def test_a_paper_whose_extra_is_missing_says_so_in_a_line(monkeypatch, capsys):
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith("gearjax: error: ")
     assert told.endswith("needs the extra fem: pip install 'gearjax[fem]'")
+
+
+def test_the_command_offers_every_paper(capsys):
+    assert _papers("in") == ["involute_rv"]
+    assert _papers("") == list(PAPERS)
+    with pytest.raises(SystemExit, match="0"):
+        main(["reproduce", "--help"])
+    assert "two_kv, rv_cycloidal, involute_rv" in " ".join(capsys.readouterr().out.split())
 
 
 def test_papers_without_extras_are_reproduced_all_the_same(monkeypatch, capsys):

@@ -111,13 +111,24 @@ def run(
         print_cases(cases, scene.system.told_of_forces)
 
 
+def _papers(incomplete: str) -> list[str]:
+    """What a shell completes the name of a paper to."""
+    return [name for name in PAPERS if name.startswith(incomplete)]
+
+
+PaperArgument = Annotated[
+    str | None,
+    typer.Argument(metavar="[NAME]", help=f"{', '.join(PAPERS)}; all of them without", autocompletion=_papers),
+]
+
+
 @app.command()
 def reproduce(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="a paper; all of them without")] = None,
+    name: PaperArgument = None,
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
-    """Published figures of a paper next to ours: two_kv, rv_cycloidal, involute_rv.
+    """Published figures of a paper next to ours.
 
     With --out a table of them, and of involute_rv a figure of its loads.
     """
