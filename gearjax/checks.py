@@ -38,6 +38,10 @@ class ParameterError(GearjaxError):
         super().__init__(f"{key[:_LONGEST_KEY]} = {shown(given)}: {right}")
 
 
+class MissingExtraError(GearjaxError):
+    """What was asked for needs a package that comes with an extra of gearjax."""
+
+
 class SceneError(GearjaxError):
     """An analysis was asked for that the scene, as listed, does not allow."""
 

@@ -76,15 +76,16 @@ def test_a_wrong_value_would_not_pass():
     assert Row("x", "2.245", 2.2468, "arcmin", 0.0015).status == "not reproduced"
     assert Row("x", "2.245", float("nan"), "arcmin", 0.0015).status == "not reproduced"
     assert Row("x", "2.245", 9.0, "arcmin", 0.0015, inferred=True).status == "inferred"
+    assert Row("x", "", 9.0, "arcmin", 0.0).status == "not published"
     assert printed_precision("0.15845") == pytest.approx(1e-5)
     assert printed_precision("-2") == 1.0
 
 
 def test_reproduce_prints_the_rows(capsys, tmp_path, rows, monkeypatch):
     """Rows as the fixture worked them out: working them out again takes long."""
-    assert PAPERS["two_kv"][1] is two_kv.rows
-    for key, (paper, _) in PAPERS.items():
-        monkeypatch.setitem(PAPERS, key, (paper, lambda: rows))
+    assert PAPERS["two_kv"].rows is two_kv.rows
+    for key, paper in PAPERS.items():
+        monkeypatch.setitem(PAPERS, key, paper._replace(rows=lambda _: rows))
     with pytest.raises(SystemExit) as stopped:
         main(["reproduce", "two_kv", "--json", "--out", str(tmp_path)])
     assert not stopped.value.code

@@ -83,6 +83,7 @@ class Running:
         (["optimise", str(PHASES)], "grid of"),
         (["tradeoff", str(CONFIG)], "truth"),
         (["reproduce", "two_kv"], "computing"),
+        (["reproduce", "involute_rv"], "finite elements"),
     ],
 )
 def test_ctrl_c_ends_a_command_with_a_line(tmp_path, arguments, begun):

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from gearjax.checks import ParameterError, check_path, nearest
+from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
 from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_shifts, print_tradeoff
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
 from gearjax.files import writable, write_file
@@ -33,7 +33,7 @@ from gearjax.studies.tradeoff import tradeoff as run_tradeoff
 from gearjax.units import arcmin
 
 app = typer.Typer(rich_markup_mode=None)
-_progress = Console(stderr=True)
+_progress = Console(stderr=True, markup=False, emoji=False)
 
 
 def _writable(out: Path | None) -> Path | None:
@@ -111,20 +111,41 @@ def run(
         print_cases(cases, scene.system.told_of_forces)
 
 
+def _papers(incomplete: str) -> list[str]:
+    """What a shell completes the name of a paper to."""
+    return [name for name in PAPERS if name.startswith(incomplete)]
+
+
+PaperArgument = Annotated[
+    str | None,
+    typer.Argument(metavar="[NAME]", help=f"{', '.join(PAPERS)}; all of them without", autocompletion=_papers),
+]
+
+
 @app.command()
 def reproduce(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="a paper; all of them without")] = None,
+    name: PaperArgument = None,
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
-    """Published figures of a paper next to ours."""
+    """Published figures of a paper next to ours.
+
+    With --out a table of them, and of involute_rv a figure of its loads.
+    """
     if name is not None and name not in PAPERS:
         raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
     reports = []
-    for key in [name] if name is not None else PAPERS:
-        paper, rows = PAPERS[key]
-        _progress.print(f"computing: {paper}", style="dim", soft_wrap=True)
-        reports.append((paper, rows()))
+    for paper in [PAPERS[name]] if name is not None else PAPERS.values():
+        _say(f"computing: {paper.title}")
+        try:
+            reports.append((paper.title, paper.rows(_say)))
+        except MissingExtraError as fault:
+            if name is not None:
+                raise
+            _progress.print(f"left out: {paper.title}: {fault}", soft_wrap=True)
+            continue
+        if out is not None and paper.save_figures is not None:
+            paper.save_figures(reports[-1][1], out)
     if out is not None:
         _write_rows(out, reports)
     objects = [{"paper": paper, "rows": [row.as_json() for row in rows]} for paper, rows in reports]
@@ -266,7 +287,8 @@ def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
     lines = ["paper,item,published,computed,deviation,unit,status"]
     for paper, rows in reports:
         lines += [
-            f'"{paper}","{row.item}",{row.published},{row.computed:.6g},{row.deviation:+.6g},{row.unit},{row.status}'
+            f'"{paper}","{row.item}",{row.published},{row.computed:.6g},'
+            f"{f'{row.deviation:+.6g}' if row.published else ''},{row.unit},{row.status}"
             for row in rows
         ]
     write_file(folder / "published.csv", "\n".join(lines) + "\n")

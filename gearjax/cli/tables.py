@@ -4,7 +4,6 @@ import math
 import sys
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from gearjax.reproduce import Row
@@ -20,7 +19,7 @@ from gearjax.units import arcmin, deg
 def print_tradeoff(found: Tradeoff) -> None:
     table = Table(title="What each choice costs and buys; one run, one torque")
     for column in ("setting", "", "error [arcmin]", "run [ms]", "gradient [ms]", "compile [s]"):
-        table.add_column(escape(column), justify="left" if column in ("setting", "") else "right")
+        table.add_column(column, justify="left" if column in ("setting", "") else "right")
     for row in found.rows:
         gradient = "" if row.gradient_seconds is None else f"{1e3 * row.gradient_seconds:.1f}"
         error = f"{row.error / arcmin:.2g}"
@@ -30,10 +29,10 @@ def print_tradeoff(found: Tradeoff) -> None:
     if found.statics:
         table = Table(title="Geometry under static torque, against the most exact choice")
         for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):
-            table.add_column(escape(column), justify="left" if column == "choice" else "right")
+            table.add_column(column, justify="left" if column == "choice" else "right")
         for one in found.statics:
             off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
-            table.add_row(escape(one.name), *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
+            table.add_row(one.name, *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
         console.print(table)
     allowed = f"{found.error / arcmin:g} arcmin"
     if found.best is None:
@@ -49,7 +48,7 @@ def print_optimisation(found: Optimisation) -> None:
     units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
     columns = ["", "arcmin", *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
     for column in (*columns, "evaluations", "run [s]", "compile [s]"):
-        table.add_column(escape(column), justify="right" if column else "left", overflow="fold")
+        table.add_column(column, justify="right" if column else "left", overflow="fold")
 
     def row(title: str, objective: float, point, *rest: str) -> None:
         shown = [f"{found.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
@@ -87,7 +86,7 @@ def print_optimisation(found: Optimisation) -> None:
 def _print_stages(console: Console, found: Optimisation) -> None:
     table = Table(title="Transmission error in arcmin, before and after")
     for column in ("case", "window [s]", "stage", *(name.replace("_", "-") for name in METRICS)):
-        table.add_column(escape(column), justify="left" if column in ("case", "stage") else "right")
+        table.add_column(column, justify="left" if column in ("case", "stage") else "right")
     for row, case in enumerate(found.cases["before"]):
         for stage, cases in found.cases.items():
             title = (case.title, case.span) if stage == "before" else ("", "")
@@ -100,7 +99,7 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
     compared = any(case.published for case in cases)
     table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
     for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
-        table.add_column(escape(column), justify="left" if column == "case" else "right")
+        table.add_column(column, justify="left" if column == "case" else "right")
     for case in cases:
         known = dict(case.published.metrics) if case.published else {}
         values = [_cell(case.metrics[name], known.get(name)) for name in METRICS]
@@ -116,8 +115,8 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
 
 
 def output() -> Console:
-    """Standard output; wide enough for every table where it is not a terminal."""
-    return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    """Standard output; wide enough for every table where it is not a terminal. Square brackets are text."""
+    return Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False, emoji=False)
 
 
 def _cell(value: float, published: float | None) -> str:
@@ -130,7 +129,8 @@ def print_rows(paper: str, rows: list[Row]) -> None:
     for column in ("item", "published", "ours", "deviation", "unit", "status"):
         table.add_column(column, justify="left" if column in ("item", "unit", "status") else "right")
     for row in rows:
-        ours = (f"{row.computed:.5g}", f"{row.deviation:+.2g}") if math.isfinite(row.computed) else ("", "")
+        values = (row.computed, ".5g"), (row.deviation, "+.2g")
+        ours = [f"{value:{form}}" if math.isfinite(value) else "" for value, form in values]
         table.add_row(row.item, row.published, *ours, row.unit, row.status)
     console = output()
     console.print(table)
@@ -143,7 +143,7 @@ def print_shifts(found: list[PrecisionShift]) -> None:
     """Quantiles of a tolerance study in both precisions."""
     table = Table(title="Quantiles of the tolerance study, the same gear sets; in arcmin")
     for column in ("measure", "quantile", "float64", "float32", "shift [%]"):
-        table.add_column(escape(column), justify="left" if column == "measure" else "right")
+        table.add_column(column, justify="left" if column == "measure" else "right")
     for shift in found:
         values = [f"{value / arcmin:.6f}" for value in (shift.double, shift.single)]
         table.add_row(shift.name, f"{100 * shift.level:g} %", *values, f"{100 * shift.relative:.5f}")

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 import tomli_w
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -153,7 +152,7 @@ def print_tolerance(found: ToleranceResults) -> None:
     table = Table(title=title)
     for column in ("measure", "mean", "std", *(f"{100 * level:g} %" for level in QUANTILES), "limit", "good [%]"):
         name = column == "measure"
-        table.add_column(escape(column), justify="left" if name else "right", no_wrap=name)
+        table.add_column(column, justify="left" if name else "right", no_wrap=name)
     for measure in study_.measures:
         cells = [f"{value / arcmin:.4f}" for value in (study_.mean(measure.name), study_.std(measure.name))]
         cells += [_interval(study_.quantile(measure.name, level), 1 / arcmin, 3) for level in QUANTILES]
@@ -192,7 +191,7 @@ def _print_sensitivity(console: Console, found: ToleranceResults) -> None:
         columns = ["number", "linear", "Sobol first", "Sobol total", "one at a time"]
         columns += ["halved: good [%]"] if narrowed else []
         for column in columns:
-            table.add_column(escape(column), justify="left" if column == "number" else "right")
+            table.add_column(column, justify="left" if column == "number" else "right")
         for i in np.argsort(-one.total):
             path = one.paths[i]
             cells = [f"{one.linear[i]:.3f}", f"{one.first[i]:.3f} ± {one.first_error[i]:.3f}"]
@@ -233,7 +232,7 @@ def _print_assembly(console: Console, found: ToleranceResults) -> None:
         return
     table = Table(title=f"{matched.measure.name} of {len(matched.random)} units, the same parts; in arcmin")
     for column in ("assembled", *(f"{100 * level:g} %" for level in QUANTILES), "good [%]"):
-        table.add_column(escape(column), justify="left" if column == "assembled" else "right")
+        table.add_column(column, justify="left" if column == "assembled" else "right")
     shares = matched.shares() if matched.measure.is_limited else (None, None)
     for place, (name, good) in enumerate(zip(("at random", "matched"), shares, strict=True)):
         cells = [_interval(matched.quantiles(level)[place], 1 / arcmin, 3) for level in QUANTILES]

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from gearjax.checks import GearjaxError
+from gearjax.checks import MissingExtraError
 
 AT_ONCE = 2048  # elements whose matrices are made together: few enough for the cache
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3)
@@ -14,12 +14,12 @@ def scikit_fem() -> Any:
     """The package scikit-fem.
 
     Raises:
-        GearjaxError: it is not installed.
+        MissingExtraError: it is not installed.
     """
     try:
         import skfem
     except ImportError as fault:
-        raise GearjaxError(
+        raise MissingExtraError(
             "influence of teeth by finite elements needs the extra fem: pip install 'gearjax[fem]'"
         ) from fault
     return skfem

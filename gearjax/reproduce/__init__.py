@@ -1,13 +1,33 @@
 """Published figures next to ours, one module per paper."""
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
 
-from gearjax.reproduce import rv_cycloidal, two_kv
+from gearjax.progress import Progress
+from gearjax.reproduce import involute_rv, rv_cycloidal, two_kv
+from gearjax.reproduce.figures import save_loads_figure
 from gearjax.reproduce.rows import Row
 
-PAPERS: dict[str, tuple[str, Callable[[], list[Row]]]] = {
-    "two_kv": (two_kv.PAPER, two_kv.rows),
-    "rv_cycloidal": (rv_cycloidal.PAPER, rv_cycloidal.rows),
+
+class Paper(NamedTuple):
+    """A paper that is reproduced.
+
+    Args:
+        title: its authors, year and title.
+        rows: works out its values next to ours, and tells what it is at.
+        save_figures: draws them into a folder and returns the files; ``None`` for no figure.
+    """
+
+    title: str
+    rows: Callable[[Progress], list[Row]]
+    save_figures: Callable[[list[Row], Path], list[Path]] | None = None
+
+
+PAPERS = {
+    "two_kv": Paper(two_kv.PAPER, two_kv.rows),
+    "rv_cycloidal": Paper(rv_cycloidal.PAPER, rv_cycloidal.rows),
+    "involute_rv": Paper(involute_rv.PAPER, involute_rv.rows, save_loads_figure),
 }
 
-__all__ = ["PAPERS", "Row"]
+__all__ = ["PAPERS", "Paper", "Row"]

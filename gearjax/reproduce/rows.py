@@ -10,7 +10,8 @@ class Row:
 
     Args:
         item: where the value stands in the paper.
-        published: the printed value, as text, so that its precision is kept.
+        published: the printed value, as text, so that its precision is kept; empty where the paper has none, and ours
+            tells something about the others.
         computed: ours; nan where the paper does not give what it rests on.
         unit: of both.
         tolerance: deviation up to which the value counts as reproduced.
@@ -28,12 +29,14 @@ class Row:
 
     @property
     def deviation(self) -> float:
-        """Computed minus published."""
-        return self.computed - float(self.published)
+        """Computed minus published; nan without a published value."""
+        return self.computed - float(self.published) if self.published else math.nan
 
     @property
     def status(self) -> str:
-        """``reproduced``, ``inferred`` or ``not reproduced``."""
+        """``reproduced``, ``inferred``, ``not reproduced``, or ``not published``."""
+        if not self.published:
+            return "not published"
         if not math.isfinite(self.computed):
             return "not reproduced"
         if self.inferred:
@@ -41,16 +44,17 @@ class Row:
         return "reproduced" if abs(self.deviation) <= self.tolerance else "not reproduced"
 
     def as_json(self) -> dict:
-        """The row as ``gearjax reproduce --json`` prints it; without a value of ours ``computed`` is ``None``."""
+        """The row as ``gearjax reproduce --json`` prints it; a value that is missing is ``None``."""
         why = self.why or f"within {self.tolerance:.2g} {self.unit}"
         known = math.isfinite(self.computed)
+        compared = known and bool(self.published)
         return {
             "item": self.item,
-            "published": float(self.published),
+            "published": float(self.published) if self.published else None,
             "computed": self.computed if known else None,
             "unit": self.unit,
             "status": self.status,
-            "why": f"deviation {self.deviation:+.4f} {self.unit}; {why}" if known else why,
+            "why": f"deviation {self.deviation:+.4f} {self.unit}; {why}" if compared else why,
         }
 
 

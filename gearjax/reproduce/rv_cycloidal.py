@@ -10,6 +10,7 @@ from gearjax.compliance import HuLineContact
 from gearjax.geometry.cycloid import Cycloid, clearance, curvature, touch
 from gearjax.geometry.cycloid_errors import coefficients, printed_throw_coefficient, sensitivity_indices
 from gearjax.geometry.line_contact import Radii
+from gearjax.progress import Progress, silent
 from gearjax.reproduce.rows import Row, printed_precision
 from gearjax.scene import Scene
 from gearjax.systems import RVCycloidal
@@ -142,8 +143,9 @@ _INDICES = {
 }
 
 
-def rows() -> list[Row]:
+def rows(say: Progress = silent) -> list[Row]:
     """Every published value of Tables 2 to 8 and of the text next to ours."""
+    del say  # it takes seconds
     return [*_table_2(), *_short_width(), *_forces(), *_deformations(), *_loaded(), *_percentages(), *_adams()]
 
 

@@ -10,6 +10,7 @@ from gearjax.compliance import HarmonicStiffness
 from gearjax.errors import Eccentricity
 from gearjax.inertia import DampingRatio, EquivalentMass
 from gearjax.load import ConstantLoad
+from gearjax.progress import Progress, silent
 from gearjax.reproduce.rows import Row, printed_precision
 from gearjax.run import METRICS
 from gearjax.scene import Scene
@@ -196,8 +197,9 @@ _DYNAMIC = (
 )
 
 
-def rows() -> list[Row]:
+def rows(say: Progress = silent) -> list[Row]:
     """Every published value of Figs. 4, 5, 13, 15 and Table 4 next to ours."""
+    del say  # it takes seconds
     found = []
     for pair, values, reached in _SINGLE_PAIRS:
         found += _compare(_item(f"Fig. 4, NLTE of pair {pair}", 15.8, values, reached), scene(pair=pair))

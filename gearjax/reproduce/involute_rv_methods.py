@@ -1,0 +1,178 @@
+"""Both methods of Yang, Tang and Liang (2019): two-dimensional, (9) and (10), and the linear programme (3), (4)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.compliance import ElasticTeeth
+from gearjax.contact import Places
+from gearjax.contact.coupled import coupled_balance
+from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
+from gearjax.reproduce import involute_rv_pair as own
+from gearjax.typing import Array
+from gearjax.units import um
+
+LENGTH = 1e-8  # m, unit of the programme: far above the tolerances of its solver
+EARLY = 3 * um  # gaps of the points that may carry in the first programme: all take longer, too few do not settle
+EXACT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+MOST_PROGRAMMES = 20
+SETTLED = 1e-9  # of a programme's own numbers
+
+
+class Pressed(NamedTuple):
+    """How points carry a load together.
+
+    Args:
+        forces: of the points, shape (point,) [N].
+        approach: of the gears along the line of action, ``r_b1 theta`` [m].
+    """
+
+    forces: np.ndarray
+    approach: float
+
+
+_balance = jax.jit(coupled_balance)
+
+
+def pressed(influence: np.ndarray, gap: np.ndarray) -> Pressed:
+    """Contact of the points under the torque by the package's solver: eqs. (5) and (8), forces and openings positive.
+
+    Args:
+        influence: shape (point, point) [m/N].
+        gap: initial clearance, shape (point,) [m].
+    """
+    radius = own.pair().base_radii[0]
+    position, forces, result = _balance(influence, jnp.full(len(gap), radius), jnp.asarray(gap), own.TORQUE)
+    assert int(result) == 0
+    return Pressed(np.asarray(forces), float(position * radius))
+
+
+class _Programme(NamedTuple):
+    """A solved linear programme (4).
+
+    Args:
+        values: force of each point that may carry [N], slack of the others [0.01 um], shape (point,).
+        approach: delta [0.01 um].
+        objective: sum of the artificial variables, eq. (3) [0.01 um] and [N].
+        entering: change of it per unit of what each point does not have, shape (point,).
+    """
+
+    values: np.ndarray
+    approach: float
+    objective: float
+    entering: np.ndarray
+
+
+def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Pressed:
+    """The same by the paper's linear programme, with another solver, HiGHS.
+
+    That of each point either the force or the slack is zero is no linear condition. Conry and Seireg (1971) let enter
+    the basis only what keeps it; here a programme has one of both for each point, and points where the one is zero and
+    the other would lessen the objective change over until the objective is zero.
+
+    Args:
+        influence: shape (point, point) [m/N].
+        gap: shape (point,) [m].
+        force: that all carry together [N].
+    """
+    scaled, clearance = influence / LENGTH, gap / LENGTH
+    carry = gap <= max(EARLY, float(gap.min()))
+    found = _programme(scaled, clearance, force, carry)
+    for _ in range(MOST_PROGRAMMES):
+        change = (found.values <= SETTLED) & (found.entering < -SETTLED)
+        if not change.any():
+            break
+        carry = carry ^ change
+        found = _programme(scaled, clearance, force, carry)
+    assert found.objective < 1e-6, "the artificial variables of eq. (4) have not left the basis"
+    return Pressed(np.where(carry, found.values, 0.0), found.approach * LENGTH)
+
+
+def _programme(influence: np.ndarray, gap: np.ndarray, force: float, carry: np.ndarray) -> _Programme:
+    """Eqs. (3) and (4) with a force where ``carry``, else a slack.
+
+    Artificial variables are what is left of each equation, ``gap + S F - delta - Y >= 0`` and ``P - sum F >= 0``: the
+    programme has inequalities in their place, and its objective is their sum.
+    """
+    from scipy.optimize import linprog  # takes a tenth of a second, which only this needs
+
+    number = len(gap)
+    forces = np.vstack([-influence, np.ones(number)])
+    slacks = np.vstack([np.eye(number), np.zeros(number)])
+    columns, others = np.where(carry, forces, slacks), np.where(carry, slacks, forces)
+    matrix = np.hstack([columns, np.append(np.ones(number), 0.0)[:, None]])
+    right = np.append(gap, force)
+    found = linprog(-matrix.sum(axis=0), A_ub=matrix, b_ub=right, method="highs-ds", options=EXACT)
+    assert found.success, found.message
+    entering = -others.sum(axis=0) - found.ineqlin.marginals @ others
+    return _Programme(found.x[:-1], float(found.x[-1]), float(found.fun + right.sum()), entering)
+
+
+class PairStiffness(NamedTuple):
+    """What eqs. (9) and (10) need of each pair of teeth, shape (pair,) each.
+
+    Args:
+        tooth: number of the pair in the paper.
+        clearance: the least over its flanks, ``r_b1 phi`` [m].
+        stiffness: ``B k`` [N/m].
+    """
+
+    tooth: np.ndarray
+    clearance: np.ndarray
+    stiffness: np.ndarray
+
+
+def pair_stiffness(depth: float | None) -> PairStiffness:
+    """Stiffness of the pairs by beams, foundation and contact, for the paper's "material mechanics method".
+
+    Each pair touches where its gap is least (`ElasticTeeth` with one candidate, after Weber and Banaschek 1953).
+
+    Args:
+        depth: of the foundation under the root circle [m]; ``None`` for a half-plane.
+    """
+    tooth, roll = own.rolls()
+    clearance, yielding = _pairs(own.pair(), jnp.asarray(roll), None if depth is None else jnp.asarray(depth))
+    return PairStiffness(tooth, np.asarray(clearance), 1 / np.asarray(yielding))
+
+
+@eqx.filter_jit
+def _pairs(both: InternalPair, roll: Array, depth: Array | None) -> tuple[Array, Array]:
+    """Clearance [m] and approach per force [m/N] of each pair."""
+    begin, end = both.ends(roll)
+    points = both.points(roll[:, None], candidate_rolls(begin, end, 1))
+    radii = both.external.radius_at(points.roll[0])[None], both.internal.radius_at(points.roll[1])[None]
+    shared = 0.5 * both.base_radii[0] * ((roll + end) ** 2 - (roll + begin) ** 2)
+    none = jnp.zeros_like(shared)  # no pair moves another one, whichever teeth they are
+    places = Places((both.external, both.internal), radii, none[None], shared[None], jnp.zeros(1))
+    steel = own.YOUNGS_MODULUS, own.POISSONS_RATIO
+    teeth = ElasticTeeth(*steel, own.EXTERNAL_WIDTH, own.INTERNAL_WIDTH, rim=depth)
+    return points.gap[:, 0], jnp.diagonal(teeth.influence(places))
+
+
+def two_dimensional(pairs: PairStiffness, force: float) -> np.ndarray:
+    """Loads of the pairs by eq. (9), shape (pair,) [N].
+
+    Pairs are taken in the order of their clearances, as many as keep all loads positive. The last row of the printed
+    matrix lacks a minus sign.
+
+    Args:
+        pairs: clearances and stiffness.
+        force: that all carry together, ``T / r_b`` [N].
+    """
+    order = np.argsort(pairs.clearance)
+    loads = np.zeros(len(order))
+    for number in range(1, len(order) + 1):
+        chosen = order[:number]
+        yielding, steps = 1 / pairs.stiffness[chosen], np.arange(number - 1)
+        matrix = np.zeros((number, number))
+        matrix[0] = 1.0
+        matrix[steps + 1, steps], matrix[steps + 1, steps + 1] = yielding[:-1], -yielding[1:]
+        found = np.linalg.solve(matrix, np.append(force, np.diff(pairs.clearance[chosen])))
+        if (found < 0).any():
+            break
+        loads[:] = 0.0
+        loads[chosen] = found
+    return loads
