@@ -2,23 +2,39 @@
 
 import json
 import sys
+import time
 
+import jax
 import numpy as np
 import pytest
 
+import gearjax as gj
 from gearjax.cli import main
 from gearjax.cli.commands import _papers
 from gearjax.reproduce import PAPERS, involute_rv
 from gearjax.reproduce import involute_rv_methods as methods
 from gearjax.reproduce import involute_rv_pair as own
 from gearjax.reproduce.rows import Row
-from gearjax.units import mm
+from gearjax.units import mm, um
 from tests import involute_pair
 
 
 @pytest.fixture(scope="module")
-def rows():
-    return involute_rv.rows()
+def elements():
+    """Tables of both gears by depth of the rim, worked out once, and the processor time that the first took [s]."""
+    start = time.process_time()
+    found = {own.RIM: involute_pair.tables(own.RIM)}
+    spent = time.process_time() - start
+    found[involute_rv.OTHER_RIM] = involute_pair.tables(involute_rv.OTHER_RIM)
+    return found, spent
+
+
+@pytest.fixture(scope="module")
+def rows(elements):
+    """Those of the command, with tables that `test_tables_are_those_written_out_apart` holds to be its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(involute_rv, "tables", lambda rim=own.RIM: elements[0][rim])
+        return involute_rv.rows()
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +75,37 @@ def test_points_of_tables_7_and_8_are_ours():
         assert points.radius[at[0]] / mm == pytest.approx(float(point.radius[0]), abs=0.0065)
         assert points.mate[at[0]] / mm == pytest.approx(float(point.radius[1]), abs=0.0065)
         assert points.face[at[0]] / mm == pytest.approx(point.face[0], abs=1e-9)
+
+
+def test_tables_are_those_written_out_apart(monkeypatch):
+    """The same elements are asked for."""
+    asked: list[dict] = []
+
+    def asking(gear, **chosen):
+        asked.append({"gear": gear} | chosen)
+        return object.__new__(gj.InfluenceTable)
+
+    for module in (gj, own):
+        monkeypatch.setattr(module, "tooth_influence", asking)
+    for make in (own.tables, involute_pair.tables):
+        make(0.8 * mm)
+    meeting = {"meeting": (0.0, 6.5 * mm)}  # of the external gear its whole face, which is what is meant without
+    for one, other in zip(asked[:2], asked[2:], strict=True):
+        other = meeting | other
+        assert one.keys() == other.keys()
+        numbers = [np.hstack([np.ravel(leaf) for leaf in jax.tree.leaves(each)]) for each in (one, other)]
+        np.testing.assert_allclose(*numbers, rtol=1e-12)
+        assert one["gear"].teeth == other["gear"].teeth
+
+
+def test_gaps_are_those_of_the_phase():
+    """What the initial clearances of teeth 13 to 21 are, the least over each flank."""
+    teeth = involute_pair.POINTS
+    gaps = [
+        involute_pair.opposite(tooth, involute_pair.own_points(tooth, own.PHASE), own.PHASE)[0].min() / um
+        for tooth in teeth
+    ]
+    assert gaps == pytest.approx([3.724, 1.829, 0.593, 0.033, 0, 0.153, 1.012, 2.646, 5.077], abs=3e-3)
 
 
 def test_two_dimensional_loads_are_those_of_springs_side_by_side():
@@ -137,6 +184,21 @@ def test_square_brackets_are_printed_as_they_are(monkeypatch, capsys, tmp_path):
 
 
 # slow: finite elements
+
+
+@pytest.mark.slow
+@pytest.mark.runs_long
+def test_loads_written_out_apart_are_those_of_table_5(elements):
+    """Gaps and loads of `tests.involute_pair`."""
+    both, spent = elements[0][own.RIM], elements[1]
+    found, approach = involute_pair.loads(both)
+    assert involute_pair.deviation(found) < 1.0
+    assert found.sum() == pytest.approx(1554.9, abs=0.05)
+    assert found[[0, 7, 8]] == pytest.approx(0, abs=1e-9)  # teeth 13, 20 and 21 carry nothing
+    assert approach == pytest.approx(2.43 * um, abs=0.03 * um)
+    assert involute_pair.deviation(involute_pair.loads(both, 0.38)[0]) > 2.0  # the phase counts
+    assert involute_pair.deviation(involute_pair.loads(elements[0][0.8 * mm])[0]) > 2.0  # the depth of the rim counts
+    assert spent < 60  # CPU seconds: 16 on an idle machine
 
 
 @pytest.mark.slow
