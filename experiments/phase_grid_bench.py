@@ -164,12 +164,12 @@ def main() -> None:
     free = pick(scene, PATHS)
     theta = jnp.linspace(0.0, scene.system.cycle, TIMES)
     levels = tuple(jnp.linspace(-jnp.pi, jnp.pi, LEVELS) for _ in PATHS)
-    wide = jax.block_until_ready(separable.tables(scene, free, levels, theta))
+    wide = jax.block_until_ready(separable.contributions(scene, free, levels, theta))
     plan = separable.plan(wide)
     tasks = {}
     for real, dtype in (("double", np.float64), ("float", np.float32)):
-        tables = jax.tree.map(lambda leaf, dtype=dtype: leaf.astype(dtype), wide)
-        grid = jax.block_until_ready(separable.lay_out(tables, plan, TIMES))
+        contributions = jax.tree.map(lambda leaf, dtype=dtype: leaf.astype(dtype), wide)
+        grid = jax.block_until_ready(separable.lay_out(contributions, plan, TIMES))
         own = [np.asarray(curve) for curve in grid.own]
         curves = [np.zeros((TIMES, PADDED), dtype) for _ in own]
         for padded, curve in zip(curves, own, strict=True):
@@ -183,10 +183,10 @@ def main() -> None:
             f"C by the same algorithm, {name}": lambda s=same, c=curves, q=outer, o=out: by_c(s, c, q, o[1]),
             f"numba, {name}": lambda c=own, q=outer, o=out: by_numba(*c, *q, o[2]),
             f"numba by the same algorithm, {name}": lambda c=own, q=outer, o=out: by_numba_separable(*c, *q, o[3]),
-            f"gearjax full map, {name}": lambda t=tables: separable.sweep(
+            f"gearjax full map, {name}": lambda t=contributions: separable.sweep(
                 separable.lay_out(t, plan, TIMES), None, False
             ),
-            f"gearjax certified minimum, {name}": lambda t=tables: separable.certified(
+            f"gearjax certified minimum, {name}": lambda t=contributions: separable.certified(
                 t, plan, spread=False, keep=1
             ).scores[:1],
         }

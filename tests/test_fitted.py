@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis import tables
+from gearjax.analysis import chebyshev
 from gearjax.analysis.equation import Equation, turning_rate
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.fitted import ExponentialFit, OscillatorTerm, State
 from gearjax.analysis.fast.oscillator import Oscillator
-from gearjax.analysis.fast.signals import Drive, at_nodes
+from gearjax.analysis.fast.signals import Forcing, at_nodes
 from gearjax.units import arcmin
 from tests.test_dynamics import ALPHA, MASS, PHASE, RADIUS, SIZE, STIFFNESS, TORQUE, exact, oscillator, still
 
@@ -241,8 +241,8 @@ def test_windows_warm_up_from_the_quasi_static_solution(scene):
     @jax.jit
     def both(scene):
         equation = Equation.of(scene, jnp.asarray(30.0))
-        drive = Drive.of(Oscillator(equation, step), time)
-        warm = march.warm_start(drive, time, spacing, march.nodes_of(drive, time, spacing)[0])
+        forcing = Forcing.of(Oscillator(equation, step), time)
+        warm = march.warm_start(forcing, time, spacing, march.nodes_of(forcing, time, spacing)[0])
 
         def resting(time):
             return equation.resting(time, equation.springs(time)[1], equation.load(time)) / equation.scale
@@ -258,16 +258,16 @@ def test_nodes_of_blocks_from_fewer_nodes(scene, blocks):
     """Slow signals at the nodes of blocks, as they are, to rounding."""
     with_all = dataclasses.replace(scene, inertia=gj.EquivalentMass(MASS), damping=gj.DampingRatio(0.1))
     step, steps, number = jnp.asarray(5e-5), 192, 6
-    assert float(turning_rate(scene)) * float(step) * steps <= tables.reach(number, tables.accuracy(step.dtype))
+    assert float(turning_rate(scene)) * float(step) * steps <= chebyshev.reach(number, chebyshev.accuracy(step.dtype))
 
     @jax.jit
     def both(scene):
         equation = Equation.of(scene, jnp.asarray(30.0))
-        drive = Drive.of(Oscillator(equation, step), jnp.zeros(()))
-        places = steps * np.arange(blocks)[:, None] + tables.nodes(steps, number)[None, :]
+        forcing = Forcing.of(Oscillator(equation, step), jnp.zeros(()))
+        places = steps * np.arange(blocks)[:, None] + chebyshev.nodes(steps, number)[None, :]
         times = 0.3 + jnp.asarray(places) * step
-        direct = jax.vmap(jax.vmap(lambda time: drive.columns(equation.moment(time))))(times)
-        return at_nodes(drive, jnp.asarray(0.3), steps, number, blocks), jnp.stack(direct, axis=1)
+        direct = jax.vmap(jax.vmap(lambda time: forcing.columns(equation.instant(time))))(times)
+        return at_nodes(forcing, jnp.asarray(0.3), steps, number, blocks), jnp.stack(direct, axis=1)
 
     found, direct = (np.asarray(part) for part in both(with_all))
     assert found.shape == direct.shape == (blocks, 6, number)

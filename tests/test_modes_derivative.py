@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis import tables
+from gearjax.analysis import chebyshev
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.modes import Steps, StructureEquation, recurrence
 
@@ -35,8 +35,8 @@ def recorded(changes: dict, nodes: int | None):
     ends = np.arange(1, SPAN + 1, dtype=float)
     places, shares = ends, None
     if nodes is not None:
-        places = tables.nodes(SPAN, nodes)
-        shares = tables.weights(SPAN, nodes, ends).reshape(2, SPAN // 2, nodes)
+        places = chebyshev.nodes(SPAN, nodes)
+        shares = chebyshev.weights(SPAN, nodes, ends).reshape(2, SPAN // 2, nodes)
     table = jax.vmap(steps.lines.driving)(jnp.asarray(places) * STEP)
     given = steps.lines, steps.products, begun, table
     moving, still = eqx.partition(given, eqx.is_inexact_array)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis import modes, tables
+from gearjax.analysis import chebyshev, modes
 from gearjax.analysis.choice import (
     MODELLED,
     ChosenSteps,
@@ -28,7 +28,7 @@ from gearjax.analysis.choice import (
 from gearjax.analysis.equation import Equation, turning_rate
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
-from gearjax.analysis.fast.signals import Drive
+from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.follow import QuasiStatic, follow
 from gearjax.analysis.growth import growth, growth_in_modes, watch
 from gearjax.analysis.integrate import Even, integrated, recorded
@@ -187,8 +187,8 @@ def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: ma
         place, speed = equation.initial(ts[0], start)
         rate = equation.scale * equation.frequency
         return growth_in_modes(_steps(equation, ts, spacing), place * equation.scale, speed * rate, spacing)
-    drive, carry, _ = _begin(Equation.of(scene, torque), ts, start, spacing)
-    return growth(drive, ts[0], carry, spacing)
+    forcing, carry, _ = _begin(Equation.of(scene, torque), ts, start, spacing)
+    return growth(forcing, ts[0], carry, spacing)
 
 
 def _steps(equation: StructureEquation, ts: Array, spacing: modes.Spacing) -> Steps:
@@ -196,12 +196,12 @@ def _steps(equation: StructureEquation, ts: Array, spacing: modes.Spacing) -> St
     return Steps.of(equation, ts[0], (ts[-1] - ts[0]) / ((ts.shape[0] - 1) * spacing.each))
 
 
-def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) -> tuple[Drive, tuple, Array]:
+def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) -> tuple[Forcing, tuple, Array]:
     """What drives the even steps of a record, where they begin, and whether there is an equilibrium to begin from."""
     step = (ts[-1] - ts[0]) / ((spacing.samples - 1) * spacing.each)
-    drive = Drive.of(Oscillator(equation, step), ts[0])
+    forcing = Forcing.of(Oscillator(equation, step), ts[0])
     state = None if start == "equilibrium" else equation.initial(ts[0], start)
-    return drive, *march.begin(drive, ts[0], spacing.signals, state)
+    return forcing, *march.begin(forcing, ts[0], spacing.signals, state)
 
 
 @eqx.filter_jit
@@ -251,18 +251,18 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
 
 def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
     """By the exponentially fitted scheme."""
-    drive, carry, there = _begin(equation, ts, start, method.spacing)
-    begun, step = ts[0], drive.oscillator.step
+    forcing, carry, there = _begin(equation, ts, start, method.spacing)
+    begun, step = ts[0], forcing.oscillator.step
     spacing = step * method.spacing.each
 
     def resolves(block: march.Block, accuracy: float) -> Array:
-        return step * turning_rate(equation.scene) * block.steps <= 1.01 * tables.reach(block.nodes, accuracy)
+        return step * turning_rate(equation.scene) * block.steps <= 1.01 * chebyshev.reach(block.nodes, accuracy)
 
     def by(spacing: march.Spacing) -> march.March:
-        found = march.march(drive, begun, carry, spacing)
+        found = march.march(forcing, begun, carry, spacing)
         load = equation.scene.load
         growing = load is not None and load.alternates  # what else makes disturbances grow is not known
-        return watch(found, drive, begun, carry, spacing) if growing else found
+        return watch(found, forcing, begun, carry, spacing) if growing else found
 
     def in_one_go() -> march.March:
         quick = method.quick
@@ -273,14 +273,14 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
     if method.windows is None:
         found = in_one_go()
     else:
-        found = march.march_windows(drive, begun, carry, method.spacing, method.windows)
+        found = march.march_windows(forcing, begun, carry, method.spacing, method.windows)
         if method.fall_back:
             whole = found.defect <= allowed(ts.dtype)
             found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
     block = method.spacing.block if method.windows is None else method.windows.block
-    resolved = resolves(block, tables.accuracy(ts.dtype))
+    resolved = resolves(block, chebyshev.accuracy(ts.dtype))
     fast = ~resolved | (step * equation.fastest_rate() > LONGEST_STEP)
     failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
     return Motion(

@@ -21,7 +21,7 @@ from gearjax.typing import Array, Float, Int, Scalar
 LENGTH_SCALE = 1e-5  # m on the line of action
 
 
-class Moment(NamedTuple):
+class Instant(NamedTuple):
     """What the system shows at one time, and its rate where it counts; errors change neither."""
 
     pose: Pose
@@ -106,32 +106,32 @@ class Equation(eqx.Module):
         assert contacts.linear is not None
         return contacts.lever, contacts.linear
 
-    def moment(self, time: Scalar, moving: bool = False) -> Moment:
+    def instant(self, time: Scalar, moving: bool = False) -> Instant:
         """What the system shows at a time [s], and its rate where dampers count it or ``moving`` asks for it."""
 
         def pose(time: Scalar) -> Pose:
             return self.scene.pose(self.scene.system.input_speed * time)
 
         if self.scene.damping is None and not moving:
-            return Moment(pose(time), None)
-        return Moment(*jax.jvp(pose, (time,), (jnp.ones_like(time),)))
+            return Instant(pose(time), None)
+        return Instant(*jax.jvp(pose, (time,), (jnp.ones_like(time),)))
 
-    def gaps(self, moment: Moment) -> Gaps:
-        """Levers and gaps at a moment."""
+    def gaps(self, instant: Instant) -> Gaps:
+        """Levers and gaps at an instant."""
 
         def both(pose: Pose) -> tuple[Array, Array]:
             contacts = self.scene.contacts(pose)
             return contacts.lever, contacts.gap
 
-        if moment.rate is None:
-            lever, gap = both(moment.pose)
+        if instant.rate is None:
+            lever, gap = both(instant.pose)
             return Gaps(lever, gap, None, None)
-        (lever, gap), (lever_rate, gap_rate) = jax.jvp(both, (moment.pose,), (moment.rate,))
+        (lever, gap), (lever_rate, gap_rate) = jax.jvp(both, (instant.pose,), (instant.rate,))
         return Gaps(lever, gap, lever_rate if self.levers_turn else None, gap_rate)
 
     def excitation(self, time: Scalar) -> Excitation:
         """Contacts and load at a time [s]."""
-        return Excitation(self.gaps(self.moment(time)), self.springs(time)[1], self.load(time))
+        return Excitation(self.gaps(self.instant(time)), self.springs(time)[1], self.load(time))
 
     def _contacts(self, time: Scalar) -> ContactSet:
         return self.scene.contacts(self.scene.system.input_speed * time, "varying")
@@ -145,7 +145,7 @@ class Equation(eqx.Module):
         """Acceleration of the output's deviation [rad/s2]."""
         scene, gaps = self.scene, now.gaps
         overlap = gaps.lever * position - gaps.gap
-        moment = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
+        net = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
         if scene.damping is not None and gaps.gap_rate is not None:
             stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
             coefficient = scene.damping.coefficient(stiffness, self.mass)
@@ -158,8 +158,8 @@ class Equation(eqx.Module):
             for flank in others:  # one damper per pair, while any of its flanks is in contact
                 engaged = 1.0 - (1.0 - engaged) * (1.0 - closed[flank])
             engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged
-            moment = moment - (gaps.lever[first] * coefficient * engaged * speed[first]).sum()
-        return moment / self.inertia
+            net = net - (gaps.lever[first] * coefficient * engaged * speed[first]).sum()
+        return net / self.inertia
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry the torque at a time [s]."""
@@ -201,7 +201,7 @@ class Equation(eqx.Module):
         """Scaled position and velocity to start from."""
         if start == "zero":
             return jnp.zeros((2,), time.dtype)
-        now = self.gaps(self.moment(time, moving=True))
+        now = self.gaps(self.instant(time, moving=True))
         return self.following(now, self.springs(time)[1], self.load(time))
 
     def per_step(self, step: Scalar) -> Float[Array, "2"]:

@@ -10,32 +10,32 @@ import jax.numpy as jnp
 
 from gearjax.analysis import modes
 from gearjax.analysis.fast import march
-from gearjax.analysis.fast.signals import Drive
+from gearjax.analysis.fast.signals import Forcing
 from gearjax.typing import Array, Scalar
 
 MOST_STEPS = 2048  # that a disturbance is followed before it is made small again
 LOST = math.log(1e6)  # growth over a record after which gradients of its samples mean nothing
 
 
-def growth(drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing) -> Scalar:
+def growth(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing) -> Scalar:
     """Mean rate at which a small disturbance grows after the first part of a record [1/s]; negative where it dies out.
 
     The largest Lyapunov exponent, from the linearised steps of the motion (Benettin et al. 1980), its sizes measured
     as position and velocity over the natural frequency.
 
     Args:
-        drive, start, carry, spacing: as for `gearjax.analysis.fast.march.march`.
+        forcing, start, carry, spacing: as for `gearjax.analysis.fast.march.march`.
     """
     parts = max(1, spacing.samples * spacing.each // MOST_STEPS)
     part = spacing._replace(samples=max(1, spacing.samples // parts)).of_whole_blocks()
-    length = part.samples * spacing.each * drive.oscillator.step
-    velocity = 1 / (drive.oscillator.step * drive.oscillator.equation.frequency)
+    length = part.samples * spacing.each * forcing.oscillator.step
+    velocity = 1 / (forcing.oscillator.step * forcing.oscillator.equation.frequency)
 
     def follow(state: tuple, number: Array) -> tuple[tuple, Array]:
         state, way = state
         begun = start + number.astype(start.dtype) * length
-        nodes = march.nodes_of(drive, begun, part)
-        state, way = jax.jvp(lambda *state: march.run_blocks(drive, begun, state, part, nodes)[0], state, way)
+        nodes = march.nodes_of(forcing, begun, part)
+        state, way = jax.jvp(lambda *state: march.run_blocks(forcing, begun, state, part, nodes)[0], state, way)
         size = jnp.sqrt(way[0] ** 2 + (way[1] * velocity) ** 2)
         nothing = size == 0  # it died out within one part
         safe = jnp.where(nothing, 1.0, size)
@@ -73,7 +73,7 @@ def growth_in_modes(steps: modes.Steps, place: Array, speed: Array, spacing: mod
 
 
 def watch(
-    found: march.March, drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing
+    found: march.March, forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing
 ) -> march.March:
     """The same march, which warns when it is differentiated although disturbances of it grow; arguments as for
     `growth`."""
@@ -90,7 +90,7 @@ def watch(
         jax.debug.callback(_warn, growth(given[0], given[1], given[2], spacing), length)
         return found, tangents[0]
 
-    return same(found, (drive, start, carry))
+    return same(found, (forcing, start, carry))
 
 
 def _warn(rate: Any, length: Any) -> None:

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import modes
+from gearjax.analysis.chebyshev import MOST_NODES
 from gearjax.analysis.choice import MODELLED, phase_of
 from gearjax.analysis.equation import Equation
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
 from gearjax.analysis.modes import Steps, StructureEquation
-from gearjax.analysis.tables import MOST_NODES
 from gearjax.checks import is_concrete
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
@@ -99,11 +99,11 @@ class OfOutput(NamedTuple):
 
     def _march(self, state: Array) -> march.March:
         start = jnp.zeros_like(self.period)
-        drive = march.Drive.of(Oscillator(self.equation, self.period / self.steps), start)
+        forcing = march.Forcing.of(Oscillator(self.equation, self.period / self.steps), start)
         block = march.Block(max(self.steps // 8, 8), MOST_NODES)
         spacing = march.Spacing(self.steps + 1, 1, block, march.Signals.TABLE)
-        carry, _ = march.begin(drive, start, spacing.signals, state[:, 0])
-        return march.march(drive, start, carry, spacing)
+        carry, _ = march.begin(forcing, start, spacing.signals, state[:, 0])
+        return march.march(forcing, start, carry, spacing)
 
 
 class OfStructure(NamedTuple):

@@ -162,19 +162,21 @@ def _structured(
     """Bound, prune, evaluate the survivors exactly; the best of them by the objective itself."""
     dtype = objective.theta.dtype
     axes = tuple(jnp.asarray(axis, dtype) for axis in levels)
-    tables = separable.tables(scene, free, axes, objective.theta)
-    _require_tables(tables, scene, free, axes, objective)
-    plan = separable.plan(tables)
+    contributions = separable.contributions(scene, free, axes, objective.theta)
+    _require_contributions(contributions, scene, free, axes, objective)
+    plan = separable.plan(contributions)
     weight = float(objective.terms[0].weight)
     judge = values(objective, scene, free)
 
     def numbers(flat: np.ndarray) -> np.ndarray:
-        chosen = separable.levels_of(flat, plan, tables.shape)
+        chosen = separable.levels_of(flat, plan, contributions.shape)
         return np.stack([axis[level] for axis, level in zip(levels, chosen, strict=True)], axis=1)
 
     # the objective counts extremes between samples too: no combination whose bound is above it can be kept
     spread = objective.terms[0].metric == "peak_to_peak"
-    best = separable.certified(tables, plan, spread=spread, keep=keep, reach=lambda flat: judge(numbers(flat)) / weight)
+    best = separable.certified(
+        contributions, plan, spread=spread, keep=keep, reach=lambda flat: judge(numbers(flat)) / weight
+    )
     progress(f"{best.evaluated} combinations may be among the {keep} best: evaluated on all times")
     found: list[tuple[float, np.ndarray]] = []
     for begin in range(0, len(best.flat), JUDGED):
@@ -185,11 +187,13 @@ def _structured(
     return found, best.evaluated
 
 
-def _require_tables(tables: separable.Tables, scene: Scene, free: Free, axes: tuple, objective: Objective) -> None:
+def _require_contributions(
+    contributions: separable.Contributions, scene: Scene, free: Free, axes: tuple, objective: Objective
+) -> None:
     """Refuse a number whose table is empty, though its neighbours are not zero."""
     for index, path in enumerate(free.paths):
-        if len(axes[index]) > 1 and not np.ptp(np.asarray(tables.axes[index]), axis=0).any():
-            again = separable.tables(probed(scene, free), free, axes, objective.theta)
+        if len(axes[index]) > 1 and not np.ptp(np.asarray(contributions.axes[index]), axis=0).any():
+            again = separable.contributions(probed(scene, free), free, axes, objective.theta)
             if not np.ptp(np.asarray(again.axes[index]), axis=0).any():
                 raise ParameterError("where", path, f"the objective {objective.name} does not depend on it")
 

@@ -30,7 +30,7 @@ COARSE, MEDIUM = 16, 96  # times of the bound of the lowest and of the highest v
 SURVIVORS = 512  # combinations evaluated at once
 
 
-class Tables(NamedTuple):
+class Contributions(NamedTuple):
     """Contributions to the transmission error of each pair [rad].
 
     Args:
@@ -56,8 +56,8 @@ def is_separable(scene: Scene, free: Free) -> bool:
 
 
 @eqx.filter_jit
-def tables(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Array, " time"]) -> Tables:
-    """The tables of a scene over the levels of its free numbers; only its hard no-load TE is separable."""
+def contributions(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Array, " time"]) -> Contributions:
+    """The contributions of a scene over the levels of its free numbers; only its hard no-load TE is separable."""
 
     def each(scene: Scene) -> Float[Array, "time pair"]:
         def at(angle):
@@ -82,11 +82,11 @@ def tables(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Arr
 
         return jax.vmap(one)(levels)
 
-    return Tables(base, tuple(alone(*item) for item in zip(free.paths, owners, levels, strict=True)))
+    return Contributions(base, tuple(alone(*item) for item in zip(free.paths, owners, levels, strict=True)))
 
 
 class Plan(NamedTuple):
-    """Which axes are walked outside and which inside, from where the tables are zero."""
+    """Which axes are walked outside and which inside, from where the contributions are zero."""
 
     outer: tuple[int, ...]
     inner: tuple[tuple[int, ...], ...]  # per pair
@@ -97,18 +97,19 @@ class Plan(NamedTuple):
         return (*self.outer, *(axis for inner in self.inner for axis in inner))
 
 
-def plan(tables: Tables) -> Plan:
+def plan(contributions: Contributions) -> Plan:
     """Axes that one pair feels are inner, axes that several feel are outer."""
-    felt = [np.any(np.asarray(axis), axis=(0, 1)) for axis in tables.axes]
+    felt = [np.any(np.asarray(axis), axis=(0, 1)) for axis in contributions.axes]
     inner = tuple(
-        tuple(a for a, pairs in enumerate(felt) if pairs.sum() == 1 and pairs[i]) for i in range(tables.base.shape[1])
+        tuple(a for a, pairs in enumerate(felt) if pairs.sum() == 1 and pairs[i])
+        for i in range(contributions.base.shape[1])
     )
     outer = tuple(a for a, pairs in enumerate(felt) if pairs.sum() != 1)
     return Plan(outer, inner)
 
 
 class Grid(NamedTuple):
-    """The tables laid out for the walk: own curves of each pair, and what every outer combination adds.
+    """The contributions laid out for the walk: own curves of each pair, and what every outer combination adds.
 
     Args:
         own: curves over the inner axes of each pair, shape (time, inner) each, in the order of `itertools.product`.
@@ -120,14 +121,14 @@ class Grid(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames=("plan", "number"))
-def lay_out(tables: Tables, plan: Plan, number: int) -> Grid:
+def lay_out(contributions: Contributions, plan: Plan, number: int) -> Grid:
     """The grid at some of the times, evenly spread; the last one is repeated to fill up blocks."""
-    size = tables.base.shape[0]
+    size = contributions.base.shape[0]
     times = np.linspace(0, size - 1, min(number, size)).round().astype(int)
     block = min(BLOCK, len(times))
     times = np.concatenate([times, np.repeat(times[-1:], -len(times) % block)])
-    base = tables.base[times]
-    axes = [axis[:, times] for axis in tables.axes]
+    base = contributions.base[times]
+    axes = [axis[:, times] for axis in contributions.axes]
 
     def combined(chosen: tuple[int, ...]) -> Float[Array, "combination time pair"]:
         total = jnp.zeros((1, *base.shape), base.dtype)
@@ -218,20 +219,20 @@ def _largest(rows: list[Array]) -> Float[Array, "..."]:
     return functools.reduce(_greater, [jnp.expand_dims(row, [a for a in axes if a != i]) for i, row in enumerate(rows)])
 
 
-def scores_at(tables: Tables, plan: Plan, flat: np.ndarray, spread: bool) -> np.ndarray:
+def scores_at(contributions: Contributions, plan: Plan, flat: np.ndarray, spread: bool) -> np.ndarray:
     """Scores over all times of single combinations, given by their number in the order of the walk, shape (n,)."""
 
     def each(part: np.ndarray) -> Float[Array, " n"]:
-        return _scores_at(tables, levels_of(part, plan, tables.shape), spread)
+        return _scores_at(contributions, levels_of(part, plan, contributions.shape), spread)
 
     return in_blocks(each, SURVIVORS, flat)
 
 
 @functools.partial(jax.jit, static_argnames="spread")
-def _scores_at(tables: Tables, levels: tuple[Array, ...], spread: bool) -> Float[Array, " n"]:
+def _scores_at(contributions: Contributions, levels: tuple[Array, ...], spread: bool) -> Float[Array, " n"]:
     def one(levels):
-        curve = tables.base
-        for axis, level in zip(tables.axes, levels, strict=True):
+        curve = contributions.base
+        for axis, level in zip(contributions.axes, levels, strict=True):
             curve = curve + axis[level]
         te = curve.max(axis=1)
         return score(te.min(), te.max(), spread)
@@ -260,26 +261,26 @@ class Best(NamedTuple):
     evaluated: int
 
 
-def certified(tables: Tables, plan: Plan, *, spread: bool, keep: int, reach=None) -> Best:
+def certified(contributions: Contributions, plan: Plan, *, spread: bool, keep: int, reach=None) -> Best:
     """All combinations whose score may be among the best: bound, prune, evaluate the survivors on all times.
 
     Args:
-        tables, plan: the grid.
+        contributions, plan: the grid.
         spread: peak-to-peak instead of amplitude.
         keep: number of best combinations.
         reach: from combinations to objectives that are at least their scores; the ``keep`` best ones by score are
             asked, and whatever is bounded above the worst of their objectives is out. Without, the scores.
     """
-    lower, least = (np.asarray(x) for x in sweep(*(lay_out(tables, plan, n) for n in (COARSE, MEDIUM)), spread))
+    lower, least = (np.asarray(x) for x in sweep(*(lay_out(contributions, plan, n) for n in (COARSE, MEDIUM)), spread))
     inner = lower[0].size
     outers = np.argsort(least, kind="stable")[: 8 * keep]
     candidates = outers * inner + lower[outers].reshape(len(outers), -1).argmin(axis=1)
     if len(candidates) < keep:
         candidates = np.argsort(lower, axis=None, kind="stable")[: 8 * keep]
-    first = scores_at(tables, plan, candidates, spread)
+    first = scores_at(contributions, plan, candidates, spread)
     chosen = np.argsort(first, kind="stable")[:keep]
     reached = (first[chosen] if reach is None else reach(candidates[chosen])).max()
     survivors = np.flatnonzero(lower <= reached * (1 + 1e-12))  # the walk rounds otherwise than the judge
-    values = scores_at(tables, plan, survivors, spread)
+    values = scores_at(contributions, plan, survivors, spread)
     order = np.argsort(values, kind="stable")
     return Best(survivors[order], values[order], int(survivors.size))

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import tables
-from gearjax.analysis.equation import Gaps, Moment
+from gearjax.analysis import chebyshev
+from gearjax.analysis.equation import Gaps, Instant
 from gearjax.analysis.fast.fitted import advance, change_before, velocity
 from gearjax.analysis.fast.oscillator import Fast, Oscillator, Slow
 from gearjax.analysis.fast.recurrence import recur
-from gearjax.analysis.fast.signals import Basis, Drive, Drives, Given, at_nodes, tabulated, written_out
+from gearjax.analysis.fast.signals import Basis, Forcing, Given, StepForcing, at_nodes, tabulated, written_out
 from gearjax.analysis.metrics import top
 from gearjax.typing import Array, Float, Scalar
 
@@ -94,13 +94,13 @@ class Spacing(NamedTuple):
 def suitable_block(phase: float | None, dtype: Any, batched: bool) -> tuple[Block, Signals]:
     """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
     few = {} if phase is None else SUMMED
-    for nodes, fewest in {**few, MORE_NODES: 1, tables.MOST_NODES: 1}.items():
-        longest = tables.reach(nodes, tables.accuracy(dtype)) / max(UNKNOWN if phase is None else phase, 1e-12)
+    for nodes, fewest in {**few, MORE_NODES: 1, chebyshev.MOST_NODES: 1}.items():
+        longest = chebyshev.reach(nodes, chebyshev.accuracy(dtype)) / max(UNKNOWN if phase is None else phase, 1e-12)
         steps = next((steps for steps in BLOCKS if fewest <= steps <= longest), None)
         if steps is not None:
             break
     else:
-        nodes, steps = tables.MOST_NODES, BLOCKS[-1]  # the program says that this is not enough
+        nodes, steps = chebyshev.MOST_NODES, BLOCKS[-1]  # the program says that this is not enough
     if batched:
         return Block(steps, nodes), Signals.BATCH
     return Block(steps, nodes), Signals.SUMS if nodes in SUMMED else Signals.TABLE
@@ -125,16 +125,16 @@ class March(NamedTuple):
     defect: Scalar
 
 
-def march(drive: Drive, start: Scalar, carry: tuple[Scalar, Scalar], spacing: Spacing) -> March:
+def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: Spacing) -> March:
     """All steps one after the other.
 
     Args:
-        drive: of the oscillator.
+        forcing: of the oscillator.
         start: time of the first sample [s].
         carry: scaled position and its last change there, as by `begin`.
         spacing: of samples and steps.
     """
-    _, found = run_blocks(drive, start, carry, spacing, nodes_of(drive, start, spacing))
+    _, found = run_blocks(forcing, start, carry, spacing, nodes_of(forcing, start, spacing))
     return _joined(found, jnp.zeros((), start.dtype))
 
 
@@ -145,22 +145,22 @@ def _joined(found: tuple, defect: Scalar) -> March:
     return March(x, speeds, forces, high, low, defect)
 
 
-def nodes_of(drive: Drive, start: Scalar, spacing: Spacing) -> Any:
-    """What changes of the slow signals at the nodes of blocks, or for a batch the moments there; the first axis of each
+def nodes_of(forcing: Forcing, start: Scalar, spacing: Spacing) -> Any:
+    """What changes of the slow signals at the nodes of blocks, or for a batch the instants there; first axis of each
     array the blocks."""
     if spacing.signals is not Signals.BATCH:
-        return at_nodes(drive, start, spacing.steps, spacing.block.nodes, spacing.blocks)
-    within = tables.nodes(spacing.steps, spacing.block.nodes)
+        return at_nodes(forcing, start, spacing.steps, spacing.block.nodes, spacing.blocks)
+    within = chebyshev.nodes(spacing.steps, spacing.block.nodes)
     places = spacing.steps * np.arange(spacing.blocks)[:, None] + within[None, :]
-    times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
-    return jax.vmap(jax.vmap(drive.oscillator.equation.moment))(times)
+    times = start + jnp.asarray(places, start.dtype) * forcing.oscillator.step
+    return jax.vmap(jax.vmap(forcing.oscillator.equation.instant))(times)
 
 
-def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, nodes: Any) -> tuple[tuple, tuple]:
+def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, nodes: Any) -> tuple[tuple, tuple]:
     """The steps of as many samples, from position and last change at a time [s].
 
     Args:
-        drive, start, spacing: as for `march`.
+        forcing, start, spacing: as for `march`.
         carry: position and last change.
         nodes: as by `nodes_of`.
 
@@ -170,20 +170,20 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, node
     """
     pieces, steps, blocks = spacing.pieces, spacing.steps, spacing.blocks
     every = spacing.each // pieces
-    basis = Basis.of(drive, steps, spacing.block.nodes)
-    origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * drive.oscillator.step
+    basis = Basis.of(forcing, steps, spacing.block.nodes)
+    origins = start + (steps * jnp.arange(blocks)).astype(start.dtype) * forcing.oscillator.step
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:
         columns, (cosine, sine), origin = now
         if spacing.signals is Signals.BATCH:  # in the loop, so that what is the same for all times is worked out once
-            columns = jax.vmap(drive.columns)(columns)
-        waves = drive.harmonics._replace(cosine=cosine, sine=sine)
-        given = Given(columns, waves, drive.loads(origin, steps + 1))
-        rows, drives = (tabulated if spacing.signals is Signals.TABLE else written_out)(drive, basis, given)
-        ended, path = _steps(drive.oscillator, drives, carry, rows.own)
-        return ended, _measured(drive.oscillator, drives, rows.every, path, every)
+            columns = jax.vmap(forcing.columns)(columns)
+        waves = forcing.harmonics._replace(cosine=cosine, sine=sine)
+        given = Given(columns, waves, forcing.loads(origin, steps + 1))
+        rows, step_forcing = (tabulated if spacing.signals is Signals.TABLE else written_out)(forcing, basis, given)
+        ended, path = _steps(forcing.oscillator, step_forcing, carry, rows.own)
+        return ended, _measured(forcing.oscillator, step_forcing, rows.every, path, every)
 
-    turned = jax.vmap(lambda time: drive.turned(time)[1:])(origins)  # but the mean, which stays
+    turned = jax.vmap(lambda time: forcing.turned(time)[1:])(origins)  # but the mean, which stays
     ended, found = jax.lax.scan(block, carry, (nodes, turned, origins))
     x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), found)
     kept = slice(0, spacing.samples * pieces, pieces)
@@ -192,12 +192,12 @@ def run_blocks(drive: Drive, start: Scalar, carry: tuple, spacing: Spacing, node
 
 
 def begin(
-    drive: Drive, time: Scalar, signals: Signals, state: Float[Array, "2"] | None = None
+    forcing: Forcing, time: Scalar, signals: Signals, state: Float[Array, "2"] | None = None
 ) -> tuple[tuple[Scalar, Scalar], Array]:
     """Where a motion begins.
 
     Args:
-        drive: of the oscillator.
+        forcing: of the oscillator.
         time: [s].
         signals: how the steps that follow come by what drives them.
         state: scaled position, and velocity times step; without, those of the equilibrium, moving as the gaps move it,
@@ -206,19 +206,19 @@ def begin(
     Returns:
         Scaled position and its last change, and whether there is such an equilibrium.
     """
-    oscillator, equation = drive.oscillator, drive.oscillator.equation
+    oscillator, equation = forcing.oscillator, forcing.oscillator.equation
     times = jnp.stack([time, time + oscillator.step])
-    moments = jax.vmap(lambda time: equation.moment(time, moving=True))(times)
+    instants = jax.vmap(lambda time: equation.instant(time, moving=True))(times)
 
-    def slow_at(moment: Moment) -> tuple[Gaps, Slow]:
-        return equation.gaps(moment), oscillator.slow(moment)
+    def slow_at(instant: Instant) -> tuple[Gaps, Slow]:
+        return equation.gaps(instant), oscillator.slow(instant)
 
     def fast_at(time: Scalar) -> Fast:
-        waves = drive.turned(time)
+        waves = forcing.turned(time)
         return Fast(waves.mean + waves.cosine.sum(axis=0), equation.load(time))
 
     # in a loop, what both times share is worked out once, not again for every number that it is part of
-    both = jax.lax.map(slow_at, moments) if signals is Signals.BATCH else jax.vmap(slow_at)(moments)
+    both = jax.lax.map(slow_at, instants) if signals is Signals.BATCH else jax.vmap(slow_at)(instants)
     every = *both, jax.vmap(fast_at)(times)
     (gaps, *now), (_, *later) = (jax.tree.map(lambda leaf, i=i: leaf[i], every) for i in range(2))
     found = jnp.asarray(True)
@@ -231,19 +231,19 @@ def begin(
     return (state[0], change_before(state[1], first, second.push - first.push)), found
 
 
-def warm_start(drive: Drive, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
+def warm_start(forcing: Forcing, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
     """Where a warm-up begins: scaled position and change of the quasi-static solution, zero where there is none.
 
     Args:
-        drive: of the oscillator.
+        forcing: of the oscillator.
         time: at which the first block begins [s].
         spacing: of samples and steps.
         nodes: of the first block.
     """
-    basis = Basis.of(drive, spacing.steps, spacing.block.nodes)
-    given = Given(nodes, drive.turned(time), drive.loads(time, spacing.steps + 1))
-    rows, drives = written_out(drive, basis, given)
-    now, later = jax.vmap(lambda row: drive.oscillator.resting(*drives(row)))(_rows(rows.every, slice(0, 2)))
+    basis = Basis.of(forcing, spacing.steps, spacing.block.nodes)
+    given = Given(nodes, forcing.turned(time), forcing.loads(time, spacing.steps + 1))
+    rows, step_forcing = written_out(forcing, basis, given)
+    now, later = jax.vmap(lambda row: forcing.oscillator.resting(*step_forcing(row)))(_rows(rows.every, slice(0, 2)))
     return jnp.nan_to_num(now), jnp.nan_to_num(later - now)
 
 
@@ -252,12 +252,12 @@ def _rows(table: Any, chosen: slice) -> Any:
     return jax.tree.map(lambda column: column[chosen], table)
 
 
-def _steps(oscillator: Oscillator, drives: Drives, carry: tuple, rows: Any) -> tuple[tuple, Array]:
+def _steps(oscillator: Oscillator, step_forcing: StepForcing, carry: tuple, rows: Any) -> tuple[tuple, Array]:
     """The steps of a block.
 
     Args:
         oscillator: whose steps they are.
-        drives: from a row to what drives a step.
+        step_forcing: from a row to what drives a step.
         carry: position and last change.
         rows: of the steps.
 
@@ -266,18 +266,18 @@ def _steps(oscillator: Oscillator, drives: Drives, carry: tuple, rows: Any) -> t
     """
 
     def step(position: Array, change: Array, numbers: Any) -> Array:
-        slow, fast = drives.put(numbers)
+        slow, fast = step_forcing.put(numbers)
         return advance(change, oscillator.state(slow, fast, position))
 
-    ended, path = recur(step, drives.at, drives.table, carry[0], carry[1], rows)
+    ended, path = recur(step, step_forcing.at, step_forcing.table, carry[0], carry[1], rows)
     return ended, jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
 
 
-def _measured(oscillator: Oscillator, drives: Drives, rows: Any, path: Array, each: int) -> tuple:
+def _measured(oscillator: Oscillator, step_forcing: StepForcing, rows: Any, path: Array, each: int) -> tuple:
     """Positions, speeds and forces at the samples, and highest and lowest position up to the next sample.
 
     Args:
-        oscillator, drives: as for `_steps`.
+        oscillator, step_forcing: as for `_steps`.
         rows: of the steps and the first one of the next block.
         path: of the steps.
         each: steps between samples.
@@ -285,9 +285,9 @@ def _measured(oscillator: Oscillator, drives: Drives, rows: Any, path: Array, ea
     now, following = path[1:-1:each], path[2::each]
 
     def sample(row: Any, after: Any, x: Array, dx: Array) -> tuple[Array, Array]:
-        slow, fast = drives(row)
+        slow, fast = step_forcing(row)
         state = oscillator.state(slow, fast, x)
-        later, sooner = drives(after)
+        later, sooner = step_forcing(after)
         rise = oscillator.state(later, sooner, x).push - state.push
         return velocity(dx, state, rise), oscillator.forces(slow, fast, x)
 
@@ -323,7 +323,7 @@ class Windows(NamedTuple):
 
 
 def march_windows(
-    drive: Drive,
+    forcing: Forcing,
     start: Scalar,
     carry: tuple[Scalar, Scalar],
     spacing: Spacing,
@@ -332,7 +332,7 @@ def march_windows(
     """All windows at once, each lane of a vector one window; many windows in groups of `LANES`.
 
     Args:
-        drive, start, carry, spacing: as for `march`.
+        forcing, start, carry, spacing: as for `march`.
         windows: how the record is cut.
     """
     groups = math.ceil(windows.number / LANES)
@@ -342,22 +342,22 @@ def march_windows(
     own = spacing._replace(samples=samples, block=windows.block, signals=Signals.SUMS).of_whole_blocks()
     warm = own._replace(samples=own.rows * math.ceil(windows.warm_up / own.rows))
     whole = own._replace(samples=warm.samples + groups * lanes * own.samples)
-    spaced = drive.oscillator.step * spacing.each
-    nodes = nodes_of(drive, start - warm.samples * spaced, whole)
+    spaced = forcing.oscillator.step * spacing.each
+    nodes = nodes_of(forcing, start - warm.samples * spaced, whole)
 
     def window(number: Array) -> tuple:
         begun = start + (number * own.samples).astype(start.dtype) * spaced
         early = begun - warm.samples * spaced
         here = jax.lax.dynamic_slice_in_dim(nodes, number * own.blocks, warm.blocks + own.blocks)
-        warmed, _ = run_blocks(drive, early, warm_start(drive, early, warm, here[0]), warm, here[: warm.blocks])
+        warmed, _ = run_blocks(forcing, early, warm_start(forcing, early, warm, here[0]), warm, here[: warm.blocks])
         own_start = tuple(jnp.where(number == 0, one, other) for one, other in zip(carry, warmed, strict=True))
-        return own_start, *run_blocks(drive, begun, own_start, own, here[warm.blocks :])
+        return own_start, *run_blocks(forcing, begun, own_start, own, here[warm.blocks :])
 
     numbers = jnp.arange(groups * lanes).reshape(groups, lanes)
     begun, ended, found = jax.tree.map(
         lambda part: part.reshape(groups * lanes, *part.shape[2:]), jax.lax.map(jax.vmap(window), numbers)
     )
     apart, faster = (jnp.abs(end[:-1] - own[1:]).max() for end, own in zip(ended, begun, strict=True))
-    defect = jnp.maximum(apart, faster / (drive.oscillator.step * drive.oscillator.equation.frequency))
+    defect = jnp.maximum(apart, faster / (forcing.oscillator.step * forcing.oscillator.equation.frequency))
     found = (part.reshape(-1, *part.shape[2:])[: spacing.samples] for part in found)
     return _joined(tuple(found), defect)

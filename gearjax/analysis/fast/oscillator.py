@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.equation import Equation, Moment
+from gearjax.analysis.equation import Equation, Instant
 from gearjax.analysis.fast.fitted import State
 from gearjax.contact import HardContact, Request
 from gearjax.contact.layout import Place
@@ -62,11 +62,11 @@ class Oscillator(eqx.Module):
 
     def slow_at(self, time: Scalar) -> Slow:
         """Slow numbers of the step at a time [s]."""
-        return self.slow(self.equation.moment(time))
+        return self.slow(self.equation.instant(time))
 
-    def slow(self, moment: Moment) -> Slow:
-        """Slow numbers of the step at a moment."""
-        scene, now, scale = self.equation.scene, self.equation.gaps(moment), self.equation.scale
+    def slow(self, instant: Instant) -> Slow:
+        """Slow numbers of the step at an instant."""
+        scene, now, scale = self.equation.scene, self.equation.gaps(instant), self.equation.scale
         layout, inertia = self.equation.layout, self.equation.inertia
         first = layout.flanks[0]
         arm = now.lever[first]

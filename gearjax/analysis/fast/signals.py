@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from gearjax.analysis import tables
-from gearjax.analysis.equation import Moment
+from gearjax.analysis import chebyshev
+from gearjax.analysis.equation import Instant
 from gearjax.analysis.fast.oscillator import Fast, Harmonics, Oscillator, Slow, mesh_phases, mesh_rate
 from gearjax.dependence import depends
 from gearjax.typing import Array, Float, Scalar
@@ -24,7 +24,7 @@ from gearjax.typing import Array, Float, Scalar
 COARSE, EXACT = 20, 1e-14  # nodes that cover several blocks, and their accuracy: to rounding
 
 
-class Drives(NamedTuple):
+class StepForcing(NamedTuple):
     """From rows to what drives steps.
 
     Args:
@@ -42,7 +42,7 @@ class Drives(NamedTuple):
         return self.put(self.at(row))
 
 
-class Drive(eqx.Module):
+class Forcing(eqx.Module):
     """The signals that drive an oscillator.
 
     Args:
@@ -58,14 +58,14 @@ class Drive(eqx.Module):
     changing: tuple[bool, ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, oscillator: Oscillator, time: Scalar) -> "Drive":
+    def of(cls, oscillator: Oscillator, time: Scalar) -> "Forcing":
         """The signals of an oscillator; the time [s] is that of any sample."""
         changing = tuple(depends(oscillator.slow_at, time))
         return cls(oscillator, Harmonics.of(oscillator.equation), oscillator.slow_at(time), changing)
 
-    def columns(self, moment: Moment) -> tuple[Scalar, ...]:
-        """What changes of the slow signals, at a moment: numbers apart, which a batch works out as one vector each."""
-        leaves = jax.tree.leaves(self.oscillator.slow(moment))
+    def columns(self, instant: Instant) -> tuple[Scalar, ...]:
+        """What changes of the slow signals at an instant: numbers apart, which a batch works out as one vector each."""
+        leaves = jax.tree.leaves(self.oscillator.slow(instant))
         return tuple(n for leaf, new in zip(leaves, self.changing, strict=True) if new for n in _numbers(leaf.ravel()))
 
     def slow(self, columns: Sequence[Array] | Array) -> Slow:
@@ -110,11 +110,11 @@ class Basis(NamedTuple):
     own: tuple[Array, ...]
 
     @classmethod
-    def of(cls, drive: Drive, steps: int, nodes: int) -> "Basis":
+    def of(cls, forcing: Forcing, steps: int, nodes: int) -> "Basis":
         """The basis of blocks of some steps and nodes."""
-        weights = tables.weights(steps, nodes, np.arange(steps + 1))
-        rate = mesh_rate(drive.oscillator.equation) * drive.oscillator.step
-        order = jnp.arange(1, drive.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
+        weights = chebyshev.weights(steps, nodes, np.arange(steps + 1))
+        rate = mesh_rate(forcing.oscillator.equation) * forcing.oscillator.step
+        order = jnp.arange(1, forcing.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
         angle = jnp.arange(steps + 1).astype(rate.dtype)[:, None] * (rate * order)[None, :]
         cosine, sine = (jnp.cos(angle), jnp.sin(angle)) if angle.size else (angle, angle)
         every = jnp.asarray(weights, rate.dtype), cosine, sine
@@ -135,34 +135,36 @@ class Given(NamedTuple):
     load: Array
 
 
-def at_nodes(drive: Drive, start: Scalar, steps: int, number: int, blocks: int) -> Float[Array, "block column node"]:
+def at_nodes(
+    forcing: Forcing, start: Scalar, steps: int, number: int, blocks: int
+) -> Float[Array, "block column node"]:
     """What changes of the slow signals at the nodes of blocks, from fewer nodes that cover many blocks at once.
 
     Args:
-        drive: of the oscillator.
+        forcing: of the oscillator.
         start: time of the first step [s].
         steps: of a block.
         number: nodes of a block, which resolve its signals.
         blocks: one after the other.
     """
-    phase = tables.reach(number, tables.accuracy(start.dtype))
-    enough = (n for n in range(number + 1, COARSE) if tables.reach(n, EXACT) >= blocks * phase)
+    phase = chebyshev.reach(number, chebyshev.accuracy(start.dtype))
+    enough = (n for n in range(number + 1, COARSE) if chebyshev.reach(n, EXACT) >= blocks * phase)
     coarse = next(enough, max(number, COARSE))
-    together = max(1, min(blocks, int(tables.reach(coarse, EXACT) / phase)))
+    together = max(1, min(blocks, int(chebyshev.reach(coarse, EXACT) / phase)))
     pieces = math.ceil(blocks / together)
     if pieces * coarse >= blocks * number:
         coarse, together, pieces = number, 1, blocks
-    places = together * steps * np.arange(pieces)[:, None] + tables.nodes(together * steps, coarse)[None, :]
-    times = start + jnp.asarray(places, start.dtype) * drive.oscillator.step
+    places = together * steps * np.arange(pieces)[:, None] + chebyshev.nodes(together * steps, coarse)[None, :]
+    times = start + jnp.asarray(places, start.dtype) * forcing.oscillator.step
     nothing = jnp.zeros((0,), start.dtype)  # of bodies without errors
 
     def together_at(time: Scalar) -> Float[Array, " column"]:
-        return jnp.hstack([nothing, *drive.columns(drive.oscillator.equation.moment(time))])
+        return jnp.hstack([nothing, *forcing.columns(forcing.oscillator.equation.instant(time))])
 
     found = jax.vmap(jax.vmap(together_at))(times)
     if together > 1:
-        fine = (steps * np.arange(together)[:, None] + tables.nodes(steps, number)[None, :]).ravel()
-        weights = jnp.asarray(tables.weights(together * steps, coarse, fine), start.dtype)
+        fine = (steps * np.arange(together)[:, None] + chebyshev.nodes(steps, number)[None, :]).ravel()
+        weights = jnp.asarray(chebyshev.weights(together * steps, coarse, fine), start.dtype)
         found = jax.vmap(_spread, in_axes=(None, 0))(weights, found)
         found = found.reshape(pieces * together, number, found.shape[-1])[:blocks]
     return found.swapaxes(1, 2)
@@ -180,19 +182,21 @@ class Rows(NamedTuple):
     every: Any
 
 
-def tabulated(drive: Drive, basis: Basis, given: Given) -> tuple[Rows, Drives]:
+def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
     """Rows of one table for the steps of a block, and what they mean."""
     waves, load = given.waves, given.load
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
     rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (load,) if load.ndim else ()
 
     def put(row: Any) -> tuple[Slow, Fast]:
-        return drive.slow(row[0]), Fast(row[1], row[2][0] if row[2] else load)
+        return forcing.slow(row[0]), Fast(row[1], row[2][0] if row[2] else load)
 
-    return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), Drives(lambda row: row, lambda rows: rows, put)
+    return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), StepForcing(
+        lambda row: row, lambda rows: rows, put
+    )
 
 
-def written_out(drive: Drive, basis: Basis, given: Given) -> tuple[Rows, Drives]:
+def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
     """Weights for the steps of a block, and the sums over its nodes that they mean."""
     waves, load = given.waves, given.load
     loads = (load,) if load.ndim else ()
@@ -217,9 +221,9 @@ def written_out(drive: Drive, basis: Basis, given: Given) -> tuple[Rows, Drives]
 
     def put(numbers: tuple) -> tuple[Slow, Fast]:
         slow, stiffness, loads = numbers
-        return drive.slow(slow), Fast(stiffness, loads[0] if loads else load)
+        return forcing.slow(slow), Fast(stiffness, loads[0] if loads else load)
 
-    return rows, Drives(at, table, put)
+    return rows, StepForcing(at, table, put)
 
 
 @jax.custom_jvp

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import tables
+from gearjax.analysis import chebyshev
 from gearjax.analysis.metrics import top
 from gearjax.analysis.modes.equation import StructureEquation
 from gearjax.analysis.modes.lines import Driving, Lines
@@ -128,13 +128,13 @@ class Spacing(NamedTuple):
             phase: of what drives the motion fastest, per step [rad]; ``None`` where it is not known.
             dtype: of the numbers.
         """
-        accuracy = tables.accuracy(dtype)
+        accuracy = chebyshev.accuracy(dtype)
         best = cls(samples, each, divisor(each, AT_ONCE), None)
         if phase is None:
             return best
-        furthest = min(each, LONGEST_SPAN, int(tables.reach(tables.MOST_NODES, accuracy) / max(phase, 1e-12)))
+        furthest = min(each, LONGEST_SPAN, int(chebyshev.reach(chebyshev.MOST_NODES, accuracy) / max(phase, 1e-12)))
         for span in (n for n in range(1, furthest + 1) if each % n == 0):
-            enough = (k for k in range(4, tables.MOST_NODES + 1) if tables.reach(k, accuracy) >= phase * span)
+            enough = (k for k in range(4, chebyshev.MOST_NODES + 1) if chebyshev.reach(k, accuracy) >= phase * span)
             nodes = next(enough, span)
             if nodes < span and nodes / span < (1.0 if best.nodes is None else best.nodes / best.span):
                 best = cls(samples, each, span, nodes)
@@ -152,8 +152,8 @@ def march(steps: Steps, place: Array, speed: Array, spacing: Spacing) -> March:
             places, shares = ends, None
         else:
             block = divisor(spacing.span, OF_FEW if lines.apart else AT_ONCE)
-            places = tables.nodes(spacing.span, spacing.nodes)
-            shares = tables.weights(spacing.span, spacing.nodes, ends).reshape(-1, block, spacing.nodes)
+            places = chebyshev.nodes(spacing.span, spacing.nodes)
+            shares = chebyshev.weights(spacing.span, spacing.nodes, ends).reshape(-1, block, spacing.nodes)
         table = jax.vmap(lines.driving)(origin + jnp.asarray(places, origin.dtype) * steps.step)
         begun, record = recur(lines, steps.products, begun, table, shares)
         return begun, record[:, : steps.products.sizes[2]]
