@@ -194,6 +194,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
+    "mesh_stiffness": lambda case: gj.mesh_stiffness(case.moved, case.theta, TORQUE),
     "one_contact": lambda case: gj.one_contact(case.still, TORQUE).error(0.8 * TORQUE),
     "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,

@@ -193,13 +193,7 @@ def transmission_error(
     if torque is None:
         return _transmission_error(scene.physics(), theta, None, extremes or "between")
     require(scene, "static", "compliance")
-    torque = jnp.asarray(torque, dtype=theta.dtype)
-    if torque.ndim and torque.shape != theta.shape:
-        raise SceneError(f"torque has shape {torque.shape}: give one number, or one per theta {theta.shape}")
-    if is_concrete(torque) and (np.asarray(torque) < 0).any() and not scene.has_back:
-        raise SceneError(
-            f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
-        )
+    torque = torque_on(scene, theta, torque)
     places = extremes or ("samples" if isinstance(scene.compliance, COUPLED) else "between")
     return _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
 
@@ -259,6 +253,22 @@ def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
     if is_concrete(theta) and not bool((np.diff(np.asarray(theta)) > 0).all()):
         raise SceneError("theta must increase")
     return theta
+
+
+def torque_on(scene: Scene, theta: Float[Array, " n"], torque: ArrayLike) -> Array:
+    """Load torque of an analysis, checked, a number or shape (n,) [N m].
+
+    Raises:
+        SceneError: its shape suits no angles, or it loads flanks that the scene lacks.
+    """
+    torque = jnp.asarray(torque, dtype=theta.dtype)
+    if torque.ndim and torque.shape != theta.shape:
+        raise SceneError(f"torque has shape {torque.shape}: give one number, or one per theta {theta.shape}")
+    if is_concrete(torque) and (np.asarray(torque) < 0).any() and not scene.has_back:
+        raise SceneError(
+            f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
+        )
+    return torque
 
 
 def no_load(scene: Scene, angle: Scalar | Pose) -> Scalar:
