@@ -38,8 +38,8 @@ class TransmissionError(eqx.Module):
         extremes: highest and lowest value over the span of theta, between samples too unless told otherwise [rad].
         layout: sides and pairs of the contacts.
         fastest_order: turns of what the curve follows fastest per turn of the input.
-        carriers: number of pairs that could carry the torque, shape (n,); of contacts that touch either flank those
-            on the loaded side. ``None`` without torque.
+        carriers: number of pairs that could carry the torque, those with a flank on the loaded side, shape (n,);
+            ``None`` without torque.
         interference: of rigid bodies, where back flanks are modelled; ``None`` under torque, which elastic bodies
             carry in spite of it (`gearjax.interference` tells it for every scene).
         moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any, or torque.
@@ -94,8 +94,26 @@ class TransmissionError(eqx.Module):
         return (self.forces > 0).sum(axis=-1)
 
     @property
+    def pair_forces(self) -> Float[Array, "... n pair"]:
+        """Load of each pair, the forces of its contacts added, shape (n, pair) [N].
+
+        Pairs stand in the order of ``layout.pair``: of an `InvoluteRV` those of the driving flanks, of each external
+        gear after the other, then those of the back ones (`contact_name` of the system tells a contact's); of an
+        `RVCycloidal` the pins of each disc; of a `TwoKV` the planet wheels, both flanks together.
+        """
+        if self.forces is None:
+            raise SceneError("loads of pairs need a torque: transmission_error(scene, theta, torque=...)")
+        return self.layout.per_pair(self.forces)
+
+    @property
+    def engaged_pairs(self) -> Int[Array, "... n"]:
+        """Number of pairs that carry force, shape (n,)."""
+        return (self.pair_forces > 0).sum(axis=-1)
+
+    @property
     def load_sharing(self) -> Float[Array, "... n"]:
-        """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
+        """Load of the most loaded pair over the mean load of those that could carry, which have a flank on the loaded
+        side, shape (n,) [-]: 1 where they share evenly, their number where one carries all."""
         if self.forces is None or self.carriers is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
         return load_sharing(self.layout, self.forces, self.carriers)

@@ -53,7 +53,7 @@ def mesh_stiffness(scene: Scene, theta: ArrayLike, torque: ArrayLike) -> MeshSti
 
     (the mesh stiffness c_gamma of ISO 6336-1, which is taken along the path of contact there, as a torsional one).
     The secant tells how far the output lags, the tangent how it moves about that position. More torque closes more
-    contacts, so that the tangent lies above the secant. Under a torque of zero both are those of the slightest one,
+    contacts, so that the tangent lies above the secant where nothing is jammed. Under a torque of zero both are those of the slightest one,
     1e-9 N m, which the first contact alone carries. The unloaded position is where the flanks just touch that the
     torque loads, or where elastic bodies rest that are jammed in each other.
 

@@ -71,6 +71,12 @@ class Layout:
         return max(self.pair) + 1
 
     @functools.cached_property
+    def pairs_by_side(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs with a driving flank, and pairs with a back flank, of contacts whose sides are known."""
+        side, pair = np.asarray(self.side), np.asarray(self.pair)
+        return np.unique(pair[side > 0]), np.unique(pair[side < 0])
+
+    @functools.cached_property
     def flanks(self) -> tuple[Place, ...]:
         """The contacts in rows with one of each pair, in the order of the pairs: the first flanks, the second ones."""
         order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)
