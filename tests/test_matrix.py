@@ -288,7 +288,7 @@ OF_NO_GEAR_SET = {
     "xla_options",
 }
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
-    **{("contact_pressure", kind, ""): "line contacts" for kind in ("two_kv", "involute_rv")},
+    ("contact_pressure", "two_kv", ""): "line contacts",
     **{("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv")},
     ("allocate", "", "phase"): "is no tolerance",
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},

@@ -108,7 +108,6 @@ class ContactSet(eqx.Module):
         """Number of pairs that could carry a generalised force [N m]: those with a flank on its side."""
         if not self.layout.sides_turn:
             driving, back = (len(pairs) for pairs in self.layout.pairs_by_side)
-            if not back or back == driving:
-                return jnp.asarray(driving)
-            return jnp.where(load > 0, back, driving)
+            alike = back in (0, driving)
+            return jnp.asarray(driving) if alike else jnp.where(load > 0, back, driving)
         return jnp.where(load > 0, self.lever > 0, self.lever < 0).sum()
