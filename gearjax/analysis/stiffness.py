@@ -1,4 +1,4 @@
-"""Torsional stiffness of a gear set under a torque, at each input angle: all contacts, supports and shafts in series."""
+"""Torsional stiffness of a gear set under a torque at each input angle: contacts, supports and shafts in series."""
 
 import equinox as eqx
 import jax
@@ -92,7 +92,8 @@ def _mesh_stiffness(scene: Scene, theta: Array, torque: Array) -> MeshStiffness:
         # one program of both torques, which takes long to compile where a matrix couples the springs
         loads = jnp.stack([jnp.zeros_like(torque), jnp.where(none, SLIGHTEST, torque)])
         found, tangents = jax.vmap(lambda load: resistance(scene, angle, load))(loads)
-        lag = jnp.where(none, 0.0, _unloaded(scene, angle, torque, found.position[0]) - found.position[1])
+        driven, loaded = found.position[0], found.position[1]
+        lag = jnp.where(none, 0.0, _unloaded(scene, angle, torque, driven) - loaded)
         secant = jnp.where(none, tangents[1], torque / jnp.where(none, 1.0, lag))
         return secant, tangents[1], lag, found.result[1]
 

@@ -2,6 +2,7 @@
 
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import save_stage_figure, stage_figure
+from gearjax.plot.involute import pair_figure, save_pair_figure
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
 from gearjax.plot.stiffness import stiffness_figure
@@ -15,9 +16,11 @@ __all__ = [
     "force_figure",
     "mark_multiples",
     "new_figure",
+    "pair_figure",
     "save_figure",
     "save_figures",
     "save_optimisation_figures",
+    "save_pair_figure",
     "save_stage_figure",
     "save_tolerance_figures",
     "save_tradeoff_figure",
