@@ -6,7 +6,8 @@ import jax.numpy as jnp
 
 from gearjax import arguments
 from gearjax.analysis.quasi_static import angles_of, torque_on
-from gearjax.analysis.resting import edges, resistance
+from gearjax.analysis.resting import edge, edges, resistance
+from gearjax.contact import Equilibrium
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
@@ -53,9 +54,9 @@ def mesh_stiffness(scene: Scene, theta: ArrayLike, torque: ArrayLike) -> MeshSti
 
     (the mesh stiffness c_gamma of ISO 6336-1, which is taken along the path of contact there, as a torsional one).
     The secant tells how far the output lags, the tangent how it moves about that position. More torque closes more
-    contacts, so that the tangent lies above the secant where nothing is jammed. Under a torque of zero both are those of the slightest one,
-    1e-9 N m, which the first contact alone carries. The unloaded position is where the flanks just touch that the
-    torque loads, or where elastic bodies rest that are jammed in each other.
+    contacts, so that the tangent lies above the secant where nothing is jammed. Under a torque of zero both are those
+    of the slightest one, 1e-9 N m, which the first contact alone carries. The unloaded position is where the flanks
+    just touch that the torque loads, or where elastic bodies rest that are jammed in each other.
 
     Args:
         scene: the scene, with a compliance; trains, and bodies on supports too.
@@ -89,20 +90,22 @@ def _mesh_stiffness(scene: Scene, theta: Array, torque: Array) -> MeshStiffness:
 
     def at(angle: Scalar, torque: Scalar) -> tuple[Array, Array, Array, Array]:
         none = torque == 0
-        # one program of both torques, which takes long to compile where a matrix couples the springs
-        loads = jnp.stack([jnp.zeros_like(torque), jnp.where(none, SLIGHTEST, torque)])
-        found, tangents = jax.vmap(lambda load: resistance(scene, angle, load))(loads)
-        driven, loaded = found.position[0], found.position[1]
-        lag = jnp.where(none, 0.0, _unloaded(scene, angle, torque, driven) - loaded)
-        secant = jnp.where(none, tangents[1], torque / jnp.where(none, 1.0, lag))
-        return secant, tangents[1], lag, found.result[1]
+        unloaded, found, tangent = _both(scene, angle, torque, jnp.where(none, SLIGHTEST, torque))
+        lag = jnp.where(none, 0.0, unloaded - found.position)
+        secant = jnp.where(none, tangent, torque / jnp.where(none, 1.0, lag))
+        return secant, tangent, lag, found.result
 
     return MeshStiffness(theta, torque, *jax.vmap(at)(theta, torque))
 
 
-def _unloaded(scene: Scene, angle: Scalar, torque: Scalar, driven: Scalar) -> Scalar:
-    """Position of the output before the torque [N m] begins to act [rad], of that under none, on the driving flanks."""
+def _both(scene: Scene, angle: Scalar, torque: Scalar, load: Scalar) -> tuple[Scalar, Equilibrium, Scalar]:
+    """Position of the output before a torque [N m] begins to act [rad], equilibrium and tangent under a load [N m]."""
     if not scene.has_back:
-        return driven
+        return edge(scene, angle), *resistance(scene, angle, load)
+    # one program of both, which takes long to compile where a matrix couples the springs
+    loads = jnp.stack([jnp.zeros_like(load), load])
+    rests, tangents = jax.vmap(lambda load: resistance(scene, angle, load))(loads)
+    found, tangent = jax.tree.map(lambda part: part[1], (rests, tangents))
     lower, upper = edges(scene, angle)
-    return jnp.where((torque < 0) & (upper > lower), upper, driven)
+    touching = jnp.where(torque < 0, upper, lower)
+    return jnp.where(upper < lower, rests.position[0], touching), found, tangent

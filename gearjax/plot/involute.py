@@ -19,7 +19,7 @@ from gearjax.typing import Array, ArrayLike, Scalar
 from gearjax.units import mm, um
 
 POINTS = 24  # of a flank
-WIDEST_GAP = 0.35  # of the module, that the furthest pair shown is drawn apart
+WIDEST_GAP = 0.4  # of the module, that the largest gap shown is drawn as: wider ones run into the next tooth
 LONGEST_ARROW = 2.2  # modules
 RIM = 0.5  # modules of material under the roots
 BESIDE = 1  # pairs shown on either side of those that carry
@@ -71,14 +71,14 @@ def pair_figure(scene: Scene, theta: float, forces: ArrayLike) -> Figure:
     zones, back = _zones(scene, system, theta, np.nan_to_num(np.asarray(forces)))
     figure = Figure(figsize=(13.0, 5.2 * len(zones)), layout="constrained")
     axes = figure.subplots(2 * len(zones), 1, squeeze=False, height_ratios=(1.0, 1.0) * len(zones))[:, 0]
-    factor = _factor(max(float(zone.gap.min(axis=1).max()) for zone in zones), float(system.module))
+    factor = _factor(max(float(zone.gap.max()) for zone in zones), float(system.module))
     largest = max(max(float(zone.force.max()) for zone in zones), 1e-12)
     flanks = "back flanks carry, mirrored" if back else "driving flanks carry"
     for number, zone in enumerate(zones):
         teeth, bars = axes[2 * number : 2 * number + 2]
         centres = _draw_teeth(teeth, system, zone, factor, largest)
         _draw_loads(bars, zone, centres)
-        bars.set_xlim(teeth.get_xlim())
+        bars.set(xlim=teeth.get_xlim(), ylim=(0.0, 1.25 * max(float(zone.loads.max()) for zone in zones) or 1.0))
         crank = system.orders["crank"] * theta + 2 * np.pi * number / len(zones)
         gear = f"gear_{number + 1} in the ring, crank at {np.degrees(crank) % 360:.1f} deg, {flanks}"
         drawn = f"gaps before the load {factor:g} times as large, forces on the ring, longest arrow {largest:.3g} N"
@@ -138,12 +138,12 @@ def _shown(zone: Zone) -> np.ndarray:
 
 
 def _factor(largest: float, module: float) -> float:
-    """By how much gaps are drawn larger: 1, 2 or 5 times a power of ten, at least one."""
+    """By how much gaps are drawn larger: 1, 2, 3 or 5 times a power of ten, at least one."""
     if not largest > 0:
         return 1.0
     wanted = max(WIDEST_GAP * module / largest, 1.0)
     power = 10.0 ** math.floor(math.log10(wanted))
-    return power * max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-9))
+    return power * max(step for step in (1, 2, 3, 5) if step * power <= wanted * (1 + 1e-9))
 
 
 def _draw_teeth(ax: Axes, system: InvoluteRV, zone: Zone, factor: float, largest: float) -> np.ndarray:
@@ -217,5 +217,4 @@ def _draw_loads(ax: Axes, zone: Zone, centres: np.ndarray) -> None:
         ax.annotate(words, (centre, load), ha="center", va="bottom", fontsize="small")
     ax.set_xticks(centres, [str(int(tooth)) for tooth in zone.tooth])
     ax.set(xlabel="tooth of the external gear", ylabel="load of the pair [N]")
-    ax.margins(y=0.25)
     ax.grid(axis="y", alpha=0.3)
