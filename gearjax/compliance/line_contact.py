@@ -66,7 +66,7 @@ class AbstractLineContact(eqx.Module):
         """
         each = forces.reshape(*places.radius[0].shape, len(places.face))
         along, across = places.strips(self.face_width)
-        line = each / across
+        line = each / across[None, None, None]
         square = line * self.plane_modulus / (2 * math.pi) * places.curvature[..., None]
         pressed = square > 0
         hertz = jnp.where(pressed, jnp.sqrt(jnp.where(pressed, square, 1.0)), 0.0)

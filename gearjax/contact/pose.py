@@ -93,7 +93,7 @@ class Places(eqx.Module):
             width: of the face [m].
         """
         along, across = (even_parts(number, self.face.dtype) for number in (self.radius[0].shape[-1], len(self.face)))
-        return self.shared[..., None] * along, width * across
+        return self.shared[..., None] * along[None, None], width * across
 
 
 def even_parts(number: int, dtype: jnp.dtype) -> Float[Array, " number"]:

@@ -15,7 +15,7 @@ from gearjax.geometry.involute import InvoluteGear
 from gearjax.plot.axes import save_figure
 from gearjax.scene import Scene
 from gearjax.systems import InvoluteRV
-from gearjax.typing import Array, ArrayLike, Scalar
+from gearjax.typing import ArrayLike, Scalar
 from gearjax.units import mm, um
 
 POINTS = 24  # of a flank
@@ -97,35 +97,36 @@ def save_pair_figure(scene: Scene, theta: float, forces: ArrayLike, path: Path) 
 
 def _zones(scene: Scene, system: InvoluteRV, theta: float, forces: np.ndarray) -> tuple[list[Zone], bool]:
     """What is shown of each external gear, of the flanks that carry more, and whether these are the back ones."""
-    teeth, places, normal, gap = (np.asarray(part) for part in _seen(scene.physics("backlash"), jnp.asarray(theta)))
+    teeth, rolls, normals, gap = _seen(scene.physics("backlash"), jnp.asarray(theta, scene.dtype))
+    places = []
+    for pair_roll, (sine, cosine), base, centre in zip(
+        rolls, normals, system.pair.base_radii, (float(system.centre_distance), 0.0), strict=True
+    ):
+        # the normal (sin, cos) stands on the radius (cos, -sin) of the base circle
+        normal = np.asarray(sine) + 1j * np.asarray(cosine)
+        places.append(centre + float(base) * (-1j + np.asarray(pair_roll)) * normal)
+    place, gap = np.stack(places), np.asarray(gap)
     points = normal.shape[1:]
     along = (-1, *points, system.face_points)
     force, opening = forces.reshape(along).sum(axis=-1), gap.reshape(2, *along).mean(axis=-1)
     gears = system.gears
-    back = len(force) > gears and force[gears:].sum() > force[:gears].sum()
+    back = bool(force[gears:].sum() > force[:gears].sum())
     blocks = range(gears, 2 * gears) if back else range(gears)
-    tooth = np.mod(teeth, system.external_teeth)
-    whole = [Zone(tooth[b], places[:, b], normal[b], opening[int(back), b], force[b]) for b in blocks]
+    tooth = np.mod(np.asarray(teeth), system.external_teeth)
+    whole = [Zone(tooth[b], place[:, b], normal[b], opening[int(back), b], force[b]) for b in blocks]
     return [zone.only(_shown(zone)) for zone in whole], back
 
 
 @eqx.filter_jit
-def _seen(scene: Scene, theta: Scalar) -> tuple[Array, Array, Array, Array]:
-    """Teeth, places, normals of the candidates as driving flanks, and gaps where driving or back flanks just touch."""
+def _seen(scene: Scene, theta: Scalar) -> tuple:
+    """Of the candidates as driving flanks teeth, roll angles and normals on both gears, and gaps where driving and
+    where back flanks just touch."""
     scene, system = scene.anchored(), scene.system
     assert isinstance(system, InvoluteRV)
-    at = system.candidates(theta, scene.has_back)
-    pair = at.pair
-    lower, upper = edges(scene, theta) if scene.has_back else (edge(scene, theta),) * 2
-    contacts = scene.contacts(theta)
-    gaps = jnp.stack([contacts.gap - contacts.jacobian[:, 0] * place for place in (lower, upper)])
-    places = []
-    for number, centre in enumerate((pair.centre_distance, 0.0 * pair.centre_distance)):
-        sine, cosine = at.normals[number]
-        # the normal (sin, cos) stands on the radius (cos, -sin) of the base circle
-        radius = pair.base_radii[number] * (cosine - 1j * sine + at.points.roll[number] * (sine + 1j * cosine))
-        places.append(centre + radius)
-    return at.tooth, jnp.stack(places), at.normals[1][0] + 1j * at.normals[1][1], gaps
+    at, contacts = system.candidates(theta, scene.has_back), scene.contacts(theta)
+    touching = edges(scene, theta) if scene.has_back else (edge(scene, theta),) * 2
+    gaps = jnp.stack([contacts.gap - contacts.jacobian[:, 0] * position for position in touching])
+    return at.tooth, at.points.roll, at.normals, gaps
 
 
 def _shown(zone: Zone) -> np.ndarray:
