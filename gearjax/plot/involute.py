@@ -19,7 +19,7 @@ from gearjax.typing import ArrayLike, Scalar
 from gearjax.units import mm, um
 
 POINTS = 24  # of a flank
-WIDEST_GAP = 0.4  # of the module, that the largest gap shown is drawn as: wider ones run into the next tooth
+WIDEST_GAP = 0.35  # of the module, that the largest gap shown is drawn as: wider ones run into the next tooth
 LONGEST_ARROW = 2.2  # modules
 RIM = 0.5  # modules of material under the roots
 BESIDE = 1  # pairs shown on either side of those that carry
