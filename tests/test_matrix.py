@@ -194,6 +194,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
+    "mesh_stiffness": lambda case: gj.mesh_stiffness(case.moved, case.theta, TORQUE),
     "one_contact": lambda case: gj.one_contact(case.still, TORQUE).error(0.8 * TORQUE),
     "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
@@ -287,7 +288,7 @@ OF_NO_GEAR_SET = {
     "xla_options",
 }
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
-    **{("contact_pressure", kind, ""): "line contacts" for kind in ("two_kv", "involute_rv")},
+    ("contact_pressure", "two_kv", ""): "line contacts",
     **{("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv")},
     ("allocate", "", "phase"): "is no tolerance",
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},

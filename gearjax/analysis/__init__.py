@@ -15,6 +15,7 @@ from gearjax.analysis.repeats import periodic_motion
 from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
+from gearjax.analysis.stiffness import MeshStiffness, mesh_stiffness
 from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost_motion, torsion
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "FixedStep",
     "Interference",
     "LostMotion",
+    "MeshStiffness",
     "Motion",
     "Periodic",
     "QuasiStatic",
@@ -44,6 +46,7 @@ __all__ = [
     "harmonic_balance",
     "interference",
     "lost_motion",
+    "mesh_stiffness",
     "one_contact",
     "order_spectrum",
     "periodic_motion",

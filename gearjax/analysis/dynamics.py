@@ -217,7 +217,7 @@ def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str,
     else:
         assert isinstance(method, Fitted)
         motion = _fitted(equation, ts, settle, start, method)
-    if equation.layout.sides_turn:
+    if not equation.layout.all_could_carry:
         able = jax.vmap(equation.carriers)(ts)
         motion = dataclasses.replace(motion, carriers=able)
     lost = ~(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.velocity).all())

@@ -292,13 +292,26 @@ def deviation(record: Float[Array, "... n"]) -> Float[Array, "..."]:
 def load_sharing(
     layout: Layout, forces: Float[Array, "... n contact"], carriers: Int[Array, "... n"] | int
 ) -> Float[Array, "... n"]:
-    """`load_sharing_factor` of the pairs of a mesh; of a train the largest one of its meshes."""
+    """`load_sharing_factor` of the pairs of a mesh; of a train the largest one of its meshes, whose pairs on the side
+    that carries more could carry."""
     carried = layout.per_pair(forces)
     if not layout.mesh:
         return load_sharing_factor(carried, carriers)
     meshes = np.array([layout.mesh[members[0]] for members in layout.members])
-    own = [np.flatnonzero(meshes == mesh) for mesh in sorted(set(layout.mesh))]
-    return jnp.stack([load_sharing_factor(carried[..., pairs], len(pairs)) for pairs in own]).max(axis=0)
+    return jnp.stack([_sharing_of(layout, forces, carried, meshes == mesh) for mesh in set(layout.mesh)]).max(axis=0)
+
+
+def _sharing_of(
+    layout: Layout, forces: Float[Array, "... n contact"], carried: Float[Array, "... n pair"], inside: np.ndarray
+) -> Float[Array, "... n"]:
+    """Of the pairs inside one mesh of a train."""
+    driving, back = (pairs[inside[pairs]] for pairs in layout.pairs_by_side)
+    able = len(driving) if len(driving) >= len(back) else len(back)
+    if len(back) and len(back) != len(driving):
+        within = inside[np.asarray(layout.pair)]
+        pressed = [(forces * (within & (np.asarray(layout.side) == side))).sum(axis=-1) for side in (1, -1)]
+        able = jnp.where(pressed[0] >= pressed[1], len(driving), len(back))
+    return load_sharing_factor(carried[..., np.flatnonzero(inside)], able)
 
 
 def load_sharing_factor(

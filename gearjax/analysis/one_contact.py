@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis.resting import rest
+from gearjax.analysis.resting import resistance
 from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.clearance import InitialBacklash
 from gearjax.compliance.wave_stiffness import WaveStiffness
@@ -136,14 +136,10 @@ def _rest(scene: Scene, theta: Array, torque: Scalar) -> tuple[Array, Array, Arr
     scene = scene.anchored()
     members = [np.asarray(own) for own in scene.layout.members]
 
-    def position(load: Scalar, angle: Scalar) -> tuple[Scalar, tuple[Array, Array]]:
-        found = rest(scene, angle, load)
-        carrying = jnp.stack([(found.forces[own] > 0).any() for own in members])
-        return found.position, (carrying.sum().astype(theta.dtype), found.result)
-
     def at(angle: Scalar) -> tuple[Array, Array, Array, Array]:
-        place, way, told = jax.jvp(lambda load: position(load, angle), (torque,), (jnp.ones_like(torque),), True)
-        return place, -1 / way, told[0], told[1]
+        found, stiffness = resistance(scene, angle, torque)
+        carrying = jnp.stack([(found.forces[own] > 0).any() for own in members])
+        return found.position, stiffness, carrying.sum().astype(theta.dtype), found.result
 
     return jax.vmap(at)(theta)
 

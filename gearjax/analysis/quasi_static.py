@@ -38,8 +38,8 @@ class TransmissionError(eqx.Module):
         extremes: highest and lowest value over the span of theta, between samples too unless told otherwise [rad].
         layout: sides and pairs of the contacts.
         fastest_order: turns of what the curve follows fastest per turn of the input.
-        carriers: number of pairs that could carry the torque, shape (n,); of contacts that touch either flank those
-            on the loaded side. ``None`` without torque.
+        carriers: number of pairs that could carry the torque, those with a flank on the loaded side, shape (n,);
+            ``None`` without torque.
         interference: of rigid bodies, where back flanks are modelled; ``None`` under torque, which elastic bodies
             carry in spite of it (`gearjax.interference` tells it for every scene).
         moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any, or torque.
@@ -94,8 +94,26 @@ class TransmissionError(eqx.Module):
         return (self.forces > 0).sum(axis=-1)
 
     @property
+    def pair_forces(self) -> Float[Array, "... n pair"]:
+        """Load of each pair, the forces of its contacts added, shape (n, pair) [N].
+
+        Pairs stand in the order of ``layout.pair``: of an `InvoluteRV` those of the driving flanks, of each external
+        gear after the other, then those of the back ones (`contact_name` of the system tells a contact's); of an
+        `RVCycloidal` the pins of each disc; of a `TwoKV` the planet wheels, both flanks together.
+        """
+        if self.forces is None:
+            raise SceneError("loads of pairs need a torque: transmission_error(scene, theta, torque=...)")
+        return self.layout.per_pair(self.forces)
+
+    @property
+    def engaged_pairs(self) -> Int[Array, "... n"]:
+        """Number of pairs that carry force, shape (n,)."""
+        return (self.pair_forces > 0).sum(axis=-1)
+
+    @property
     def load_sharing(self) -> Float[Array, "... n"]:
-        """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
+        """Load of the most loaded pair over the mean load of those that could carry, which have a flank on the loaded
+        side, shape (n,) [-]: 1 where they share evenly, their number where one carries all."""
         if self.forces is None or self.carriers is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
         return load_sharing(self.layout, self.forces, self.carriers)
@@ -193,13 +211,7 @@ def transmission_error(
     if torque is None:
         return _transmission_error(scene.physics(), theta, None, extremes or "between")
     require(scene, "static", "compliance")
-    torque = jnp.asarray(torque, dtype=theta.dtype)
-    if torque.ndim and torque.shape != theta.shape:
-        raise SceneError(f"torque has shape {torque.shape}: give one number, or one per theta {theta.shape}")
-    if is_concrete(torque) and (np.asarray(torque) < 0).any() and not scene.has_back:
-        raise SceneError(
-            f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
-        )
+    torque = torque_on(scene, theta, torque)
     places = extremes or ("samples" if isinstance(scene.compliance, COUPLED) else "between")
     return _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
 
@@ -259,6 +271,22 @@ def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
     if is_concrete(theta) and not bool((np.diff(np.asarray(theta)) > 0).all()):
         raise SceneError("theta must increase")
     return theta
+
+
+def torque_on(scene: Scene, theta: Float[Array, " n"], torque: ArrayLike) -> Array:
+    """Load torque of an analysis, checked, a number or shape (n,) [N m].
+
+    Raises:
+        SceneError: its shape suits no angles, or it loads flanks that the scene lacks.
+    """
+    torque = jnp.asarray(torque, dtype=theta.dtype)
+    if torque.ndim and torque.shape != theta.shape:
+        raise SceneError(f"torque has shape {torque.shape}: give one number, or one per theta {theta.shape}")
+    if is_concrete(torque) and (np.asarray(torque) < 0).any() and not scene.has_back:
+        raise SceneError(
+            f"torque = {float(torque.min()):g} N*m loads the back flanks, which this scene lacks: list a [backlash]"
+        )
+    return torque
 
 
 def no_load(scene: Scene, angle: Scalar | Pose) -> Scalar:

@@ -97,8 +97,15 @@ def edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:
     return lower, upper
 
 
-def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Equilibrium:
-    """Equilibrium under a load torque [N m] at an angle, with the mean stiffness, by the scene's contact law."""
+def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int = 1) -> Equilibrium:
+    """Equilibrium under a load torque [N m] at an angle, with the mean stiffness, by the scene's contact law.
+
+    Args:
+        scene: with a compliance.
+        angle: of the input [rad], or the pose there.
+        torque: [N m].
+        derivatives: up to which order they hold where geometry is exact; of other scenes the second ones do too.
+    """
     if not scene.system.exact:
         return equilibrium(scene.contacts(angle, "mean"), -torque, scene.contact)
     frozen = jax.lax.stop_gradient((scene, angle, torque))
@@ -116,15 +123,30 @@ def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Equilibrium:
         forces = spring_forces(contacts, scene.contact)(contacts.lever * at - contacts.gap)
         return (contacts.lever * forces).sum(), contacts
 
-    # one more step of Newton's method, along which the levers turn too, carries the derivatives
-    total, slope, contacts = jax.jvp(moment, (place,), (jnp.ones_like(place),), has_aux=True)
-    slope = jax.lax.stop_gradient(slope)
-    lower, upper = first_contact(contacts, scene.contact)
-    touching = lower if upper is None else jnp.where(torque < 0, upper, lower)
-    position = jnp.where(slope > 0, place - (total + torque) / jnp.where(slope > 0, slope, 1.0), touching)
+    # more steps of Newton's method, along which the levers turn too, carry the derivatives, one order each
+    position = place
+    for _ in range(derivatives):
+        total, slope, contacts = jax.jvp(moment, (position,), (jnp.ones_like(place),), has_aux=True)
+        slope = jax.lax.stop_gradient(slope)
+        lower, upper = first_contact(contacts, scene.contact)
+        touching = lower if upper is None else jnp.where(torque < 0, upper, lower)
+        position = jnp.where(slope > 0, position - (total + torque) / jnp.where(slope > 0, slope, 1.0), touching)
     forces = spring_forces(contacts, scene.contact)(contacts.lever * position - contacts.gap)
     good = result == 0
     return Equilibrium(jnp.where(good, position, jnp.nan), jnp.where(good, forces, 0.0), result)
+
+
+def resistance(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> tuple[Equilibrium, Scalar]:
+    """Equilibrium under a load torque [N m] at an angle, and the tangent torsional stiffness there, ``dT / dq`` of the
+    output against the load while the input is held [N m/rad]; nan where there is no equilibrium."""
+
+    def position(load: Scalar) -> tuple[Scalar, Equilibrium]:
+        found = rest(scene, angle, load, derivatives=2)
+        return found.position, found
+
+    _, way, found = jax.jvp(position, (torque,), (jnp.ones_like(torque),), has_aux=True)
+    held = (found.result == 0) & (way < 0)
+    return found, jnp.where(held, -1 / jnp.where(held, way, -1.0), jnp.nan)
 
 
 def carriers(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Int[Array, ""]:

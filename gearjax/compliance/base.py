@@ -6,6 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
+from gearjax.compliance.line_contact import AbstractLineContact
 from gearjax.contact import Layout, Places
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Array, Float, Scalar
@@ -74,6 +75,11 @@ class AbstractToothCompliance(eqx.Module):
             radii: of the contacts on each over a mesh period, shape (angle, block, pair, point) [m].
         """
         return self
+
+    @property
+    def line_contact(self) -> AbstractLineContact | None:
+        """Material and face width of the contacts, for the pressure in them; ``None`` where it has none."""
+        return None
 
 
 COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)

@@ -24,7 +24,8 @@ import numpy as np
 
 from gearjax import units
 from gearjax.compliance.base import AbstractToothCompliance, block_diagonal
-from gearjax.contact import Places
+from gearjax.compliance.line_contact import HertzLineContact
+from gearjax.contact import Places, even_parts
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import check_parameters, length, number
 from gearjax.typing import Array, Float, Number, Scalar
@@ -67,6 +68,11 @@ class ElasticTeeth(AbstractToothCompliance):
         """``E' = E / (1 - nu^2)`` of teeth that are wide beside their height [Pa]."""
         return self.youngs_modulus / (1 - self.poissons_ratio**2)
 
+    @property
+    def line_contact(self) -> HertzLineContact:
+        width = jnp.minimum(self.external_width, self.internal_width)
+        return HertzLineContact(self.youngs_modulus, self.poissons_ratio, width)
+
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         own = jax.vmap(jax.vmap(lambda radii, shared: self._pair(places, radii, shared)))(places.radius, places.shared)
         return block_diagonal(own.reshape(-1, *own.shape[2:]))
@@ -77,7 +83,7 @@ class ElasticTeeth(AbstractToothCompliance):
         """Approach per force of the contacts of one pair, by point, then by place across the face."""
         points, face = radii[0].shape[0], places.face.shape[0]
         width = jnp.minimum(self.external_width, self.internal_width)
-        slices = jnp.diag(1 / _parts(face, width))
+        slices = jnp.diag(1 / (width * even_parts(face, width.dtype)))
         whole = jnp.zeros((points, face, points, face), shared.dtype)
         for gear, radius, own in zip(places.gears, radii, (self.external_width, self.internal_width), strict=True):
             across = _across(places.face * width, width, own, self.coupling_length * gear.module)
@@ -122,7 +128,7 @@ class ElasticTeeth(AbstractToothCompliance):
         along = 0.5 * gear.base_radius * gear.roll_at(radius) ** 2  # length of the flank from the base circle
         strip = shared if points == 1 else jnp.abs(along[-1] - along[0])
         # of a strip on itself, the mean of ln |x - x'| is the logarithm of its width less 3 / 2
-        itself = jnp.maximum(_parts(points, strip), SHORTEST) * math.exp(-1.5)
+        itself = jnp.maximum(strip * even_parts(points, strip.dtype), SHORTEST) * math.exp(-1.5)
         apart = jnp.abs(along[:, None] - along[None, :])
         near = jnp.where(jnp.eye(points, dtype=bool), itself[:, None], jnp.maximum(apart, SHORTEST))
         kernel = jnp.log(jnp.sqrt(thick[:, None] * thick[None, :]) / near)
@@ -185,12 +191,3 @@ def _half_at(gear: InvoluteGear, level: Array) -> Array:
     radius = level / jnp.cos(gear.half_angle(jnp.maximum(level, gear.base_radius)))
     radius = jnp.maximum(radius, gear.base_radius)
     return radius * jnp.sin(gear.half_angle(radius))
-
-
-def _parts(number: int, whole: Scalar) -> Array:
-    """Parts of a length that evenly placed points stand for, those at the ends for half as much."""
-    if number == 1:
-        return whole[None]
-    parts = np.full(number, 1.0 / (number - 1))
-    parts[[0, -1]] *= 0.5
-    return whole * jnp.asarray(parts, whole.dtype)

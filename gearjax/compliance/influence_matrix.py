@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from gearjax import units
 from gearjax.checks import ParameterError, SceneError
 from gearjax.compliance.base import AbstractToothCompliance, block_diagonal
+from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import Places
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import InfluenceTable, influence_of, read_influence, tooth_influence
@@ -91,6 +92,11 @@ class InfluenceMatrix(AbstractToothCompliance):
             layers=self.layers,
             cache=self.cache or None,
         )
+
+    @property
+    def line_contact(self) -> HertzLineContact:
+        width = jnp.minimum(self.external_width, self.internal_width)
+        return HertzLineContact(self.youngs_modulus, self.poissons_ratio, width)
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         if self.tables is None:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax import units
-from gearjax.contact import LineSprings
+from gearjax.contact import LineSprings, Places
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import check_parameters, length, number
 from gearjax.typing import Array, Float, Number, Scalar
@@ -35,6 +35,11 @@ class AbstractLineContact(eqx.Module):
     face_width: eqx.AbstractVar[Array]
 
     @property
+    def plane_modulus(self) -> Scalar:
+        """``E' = E / (1 - nu^2)`` [Pa]."""
+        return self.youngs_modulus / (1 - self.poissons_ratio * self.poissons_ratio)
+
+    @property
     def compliance(self) -> Scalar:
         """``W = (1 - nu^2) / (E b)`` [m/N]."""
         return (1 - self.poissons_ratio * self.poissons_ratio) / (self.youngs_modulus * self.face_width)
@@ -49,6 +54,25 @@ class AbstractLineContact(eqx.Module):
         """Highest pressure in each contact by Hertz, ``sqrt(F / (2 pi W R)) / b``, shape (contact,) [Pa]."""
         square = forces / (2 * math.pi * self.compliance * radii.relative)
         return jnp.where(forces > 0, jnp.sqrt(jnp.where(forces > 0, square, 1.0)), 0.0) / self.face_width
+
+    def flank_pressure(self, places: Places, forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Highest pressure in each contact of tooth flanks, shape (contact,) [Pa].
+
+        With the line load ``F' = F / b_i`` on the part ``b_i`` of the face that a contact stands for (`Places.strips`),
+        the larger of that of Hertz, ``sqrt(F' E' kappa / (2 pi))``, ``E' = E / (1 - nu^2)``, with the relative
+        curvature kappa (Johnson 1985, eq. 4.44), and of ``F' / s`` on its part ``s`` of the profile. Flanks of gears of
+        few teeth difference are so alike that Hertz' contact would be wider than what they share: an even pressure
+        is all that a strip of the profile tells, and its edge at a tip bears more.
+        """
+        each = forces.reshape(*places.radius[0].shape, len(places.face))
+        along, across = places.strips(self.face_width)
+        line = each / across[None, None, None]
+        square = line * self.plane_modulus / (2 * math.pi) * places.curvature[..., None]
+        pressed = square > 0
+        hertz = jnp.where(pressed, jnp.sqrt(jnp.where(pressed, square, 1.0)), 0.0)
+        carries = (each > 0) & (along > 0)[..., None]
+        even = jnp.where(carries, line / jnp.where(carries, along[..., None], 1.0), 0.0)
+        return jnp.maximum(hertz, even).ravel()
 
 
 class HertzLineContact(AbstractLineContact):

@@ -5,7 +5,7 @@ from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
 from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
 from gearjax.contact.layout import Layout
-from gearjax.contact.pose import BodyView, Moved, Movements, Places, Pose, ProfilePlace, Request, Rim
+from gearjax.contact.pose import BodyView, Moved, Movements, Places, Pose, ProfilePlace, Request, Rim, even_parts
 from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "SoftplusContact",
     "Springs",
     "equilibrium",
+    "even_parts",
     "first_contact",
     "least_overlap",
 ]

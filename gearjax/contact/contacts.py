@@ -105,7 +105,9 @@ class ContactSet(eqx.Module):
         return ContactSet(self.jacobian[own, column][:, None], self.gap[own], None, layout)
 
     def carriers(self, load: Scalar) -> Int[Array, ""]:
-        """Number of pairs that could carry a generalised force [N m]; where levers tell the side, those on its side."""
+        """Number of pairs that could carry a generalised force [N m]: those with a flank on its side."""
         if not self.layout.sides_turn:
-            return jnp.asarray(self.layout.teeth)
+            driving, back = (len(pairs) for pairs in self.layout.pairs_by_side)
+            alike = back in (0, driving)
+            return jnp.asarray(driving) if alike else jnp.where(load > 0, back, driving)
         return jnp.where(load > 0, self.lever > 0, self.lever < 0).sum()

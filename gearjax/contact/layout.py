@@ -71,6 +71,20 @@ class Layout:
         return max(self.pair) + 1
 
     @functools.cached_property
+    def pairs_by_side(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs with a driving flank, and pairs with a back flank, of contacts whose sides are known."""
+        side, pair = np.asarray(self.side), np.asarray(self.pair)
+        return np.unique(pair[side > 0]), np.unique(pair[side < 0])
+
+    @property
+    def all_could_carry(self) -> bool:
+        """Whether every pair holds against torques in each direction that is held against at all."""
+        if self.sides_turn:
+            return False
+        driving, back = self.pairs_by_side
+        return len(driving) == self.teeth and len(back) in (0, self.teeth)
+
+    @functools.cached_property
     def flanks(self) -> tuple[Place, ...]:
         """The contacts in rows with one of each pair, in the order of the pairs: the first flanks, the second ones."""
         order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)

@@ -7,6 +7,7 @@ from typing import Protocol
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.geometry.line_contact import Radii
@@ -74,6 +75,35 @@ class Places(eqx.Module):
     pair: Float[Array, "block pair"]
     shared: Float[Array, "block pair"]
     face: Float[Array, " face"]
+
+    @property
+    def curvature(self) -> Float[Array, "block pair point"]:
+        """Relative curvature of the flanks at the contacts, ``1 / rho_1 - 1 / rho_2`` of an external gear in an
+        internal one, with ``rho = sqrt(R^2 - r_b^2)`` (ISO 21771); not below zero, shape (block, pair, point) [1/m]."""
+        signs = (-1.0 if gear.internal else 1.0 for gear in self.gears)
+        each = zip(signs, self.gears, self.radius, strict=True)
+        bent = [sign / (gear.base_radius * gear.roll_at(radius)) for sign, gear, radius in each]
+        return jnp.maximum(bent[0] + bent[1], 0.0)
+
+    def strips(self, width: Scalar) -> tuple[Float[Array, "block pair point"], Float[Array, " face"]]:
+        """What each contact stands for of the flanks that face each other, along the profile and across the face: even
+        parts, those at the ends half as long [m].
+
+        Args:
+            width: of the face [m].
+        """
+        along, across = (even_parts(number, self.face.dtype) for number in (self.radius[0].shape[-1], len(self.face)))
+        return self.shared[..., None] * along[None, None], width * across
+
+
+def even_parts(number: int, dtype: jnp.dtype) -> Float[Array, " number"]:
+    """Parts of a length of one that evenly placed points stand for, from end to end: those at the ends for half as
+    much; a single one for all."""
+    if number == 1:
+        return jnp.ones(1, dtype)
+    parts = np.full(number, 1.0 / (number - 1))
+    parts[[0, -1]] *= 0.5
+    return jnp.asarray(parts, dtype)
 
 
 class ProfilePlace(eqx.Module):

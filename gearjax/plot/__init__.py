@@ -2,8 +2,10 @@
 
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import save_stage_figure, stage_figure
+from gearjax.plot.involute import pair_figure, save_pair_figure
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
+from gearjax.plot.stiffness import stiffness_figure
 from gearjax.plot.tolerance import save_tolerance_figures
 from gearjax.plot.tradeoff import save_tradeoff_figure
 
@@ -14,13 +16,16 @@ __all__ = [
     "force_figure",
     "mark_multiples",
     "new_figure",
+    "pair_figure",
     "save_figure",
     "save_figures",
     "save_optimisation_figures",
+    "save_pair_figure",
     "save_stage_figure",
     "save_tolerance_figures",
     "save_tradeoff_figure",
     "spectrum_figure",
     "stage_figure",
+    "stiffness_figure",
     "thin",
 ]

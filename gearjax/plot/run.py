@@ -10,9 +10,10 @@ from gearjax.analysis import Motion, TransmissionError
 from gearjax.coordinates import unit_of
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import stage_figure
+from gearjax.plot.involute import pair_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
-from gearjax.systems import RVCycloidal
+from gearjax.systems import InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
@@ -166,10 +167,10 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
     }
     for case in cases:
         result = case.result
-        if (
-            isinstance(scene.system, RVCycloidal)
-            and isinstance(result, TransmissionError)
-            and result.forces is not None
-        ):
+        if not isinstance(result, TransmissionError) or result.forces is None:
+            continue
+        if isinstance(scene.system, RVCycloidal):
             figures["stage.png"] = stage_figure(scene.system, float(result.theta[0]), result.forces[0])
+        if isinstance(scene.system, InvoluteRV):
+            figures["pair.png"] = pair_figure(scene, float(result.theta[0]), result.forces[0])
     return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]
