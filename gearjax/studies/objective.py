@@ -317,9 +317,7 @@ class Objective(eqx.Module):
             temperature: smoothing of the largest values [rad].
         """
         smoothed = functools.partial(_soft_largest, temperature)
-        if isinstance(
-            scene.compliance, COUPLED
-        ):  # whose forces are as smooth as its geometry but for contacts that open
+        if isinstance(scene.compliance, COUPLED):  # has the hard law alone
             return self._of_samples(scene, smoothed)
         lever = jnp.abs(scene.contacts(self.theta[0]).output_levers).mean()
         width = jnp.maximum(WIDTH * temperature * jax.lax.stop_gradient(lever), 1e-15)
