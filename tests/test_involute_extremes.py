@@ -45,7 +45,6 @@ def test_too_few_candidates_are_told_and_enough_are_not():
     with pytest.warns(gj.FewCandidates, match=r"carry load at 100 % of the angles \(the driving flank of pair") as told:
         gj.transmission_error(gj.Scene(system(pairs=5), compliance=ELASTIC), theta, torque=100.0)
     assert "\n" not in str(told[0].message)
-    assert told[0].filename == __file__
 
 
 def test_one_pair_carries_all_where_the_others_are_far_away():
@@ -68,7 +67,7 @@ def test_one_pair_carries_all_where_the_others_are_far_away():
 
 def test_points_on_the_edges_of_the_tips_carry():
     """At both ends of the path of contact the outer points of the profile are on the tip circles, and are found."""
-    own = system(pairs=9, profile_points=5)
+    own = system(pairs=13, profile_points=5)
     for share in (0.0, 1.0):
         theta = angle_of(own, share)
         found = own.candidates(jnp.asarray(theta), False)
@@ -95,13 +94,16 @@ def test_a_torque_turned_around_is_carried_by_the_back_flanks_alone():
 
 
 def test_negative_gaps_are_flagged_with_how_much():
-    """A backlash that is negative by 10 um: rigid flanks overlap by half of it, that of the centre distance added."""
-    own = system(pairs=9)
-    scene = gj.Scene(own, backlash=gj.InitialBacklash(initial=-10 * um), compliance=ELASTIC)
+    """A throw that is 5 um too long closes the gaps by some 7 um: rigid flanks share the overlap, elastic ones are both
+    pressed."""
+    own = system(pairs=9, centre_distance=1.505 * mm)
+    missing = -float(own.pair.backlash)
+    assert missing > 7 * um
+    scene = gj.Scene(own, backlash=gj.InitialBacklash(initial=0.0), compliance=ELASTIC)
     theta = jnp.asarray([0.0, 0.005])
     overlap = gj.interference(scene, theta)
     assert bool(overlap.interferes.all())
-    assert float(overlap.overlap[0] / um) == pytest.approx((10 + 0.3957) / 2, abs=1e-2)
+    np.testing.assert_allclose(overlap.overlap, missing / 2, rtol=1e-2)
     assert "rigid bodies overlap at 100 % of the angles" in str(overlap.told(scene))
     pressed = gj.transmission_error(scene, theta, torque=1.0)  # elastic teeth give way: both flanks carry
     assert (np.asarray(pressed.forces[:, :9]).sum(axis=1) > 10.0).all()
@@ -128,7 +130,7 @@ def test_one_tooth_of_difference():
     ("changes", "words"),
     [
         ({"external_teeth": 241}, "external_teeth = 241: must be below internal_teeth"),
-        ({"external_shift": 3.0}, "external_shift"),
+        ({"external_shift": 3.0}, "tips of the external gear reach 72.047 mm, beyond the ring's roots"),
         ({"internal_shift": -2.0}, ""),
     ],
     ids=["teeth", "shifted outwards", "ring shifted inwards"],
