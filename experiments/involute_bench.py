@@ -4,8 +4,8 @@
   mesh cycle, by ``gj.monte_carlo`` on one device per core; and by an active set in numpy and scipy for each angle of
   fewer samples, in one process, which is given the gaps and matrices worked out. Their TE is compared first.
 - search: micro-geometries (tip relief of both gears, its length, slope of the profile), each descended by gradients to
-  the most even load by ``gj.minimise``; and a hundredth of them with profile shift and centre distance, which change the
-  matrices of every design: each takes some seconds.
+  the most even load by ``gj.minimise``; and a hundredth of them with profile shift and centre distance, which change
+  the matrices of every design: each takes some seconds.
 
 Wall times, medians of repeats that take turns, compilation apart.
 
