@@ -290,7 +290,7 @@ class Scene(eqx.Module):
             request = Request(self.backlash is not None, places=True)
             places = pose_of(self.system, pose.theta, request).places if pose.places is None else pose.places
             assert places is not None  # the system has them
-            return CoupledSprings(self.compliance.influence(places))
+            return CoupledSprings(self.compliance.blocks(places))
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
         angle = pose.mesh_angle

@@ -18,7 +18,7 @@ def test_a_population_is_measured_as_its_analyses_do(rng):
     teeth = gj.Positions(body="gear_1", outward=jnp.zeros(0), around=jnp.asarray(rng.normal(size=236) * um))
     scene = dataclasses.replace(
         base,
-        system=dataclasses.replace(base.system, profile_points=1, pairs=9),
+        system=dataclasses.replace(base.system, profile_points=1, pairs=13),
         errors=base.errors | {"teeth": teeth},
         compliance=gj.HarmonicStiffness(mean=2e8, relative_amplitudes=[], phases=[]),
         run=None,

@@ -10,7 +10,14 @@ from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.one_contact import Reduction, one_contact
 from gearjax.analysis.periodic import Periodic, Sweep, shooting, speed_sweep
-from gearjax.analysis.quasi_static import Backlash, TransmissionError, backlash, interference, transmission_error
+from gearjax.analysis.quasi_static import (
+    Backlash,
+    FewCandidates,
+    TransmissionError,
+    backlash,
+    interference,
+    transmission_error,
+)
 from gearjax.analysis.repeats import periodic_motion
 from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
@@ -25,6 +32,7 @@ __all__ = [
     "ExponentialFit",
     "ExponentialParabola",
     "FewAngles",
+    "FewCandidates",
     "FixedStep",
     "Interference",
     "LostMotion",

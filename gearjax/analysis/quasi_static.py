@@ -1,5 +1,7 @@
 """Quasi-static analyses: transmission error without load and under a static torque, and backlash."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,9 +19,10 @@ from gearjax.analysis.metrics import (
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
 from gearjax.compliance import COUPLED
-from gearjax.contact import Equilibrium, Layout, Pose
+from gearjax.contact import Equilibrium, Layout, Pose, Request
 from gearjax.scene import Scene, require
-from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
+from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
+from gearjax.units import deg
 
 EXTREMES = ("between", "samples")
 
@@ -44,6 +47,8 @@ class TransmissionError(eqx.Module):
             carry in spite of it (`gearjax.interference` tells it for every scene).
         moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any, or torque.
         coordinates: names of what moves: the output, then those displacements.
+        crowded: whether a candidate carries beside which others are left out, shape (n,): more would carry. ``None``
+            where all teeth are candidates, or without torque.
     """
 
     theta: Float[Array, " n"]
@@ -57,6 +62,7 @@ class TransmissionError(eqx.Module):
     interference: Interference | None = None
     moved: Float[Array, "n coordinate"] | None = None
     coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
+    crowded: Bool[Array, " n"] | None = None
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
@@ -213,7 +219,27 @@ def transmission_error(
     require(scene, "static", "compliance")
     torque = torque_on(scene, theta, torque)
     places = extremes or ("samples" if isinstance(scene.compliance, COUPLED) else "between")
-    return _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
+    found = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
+    _warn_of_few_candidates(scene, found)
+    return found
+
+
+class FewCandidates(UserWarning):
+    """More teeth would carry than are looked at."""
+
+
+def _warn_of_few_candidates(scene: Scene, found: TransmissionError) -> None:
+    """Warn where candidates carry that others are left out beside; inside a trace nothing is known."""
+    if found.crowded is None or not is_concrete(found.crowded) or not bool(found.crowded.any()):
+        return
+    worst = int(np.argmax(np.asarray(found.crowded)))
+    ends = scene.system.outermost(found.theta[worst], Request(scene.has_back))
+    assert found.forces is not None
+    assert ends is not None  # some of them carry
+    name = scene.system.contact_name(int(jnp.argmax(jnp.where(ends, found.forces[worst], 0.0))))
+    words = f"the outermost candidates carry load at {100 * float(found.crowded.mean()):.3g} % of the angles"
+    words = f"{words} ({name}, input angle {float(found.theta[worst]) / deg:.5g} deg): teeth beside them would too"
+    warnings.warn(f"{words}, give more system.pairs", FewCandidates, stacklevel=4)
 
 
 @arguments.checked()
@@ -334,7 +360,14 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
     else:
         found = extremes_of_samples(theta, rests.position)
     record = rests.position, rests.forces, rests.result
-    return TransmissionError(theta, *record, found, layout, fastest, able, None, rests.moved, scene.coordinates)
+
+    def crowd(angle: Scalar, forces: Array) -> Array | None:
+        ends = scene.system.outermost(angle, Request(scene.has_back))
+        return None if ends is None else (ends & (forces > 0)).any()
+
+    crowded = jax.vmap(crowd)(theta, rests.forces)
+    moved = rests.moved, scene.coordinates
+    return TransmissionError(theta, *record, found, layout, fastest, able, None, *moved, crowded)
 
 
 @eqx.filter_jit

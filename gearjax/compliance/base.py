@@ -4,7 +4,6 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from gearjax.compliance.line_contact import AbstractLineContact
 from gearjax.contact import Layout, Places
@@ -65,6 +64,11 @@ class AbstractToothCompliance(eqx.Module):
             places: of the contacts on their teeth.
         """
 
+    def blocks(self, places: Places) -> Float[Array, "block own own"]:
+        """The same in blocks of contacts, in their order, that do not move those of others, shape (block, own, own)
+        [m/N]: small ones, of a few contacts each, are quick."""
+        return self.influence(places)[None]
+
     def made_for(
         self, gears: tuple[InvoluteGear, InvoluteGear], radii: tuple[Array, Array]
     ) -> "AbstractToothCompliance":
@@ -84,10 +88,3 @@ class AbstractToothCompliance(eqx.Module):
 
 COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)
 """Those whose contacts move each other, as `isinstance` takes them."""
-
-
-def block_diagonal(blocks: Float[Array, "block own own"]) -> Float[Array, "contact contact"]:
-    """The influence of contacts in blocks that do not move each other, shape (block * own, block * own) [m/N]."""
-    number, own, _ = blocks.shape
-    apart = jnp.eye(number, dtype=blocks.dtype)[:, None, :, None] * blocks[:, :, None, :]
-    return apart.reshape(number * own, number * own)

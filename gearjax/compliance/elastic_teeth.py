@@ -23,9 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import units
-from gearjax.compliance.base import AbstractToothCompliance, block_diagonal
+from gearjax.compliance.base import AbstractToothCompliance
 from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import Places, even_parts
+from gearjax.contact.springs import block_diagonal
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import check_parameters, length, number
 from gearjax.typing import Array, Float, Number, Scalar
@@ -74,8 +75,11 @@ class ElasticTeeth(AbstractToothCompliance):
         return HertzLineContact(self.youngs_modulus, self.poissons_ratio, width)
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
+        return block_diagonal(self.blocks(places))
+
+    def blocks(self, places: Places) -> Float[Array, "block own own"]:
         own = jax.vmap(jax.vmap(lambda radii, shared: self._pair(places, radii, shared)))(places.radius, places.shared)
-        return block_diagonal(own.reshape(-1, *own.shape[2:]))
+        return own.reshape(-1, *own.shape[2:])  # each pair of teeth is one
 
     def _pair(
         self, places: Places, radii: tuple[Float[Array, " point"], Float[Array, " point"]], shared: Scalar
@@ -101,9 +105,10 @@ class ElasticTeeth(AbstractToothCompliance):
         arm = sign * (height - foot)  # of each load above the root
         # sections from the root to the lower of both loads
         nodes, weights = (jnp.asarray(part, radius.dtype) for part in np.polynomial.legendre.leggauss(NODES))
-        span = jnp.minimum(arm[:, None], arm[None, :])[..., None]
-        level, step = 0.5 * (1 + nodes)[None, None] * span, 0.5 * weights[None, None] * span
-        thick = 2 * _half_at(gear, foot + sign * level)
+        level, step = 0.5 * (1 + nodes)[None] * arm[:, None], 0.5 * weights[None] * arm[:, None]
+        thick = 2 * _half_at(gear, foot + sign * level)  # worked out once for each point, not for each pair of them
+        lower = (arm[:, None] <= arm[None, :])[..., None]
+        level, step, thick = (jnp.where(lower, each[:, None], each[None, :]) for each in (level, step, thick))
         moment = [
             side(across)[..., None] * (side(arm)[..., None] - level) - side(along * half)[..., None]
             for side in (lambda each: each[:, None], lambda each: each[None, :])

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 
 from gearjax import units
 from gearjax.checks import ParameterError, SceneError
-from gearjax.compliance.base import AbstractToothCompliance, block_diagonal
+from gearjax.compliance.base import AbstractToothCompliance
 from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import Places
+from gearjax.contact.springs import block_diagonal
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import InfluenceTable, influence_of, read_influence, tooth_influence
 from gearjax.influence.interpolate import across_face, along_radius

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from gearjax.contact.active_set import CLOSED, carrying, solved
+from gearjax.contact.blocks import search_of_blocks, solved_of_blocks
 from gearjax.contact.conjugate import descended
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.lanes import finished, in_parts, side_by_side
@@ -36,18 +37,21 @@ Solution = tuple[Scalar, Float[Array, " contact"], Int[Array, ""]]
 
 
 def coupled_balance(
-    influence: Float[Array, "contact contact"],
+    influence: Float[Array, "contact contact"] | Float[Array, "block own own"],
     lever: Float[Array, " contact"],
     gap: Float[Array, " contact"],
     load: Scalar,
+    sided: bool = False,
 ) -> Solution:
     """Position of the output, forces of the contacts, and a result code.
 
     Args:
-        influence: approach of each contact per force on each, symmetric, positive definite [m/N].
+        influence: approach of each contact per force on each, symmetric, positive definite, shape (contact, contact);
+            or small blocks of it, of contacts that do not move those of others, shape (block, own, own) [m/N].
         lever: change of overlap per change of the position, of either sign [m/rad].
         gap: openings at position zero [m].
         load: generalised force on the output [N m]. At zero the contacts that hold against a positive torque touch.
+        sided: whether the first half of small blocks is of driving flanks, and the second of as many back flanks.
 
     Returns:
         Position [rad], forces [N], and 0 for found, 1 where no contact can carry the load, 2 where the matrix is not
@@ -58,7 +62,9 @@ def coupled_balance(
     frozen_lever, frozen_gap, frozen_load = jax.lax.stop_gradient((lever, gap, load))
     edge, apart, able = _from_first_touch(frozen_lever, frozen_gap, frozen_load)
     loaded = _loaded(frozen_lever, frozen_load)
-    place, forces, result = _balanced(influence, lever[:, None], gap, load[None], edge[None], apart, loaded, able)
+    place, forces, result = _balanced(
+        influence, lever[:, None], gap, load[None], edge[None], apart, loaded, able, sided
+    )
     return place[0], forces, result
 
 
@@ -81,7 +87,15 @@ def coupled_train(
 
 
 def _balanced(
-    influence: Array, levers: Array, gap: Array, load: Array, edge: Array, apart: Array, loaded: Array, able: Array
+    influence: Array,
+    levers: Array,
+    gap: Array,
+    load: Array,
+    edge: Array,
+    apart: Array,
+    loaded: Array,
+    able: Array,
+    sided: bool = False,
 ) -> tuple[Float[Array, " free"], Float[Array, " contact"], Int[Array, ""]]:
     """Positions, forces and result code.
 
@@ -92,38 +106,40 @@ def _balanced(
         edge, apart: where the load closes the first contact of each, shape (free,), and the gaps counted from there.
         loaded: contacts that hold against the load.
         able: whether all of these coordinates are held.
+        sided: as for `coupled_balance`.
     """
-    place, forces, _, good = _answer(influence, levers, gap, load, (edge, apart, loaded, able))
+    place, forces, _, good = _answer(sided, influence, levers, gap, load, (edge, apart, loaded, able))
     good = jax.lax.stop_gradient(good) > 0
     result = jnp.where(~able, 1, jnp.where(good, 0, 2))
     return jnp.where(good, place, jnp.nan), jnp.where(good, forces, jnp.nan), result
 
 
-def _primal(influence: Array, levers: Array, gap: Array, load: Array, counted: tuple) -> tuple:
+def _primal(sided: bool, influence: Array, levers: Array, gap: Array, load: Array, counted: tuple) -> tuple:
     """Positions, forces, and as numbers which contacts carry and whether they were found."""
     del gap  # counted from where contacts touch
     edge, apart, loaded, able = counted
-    search = _search if len(apart) >= MANY else _exact
+    few = _exact if influence.ndim == 2 else partial(search_of_blocks, sided)
+    search = _search if influence.ndim == 2 and len(apart) >= MANY else few
     position, forces, closed, found = search(influence, levers, apart, load, loaded)
     good = found & able
     numbers = (jnp.where(good, part, 0.0) for part in (edge + position, forces, closed.astype(forces.dtype)))
     return *numbers, good.astype(forces.dtype)
 
 
-_answer = jax.custom_jvp(_primal)
+_answer = jax.custom_jvp(_primal, nondiff_argnums=(0,))
 
 
 @partial(_answer.defjvp, symbolic_zeros=True)
-def _answer_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
     """The linear problem of the contacts that carry, whose matrix is symmetric: ``S df - J dq``, ``-J^T df``."""
     influence, levers, _, load, _ = primals
-    place, forces, closed, good = _answer(*primals)
+    place, forces, closed, good = _answer(sided, *primals)
     carry = jax.lax.stop_gradient(closed) > 0
 
     def moved(way: Array | SymbolicZero, product: Callable[[Array], Array]) -> Array | float:
         return 0.0 if isinstance(way, SymbolicZero) else product(way)
 
-    pushed = moved(tangents[2], lambda way: way) + moved(tangents[0], lambda way: way @ forces)
+    pushed = moved(tangents[2], lambda way: way) + moved(tangents[0], lambda way: _approach(way, forces))
     pushed = pushed - moved(tangents[1], lambda way: way @ place)
     pulled = moved(tangents[3], lambda way: way) - moved(tangents[1], lambda way: way.T @ forces)
     number = len(forces)
@@ -132,11 +148,12 @@ def _answer_jvp(primals: tuple, tangents: tuple) -> tuple:
 
     def matrix(unknown: Array) -> Array:
         inner, turn = jnp.where(carry, unknown[:number], 0.0), unknown[number:]
-        pressed = jnp.where(carry, influence @ inner - levers @ turn, unknown[:number])
+        pressed = jnp.where(carry, _approach(influence, inner) - levers @ turn, unknown[:number])
         return jnp.concatenate([pressed, -(levers.T @ inner)])
 
     def solve(_: Callable, right: Array) -> Array:
-        rest, linear = jnp.where(carry, right[:number], 0.0), _linear if number >= MANY else solved
+        rest, few = jnp.where(carry, right[:number], 0.0), solved if influence.ndim == 2 else solved_of_blocks
+        linear = _linear if influence.ndim == 2 and number >= MANY else few
         turn, push = linear(influence, levers, -rest, -right[number:], carry)
         return jnp.concatenate([jnp.where(carry, push, right[:number]), turn])
 
@@ -145,6 +162,14 @@ def _answer_jvp(primals: tuple, tangents: tuple) -> tuple:
     held = jax.lax.stop_gradient(good) > 0
     still = jnp.zeros_like(closed), jnp.zeros_like(good)
     return (place, forces, closed, good), (jnp.where(held, turn, 0.0), jnp.where(held, push, 0.0), *still)
+
+
+def _approach(influence: Array, forces: Array) -> Array:
+    """What forces make the contacts approach, by a matrix or by blocks of it [m]."""
+    if influence.ndim == 2:
+        return influence @ forces
+    own = forces.reshape(influence.shape[0], -1)
+    return (influence * own[:, None, :]).sum(axis=-1).ravel()
 
 
 def _exact(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.contact.blocks import MOST_OWN
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.coupled import coupled_balance, coupled_train
 from gearjax.contact.laws import AbstractContact, HardContact
@@ -141,9 +142,12 @@ def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Float[Array, 
 
 def _coupled(contacts: ContactSet, springs: CoupledSprings, load: Scalar) -> Equilibrium:
     """Springs coupled by a matrix, which what the supports give way by adds to."""
-    influence = with_supports(contacts, springs.influence)
+    small = contacts.free == 1 and contacts.supports is None and springs.blocks.shape[-1] <= MOST_OWN
+    influence = springs.blocks if small else with_supports(contacts, springs.influence)
     if contacts.free == 1:
-        position, forces, code = coupled_balance(influence, contacts.jacobian[:, 0], contacts.gap, load)
+        position, forces, code = coupled_balance(
+            influence, contacts.jacobian[:, 0], contacts.gap, load, contacts.layout.in_halves
+        )
         place = position[None]
     else:
         place, forces, code = coupled_train(influence, contacts, load)

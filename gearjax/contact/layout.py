@@ -85,6 +85,12 @@ class Layout:
         return len(driving) == self.teeth and len(back) in (0, self.teeth)
 
     @functools.cached_property
+    def in_halves(self) -> bool:
+        """Whether driving flanks come first, and then as many back flanks."""
+        half = len(self.side) // 2
+        return self.side == (1,) * half + (-1,) * half
+
+    @functools.cached_property
     def flanks(self) -> tuple[Place, ...]:
         """The contacts in rows with one of each pair, in the order of the pairs: the first flanks, the second ones."""
         order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)

@@ -29,11 +29,26 @@ class CoupledSprings(eqx.Module):
     """Springs where a force on one contact moves the others too: teeth of one body, slices of one face.
 
     Args:
-        influence: approach of each contact per force on each, symmetric and positive definite, shape (contact, contact)
-            [m/N].
+        blocks: approach of each contact per force on each of its block, symmetric and positive definite, shape (block,
+            own, own) [m/N]. Contacts of different blocks, such as pairs of teeth, do not move each other. A matrix of
+            all is one block, and may be given as it is, shape (contact, contact).
     """
 
-    influence: Float[Array, "contact contact"]
+    blocks: Float[Array, "block own own"] = eqx.field(converter=lambda given: given if given.ndim > 2 else given[None])
+
+    @property
+    def influence(self) -> Float[Array, "contact contact"]:
+        """Approach of each contact per force on each, shape (contact, contact) [m/N]."""
+        return block_diagonal(self.blocks)
+
+
+def block_diagonal(blocks: Float[Array, "block own own"]) -> Float[Array, "contact contact"]:
+    """The matrix of contacts in blocks that do not move each other, shape (block * own, block * own) [m/N]."""
+    *many, number, own, _ = blocks.shape
+    if number == 1:
+        return blocks[..., 0, :, :]
+    apart = jnp.eye(number, dtype=blocks.dtype)[:, None, :, None] * blocks[..., :, :, None, :]
+    return apart.reshape(*many, number * own, number * own)
 
 
 class LineSprings(eqx.Module):

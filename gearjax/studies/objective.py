@@ -7,6 +7,7 @@ whose largest ones make it up.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -21,13 +22,16 @@ from gearjax.analysis.metrics import (
     highest_intervals,
     slope_and_value,
     tangent_bounds,
+    top,
     turning_points,
     warn_of_few_angles,
 )
 from gearjax.analysis.quasi_static import Backlash, TransmissionError, no_load, play, static
+from gearjax.analysis.resting import carriers, rest
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
 from gearjax.arguments import numbers, one_positive, torque
 from gearjax.checks import ParameterError, is_concrete, nearest
+from gearjax.compliance import COUPLED
 from gearjax.contact import Pose, QuadraticContact
 from gearjax.parameters import as_leaf
 from gearjax.run import ANALYSES, NEEDS
@@ -37,6 +41,8 @@ from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 METRICS = ("amplitude", "peak_to_peak", "std", "order")
 NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
+SHARES = ("static_load_sharing",)
+"""Of no dimension, beside `NAMES`, which are angles."""
 SLOTS = {
     "no_load": (),
     "static": ("backlash", "compliance"),
@@ -56,7 +62,8 @@ class Term(eqx.Module):
     Args:
         name: analysis and metric: ``no_load``, ``static``, ``backlash`` or ``dynamic``, then ``_amplitude`` (largest
             absolute value; Wang et al. 2020, eq. 21), ``_peak_to_peak``, ``_std`` or ``_order`` (amplitude of one
-            order).
+            order). ``static_load_sharing`` is the largest load of a pair at any of the angles over the mean load of
+            those that could carry [-].
         torque: load torque of a static or dynamic term [N m].
         weight: its weight in a sum.
         order: for ``_order``: a name of ``system.orders`` such as ``"crank"``, or cycles per turn of the output.
@@ -71,8 +78,8 @@ class Term(eqx.Module):
     order: str | float | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if self.name not in NAMES:
-            raise ParameterError("objective", self.name, nearest(self.name, NAMES))
+        if self.name not in (*NAMES, *SHARES):
+            raise ParameterError("objective", self.name, nearest(self.name, (*NAMES, *SHARES)))
         if self.analysis in ("static", "dynamic") and self.torque is None:
             raise ParameterError("objective", self.name, "needs a torque")
         if self.analysis in ("no_load", "backlash") and self.torque is not None:
@@ -144,6 +151,10 @@ class Table(eqx.Module):
 @eqx.filter_jit
 def _tabulate(physics: Scene, theta: Float[Array, " n"]) -> Table:
     return Table(*jax.vmap(lambda angle: jax.jvp(physics.pose, (angle,), (jnp.ones_like(angle),)))(theta))
+
+
+def _soft_largest(temperature: float | Scalar, values: Float[Array, " m"]) -> Scalar:
+    return temperature * jax.nn.logsumexp(values / temperature)
 
 
 class Objective(eqx.Module):
@@ -251,6 +262,17 @@ class Objective(eqx.Module):
         ts = self.theta / jax.lax.stop_gradient(scene.system.input_speed)
         return simulate(scene, ts, term.torque, start=self.start, settle=self.settle, stepper=self.stepper)
 
+    def _shares(self, scene: Scene, term: Term) -> Float[Array, " m"]:
+        """Load of each pair at each angle over the mean load of those that could carry, shape (n * pair,) [-]."""
+        assert term.torque is not None
+        torque = term.torque
+
+        def at(angle: Scalar | Pose) -> Float[Array, " pair"]:
+            carried = scene.layout.per_pair(rest(scene, angle, torque).forces)
+            return carried * (carriers(scene, angle, torque).astype(carried.dtype) / carried.sum())
+
+        return jax.vmap(at)(self.theta if self.table is None else self.table.pose).ravel()
+
     def hard(self, scene: Scene) -> Scalar:
         """The objective by the scene's own contact law, extremes between samples included."""
         if self.function is not None:
@@ -277,6 +299,8 @@ class Objective(eqx.Module):
 
     def _metric(self, scene: Scene, term: Term) -> Scalar:
         """A metric by the contact law of the scene, without its weight."""
+        if term.name in SHARES:
+            return top(self._shares(scene.anchored(), term))
         found = self.result(scene, term)
         if term.metric != "order":
             return getattr(found, term.metric)
@@ -292,10 +316,13 @@ class Objective(eqx.Module):
             scene: the scene.
             temperature: smoothing of the largest values [rad].
         """
+        smoothed = functools.partial(_soft_largest, temperature)
+        if isinstance(scene.compliance, COUPLED):  # has the hard law alone
+            return self._of_samples(scene, smoothed)
         lever = jnp.abs(scene.contacts(self.theta[0]).output_levers).mean()
         width = jnp.maximum(WIDTH * temperature * jax.lax.stop_gradient(lever), 1e-15)
         soft = dataclasses.replace(scene, contact=QuadraticContact(width))
-        return self._of_samples(soft, lambda values: temperature * jax.nn.logsumexp(values / temperature))
+        return self._of_samples(soft, smoothed)
 
     def sampled(self, scene: Scene) -> Scalar:
         """The objective of the samples alone: without the extremes between them, which takes less time."""
@@ -307,6 +334,8 @@ class Objective(eqx.Module):
         anchored = scene.anchored()
 
         def metric(term: Term) -> Scalar:
+            if term.name in SHARES:
+                return largest(self._shares(anchored, term))
             if term.metric not in ("amplitude", "peak_to_peak"):
                 return self._metric(scene, term)
             if term.analysis == "dynamic":
@@ -338,6 +367,10 @@ class Objective(eqx.Module):
         anchored = scene.anchored()
 
         def measure(term: Term) -> tuple[Float[Array, " m"], ...]:
+            if term.name in SHARES:
+                shares = self._shares(anchored, term)
+                highest = jax.lax.top_k(jax.lax.stop_gradient(shares), min(EXTREMES, shares.shape[0]))[1]
+                return (shares[highest],)
             if term.metric == "order" and term.analysis != "dynamic":
                 return (self._directions(term, anchored),)
             if term.analysis == "dynamic" or term.metric not in ("amplitude", "peak_to_peak"):

@@ -14,7 +14,7 @@ from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.structure import Orbit
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Bool, Float, Scalar
 
 ANGLES_OF_PLACES = 33  # of a mesh period
 
@@ -128,6 +128,11 @@ class AbstractSystem(eqx.Module):
         Raises:
             ParameterError: a body is asked for that the system does not have.
         """
+
+    def outermost(self, theta: Scalar, request: Request) -> Bool[Array, " contact"] | None:
+        """Of a gear set that looks at some of its teeth only, those beside which others are left out: where they carry
+        at an input angle [rad], the others would too. ``None`` where all are looked at."""
+        del theta, request
 
     @property
     def exact(self) -> bool:

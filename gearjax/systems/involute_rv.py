@@ -19,7 +19,7 @@ from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import angle, check_parameters, count, length, number
 from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
-from gearjax.typing import Array, Float, Int, Number, Scalar
+from gearjax.typing import Array, Bool, Float, Int, Number, Scalar
 
 APART = 0.05  # rad of roll between tips of flanks that face each other nowhere, beyond which they are not followed
 
@@ -83,7 +83,8 @@ class InvoluteRV(AbstractSystem):
         input_speed: of the sun, or of the crank without a first stage [rad/s].
         external_dedendum, internal_dedendum: in modules [-].
         gears: number of external gears.
-        pairs: candidates of each flank and gear; more than under the highest torque carry.
+        pairs: candidates of each flank and gear; more than under the highest torque carry: `transmission_error` warns
+            where the outermost ones do.
         profile_points, face_points: candidates of each pair along the profile and across the face.
         sun_teeth, planet_teeth, first_stage_module: of the first stage; all or none of them.
         first_stage_pressure_angle: [rad].
@@ -249,6 +250,15 @@ class InvoluteRV(AbstractSystem):
         views = {body: self._view(body, theta, at) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         return Pose(theta, jacobian, gap, views, mesh, places=self._places(at) if request.places else None)
+
+    def outermost(self, theta: Scalar, request: Request) -> Bool[Array, " contact"] | None:
+        """Points of the first and the last candidate pair of each flank; ``None`` of all pairs, and of a single one,
+        which is a choice."""
+        if self.pairs == 1 or self.pairs >= self.external_teeth:
+            return None
+        tooth = self.candidates(theta, request.back).tooth
+        ends = (tooth == tooth.min(axis=1, keepdims=True)) | (tooth == tooth.max(axis=1, keepdims=True))
+        return jnp.repeat(ends.ravel(), self.profile_points * self.face_points)
 
     def _each(self, of_points: Array) -> Array:
         """One value per contact, from one per point of the profile."""

@@ -23,6 +23,7 @@ from gearjax.tolerance.balances import Balances
 from gearjax.tolerance.closer import closer, places_between
 from gearjax.tolerance.curves import Curves, Touches
 from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.pressed import Pressed
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 MEASURED = (*METRICS, "minimum", "maximum")
@@ -37,7 +38,13 @@ CODES = {
 }
 """What a result code says."""
 SAMPLES = 1581  # of one cycle, where nothing else is said
-TOGETHER = {"quick": 16, "balances": 64, "other": 64, "dynamic": 64}  # gear sets side by side on one device
+TOGETHER = {
+    "quick": 16,
+    "balances": 64,
+    "pressed": 128,
+    "other": 64,
+    "dynamic": 64,
+}  # gear sets side by side on one device
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,6 +177,8 @@ class Measures:
             population = jax.vmap(lambda row: self.free.set(self.physics, row))(examples)
             quick = self._balances if scene.layout.sides_turn else self._touches
             self.curves = quick(population, analyses)
+        errors_alone = all(path.split(".")[0] in ("errors", "backlash") for path in self.free.paths)
+        self.pressed = Pressed.of(self.physics, self.theta, errors_alone) if "static" in analyses else None
         self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 
     def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
@@ -213,6 +222,8 @@ class Measures:
             return TOGETHER["dynamic"]
         if isinstance(self.curves, Balances):
             return TOGETHER["balances"]
+        if self.pressed is not None:
+            return TOGETHER["pressed"]
         return TOGETHER["other" if self.curves is None else "quick"]
 
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
@@ -226,7 +237,9 @@ class Measures:
 
         def record(analysis: str, torque: float | None) -> Record:
             if isinstance(curves, Balances):
-                return self._of_balances(curves.curve(scene, analysis, torque), None)
+                return self._of_samples(curves.curve(scene, analysis, torque))
+            if self.pressed is not None and torque is not None:
+                return self._of_samples(self.pressed.curve(scene, torque))
             if touches is None:
                 return _analysed(scene, self.theta, self.extremes, analysis, torque)
             return _quick(touches, analysis, torque)
@@ -260,11 +273,11 @@ class Measures:
 
         def one(scene: Scene, curves: list[Array], ends: list) -> tuple[Array, Array]:
             known = dict(zip(keys, zip(curves, ends, strict=True), strict=True))
-            return _told(self.measures, self.motion, scene, lambda *key: self._of_balances(*known[key]))
+            return _told(self.measures, self.motion, scene, lambda *key: self._of_samples(*known[key]))
 
         return jax.vmap(one, in_axes=(0, -1, 0))(scenes, curves, ends)
 
-    def _of_balances(self, values: Float[Array, " m"], ends: tuple[Scalar, Scalar] | None) -> Record:
+    def _of_samples(self, values: Float[Array, " m"], ends: tuple[Scalar, Scalar] | None = None) -> Record:
         """Metrics of the samples of a curve, and its extremes where they are known."""
         samples = values[:: self.places]
         high, low = (
