@@ -108,6 +108,8 @@ def _balanced(
         able: whether all of these coordinates are held.
         sided: as for `coupled_balance`.
     """
+    # rounding hides which of those that touch together is the first: none on the loaded side is closed before it
+    apart = jnp.where(loaded, jnp.maximum(apart, 0.0), apart)
     place, forces, _, good = _answer(sided, influence, levers, gap, load, (edge, apart, loaded, able))
     good = jax.lax.stop_gradient(good) > 0
     result = jnp.where(~able, 1, jnp.where(good, 0, 2))
