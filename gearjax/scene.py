@@ -405,7 +405,8 @@ def require(scene: Scene, what: str, *slots: str) -> None:
             f"{scene.compliance.kind} is not"
         )
     if isinstance(scene.compliance, COUPLED):
-        raise SceneError(f'"{what}" needs springs one by one: {scene.compliance.kind} couples the contacts')
+        words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) makes one of them"
+        raise SceneError(f'"{what}" needs springs one by one: {words}')
     coordinates = scene.moving.coordinates
     if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
         raise SceneError(f'"{what}" is for one output that turns unevenly, without shafts or cranks before it')

@@ -14,7 +14,8 @@ from gearjax.errors import AbstractError
 from gearjax.parameters import length, name
 from gearjax.tolerance.affine import AffineGaps
 from gearjax.tolerance.balances import Balances
-from gearjax.tolerance.measures import Measure, Measures
+from gearjax.tolerance.measure import Measure
+from gearjax.tolerance.measures import Measures
 from gearjax.tolerance.monte_carlo import Work
 from gearjax.units import um
 from tests.rv import angles, scene

@@ -10,7 +10,8 @@ import pytest
 import gearjax as gj
 from gearjax.studies.objective import Objective
 from gearjax.studies.select import pick
-from gearjax.tolerance.measures import Measure, Measures
+from gearjax.tolerance.measure import Measure
+from gearjax.tolerance.measures import Measures
 from gearjax.units import mm, um
 from tests.test_involute_rv import STEEL, angle_of, system
 

@@ -7,7 +7,8 @@ import numpy as np
 
 import gearjax as gj
 from gearjax.studies.select import pick
-from gearjax.tolerance.measures import Measure, Measures
+from gearjax.tolerance.measure import Measure
+from gearjax.tolerance.measures import Measures
 from gearjax.units import um
 from tests.conftest import ROOT
 

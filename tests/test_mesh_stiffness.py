@@ -25,7 +25,7 @@ LINEAR = gj.HarmonicStiffness(2e8, [0.1], [0.0])
 def involute(compliance=ELASTIC, **changes) -> gj.Scene:
     """The pair of Yang, Tang and Liang (2019) with seven candidates, on driving flanks alone."""
     errors = {"run_out": gj.Eccentricity("gear_1", 2 * um, 0.4)}
-    return gj.Scene(system(pairs=7), errors, compliance=compliance, **changes)
+    return gj.Scene(system(pairs=9), errors, compliance=compliance, **changes)
 
 
 def by_hand(scene: gj.Scene, te: gj.TransmissionError, stiffness: float) -> np.ndarray:

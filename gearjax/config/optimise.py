@@ -12,8 +12,8 @@ from gearjax.config.tables import Key, known_keys, read_parameter, read_whole, r
 from gearjax.parameters import Parameter
 from gearjax.scene import Scene
 from gearjax.studies import Objective, Term
-from gearjax.studies.objective import NAMES
 from gearjax.studies.select import numbers, pick
+from gearjax.studies.terms import NAMES
 
 MOST_STARTS = 1_000_000
 OPTIMISE_KEYS = {

@@ -37,12 +37,12 @@ class CoupledSprings(eqx.Module):
     blocks: Float[Array, "block own own"] = eqx.field(converter=lambda given: given if given.ndim > 2 else given[None])
 
     @property
-    def influence(self) -> Float[Array, "contact contact"]:
+    def influence(self) -> Float[Array, "*lane contact contact"]:
         """Approach of each contact per force on each, shape (contact, contact) [m/N]."""
         return block_diagonal(self.blocks)
 
 
-def block_diagonal(blocks: Float[Array, "block own own"]) -> Float[Array, "contact contact"]:
+def block_diagonal(blocks: Float[Array, "*lane block own own"]) -> Float[Array, "*lane contact contact"]:
     """The matrix of contacts in blocks that do not move each other, shape (block * own, block * own) [m/N]."""
     *many, number, own, _ = blocks.shape
     if number == 1:

@@ -3,8 +3,9 @@
 from gearjax.studies.compensate import Compensation, compensate
 from gearjax.studies.grid import GridSearch, grid_search
 from gearjax.studies.minimise import Minimisation, minimise
-from gearjax.studies.objective import Objective, Term
+from gearjax.studies.objective import Objective
 from gearjax.studies.sensitivity import LocalSensitivity, local_sensitivity
+from gearjax.studies.terms import Term
 
 __all__ = [
     "Compensation",

@@ -14,8 +14,9 @@ from gearjax.contact import HardContact
 from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
 from gearjax.studies import separable
-from gearjax.studies.objective import Objective, Term
+from gearjax.studies.objective import Objective
 from gearjax.studies.select import Bounds, Free, Where, pick, probed
+from gearjax.studies.terms import Term
 from gearjax.studies.values import Values, require_influence, values
 from gearjax.timing import Stopwatch
 from gearjax.typing import ArrayLike

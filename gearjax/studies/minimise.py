@@ -17,8 +17,9 @@ from gearjax.studies import valleys
 from gearjax.studies.blocks import in_blocks
 from gearjax.studies.descent import Optimiser, check_optimiser, default_optimiser, descend
 from gearjax.studies.minimax import Polished, polish
-from gearjax.studies.objective import Objective, Term
+from gearjax.studies.objective import Objective
 from gearjax.studies.select import Bounds, Free, Where, pick
+from gearjax.studies.terms import Term
 from gearjax.studies.values import require_influence, values
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array, ArrayLike, Float, Scalar

@@ -13,8 +13,9 @@ from gearjax import arguments
 from gearjax.checks import ParameterError
 from gearjax.scene import Scene
 from gearjax.studies.minimax import least_slope
-from gearjax.studies.objective import Objective, Term
+from gearjax.studies.objective import Objective
 from gearjax.studies.select import Bounds, Free, Where, pick
+from gearjax.studies.terms import Term
 from gearjax.studies.values import values
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 from gearjax.units import deg

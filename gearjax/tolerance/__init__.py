@@ -13,7 +13,7 @@ from gearjax.tolerance.distributions import (
 )
 from gearjax.tolerance.graded import Iso286, Iso1328RunOut
 from gearjax.tolerance.grades import it_tolerance, run_out_tolerance, single_pitch_tolerance, total_pitch_tolerance
-from gearjax.tolerance.measures import Measure
+from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import Study, Work, monte_carlo
 from gearjax.tolerance.population import Correlation, Tolerances
 

@@ -18,7 +18,7 @@ from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
 from gearjax.progress import Progress, silent
 from gearjax.tolerance import statistics
-from gearjax.tolerance.measures import Measure
+from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import Work, over_rows
 from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.sampling import points

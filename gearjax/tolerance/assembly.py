@@ -15,7 +15,8 @@ from gearjax.studies.descent import default_optimiser, descend
 from gearjax.studies.select import numbers
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
-from gearjax.tolerance.measures import Measure, Measures
+from gearjax.tolerance.measure import Measure
+from gearjax.tolerance.measures import Measures
 from gearjax.tolerance.monte_carlo import Work, over_rows
 from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.sampling import points

@@ -16,7 +16,8 @@ from gearjax.memory import fitting, free_memory, size_words
 from gearjax.scene import Scene
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
-from gearjax.tolerance.measures import CODES, Measure, Measures, SceneMeasures, listed
+from gearjax.tolerance.measure import Measure, listed
+from gearjax.tolerance.measures import CODES, Measures, SceneMeasures
 from gearjax.tolerance.population import Tolerances
 from gearjax.tolerance.sampling import SAMPLERS, points, replicate_sizes
 from gearjax.tolerance.statistics import Estimate

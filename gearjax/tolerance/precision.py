@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from gearjax.tolerance.measures import Measure
+from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import QUANTILES, Work
 from gearjax.tolerance.population import Tolerances
 

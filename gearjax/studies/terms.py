@@ -1,0 +1,104 @@
+"""Terms of an objective: one metric of one analysis each, by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from gearjax.analysis.quasi_static import no_load, play, static
+from gearjax.arguments import numbers, one_positive, torque
+from gearjax.checks import ParameterError, is_concrete, nearest
+from gearjax.parameters import as_leaf
+from gearjax.run import ANALYSES
+from gearjax.scene import Scene
+from gearjax.typing import Array, ArrayLike, Float, Scalar
+
+METRICS = ("amplitude", "peak_to_peak", "std", "order")
+NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
+SHARES = ("static_load_sharing",)
+"""Of no dimension, beside `NAMES`, which are angles."""
+SLOTS = {
+    "no_load": (),
+    "static": ("backlash", "compliance"),
+    "backlash": ("backlash",),
+    "dynamic": ("backlash", "compliance", "load", "inertia", "damping"),
+}
+
+
+class Term(eqx.Module):
+    """One metric of one analysis.
+
+    Args:
+        name: analysis and metric: ``no_load``, ``static``, ``backlash`` or ``dynamic``, then ``_amplitude`` (largest
+            absolute value; Wang et al. 2020, eq. 21), ``_peak_to_peak``, ``_std`` or ``_order`` (amplitude of one
+            order). ``static_load_sharing`` is the largest load of a pair at any of the angles over the mean load of
+            those that could carry [-].
+        torque: load torque of a static or dynamic term [N m].
+        weight: its weight in a sum.
+        order: for ``_order``: a name of ``system.orders`` such as ``"crank"``, or cycles per turn of the output.
+
+    Raises:
+        ParameterError: an unknown name, or a torque or an order is missing.
+    """
+
+    name: str = eqx.field(static=True)
+    torque: Float[Array, ""] | None = eqx.field(default=None, converter=lambda x: None if x is None else as_leaf(x))
+    weight: Float[Array, ""] = eqx.field(default=1.0, converter=as_leaf)
+    order: str | float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        if self.name not in (*NAMES, *SHARES):
+            raise ParameterError("objective", self.name, nearest(self.name, (*NAMES, *SHARES)))
+        if self.analysis in ("static", "dynamic") and self.torque is None:
+            raise ParameterError("objective", self.name, "needs a torque")
+        if self.analysis in ("no_load", "backlash") and self.torque is not None:
+            raise ParameterError("objective", self.name, "takes no torque")
+        if is_concrete(self.weight) and not (self.weight.ndim or float(self.weight) > 0):
+            raise ParameterError("weight", float(self.weight), "must be above 0")
+        if self.metric == "order" and self.order is None:
+            raise ParameterError("objective", self.name, 'needs an order, such as order = "crank"')
+        for name, check in (("torque", torque), ("weight", numbers)):
+            if getattr(self, name) is not None:
+                check(name, getattr(self, name))
+        if self.order is not None and not isinstance(self.order, str):
+            one_positive("order", self.order)
+
+    @property
+    def analysis(self) -> str:
+        """Its analysis."""
+        return next(analysis for analysis in ANALYSES if self.name.startswith(analysis))
+
+    @property
+    def metric(self) -> str:
+        """Its metric; the range of the backlash is its peak-to-peak."""
+        return self.name.removeprefix(f"{self.analysis}_").replace("range", "peak_to_peak")
+
+    def per_turn(self, scene: Scene) -> float:
+        """Its order in cycles per turn of the input."""
+        orders = scene.system.orders
+        if isinstance(self.order, str) and self.order not in orders:
+            raise ParameterError("order", self.order, nearest(self.order, orders))
+        assert self.order is not None
+        return orders[self.order] if isinstance(self.order, str) else self.order * orders["output"]
+
+    def require_resolved(self, scene: Scene, theta: ArrayLike) -> None:
+        """Refuse an order that the input angles cannot tell from others: fewer than two of them in one of its cycles.
+
+        Raises:
+            ParameterError: naming the highest order.
+        """
+        order = self.per_turn(scene)
+        if not is_concrete(theta):
+            return
+        widest = float(np.diff(np.asarray(theta, dtype=float)).max(initial=0.0))
+        if order * widest > np.pi:
+            highest = np.pi / widest / scene.system.orders["output"]
+            words = f"the input angles are too few for it: at most {highest:.6g} cycles per turn of the output"
+            raise ParameterError("order", self.order, words)
+
+    def curve(self, scene: Scene) -> tuple[Callable[[Any, Any], Scalar], Any]:
+        """Its curve over the input angle or the pose, and what the curve depends on; not for the dynamic TE."""
+        if self.analysis == "no_load":
+            return no_load, scene
+        return (play, scene) if self.analysis == "backlash" else (static, (scene, self.torque))
