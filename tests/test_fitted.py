@@ -245,7 +245,7 @@ def test_windows_warm_up_from_the_quasi_static_solution(scene):
         warm = march.warm_start(forcing, time, spacing, march.nodes_of(forcing, time, spacing)[0])
 
         def resting(time):
-            return equation.resting(time, equation.springs(time)[1], equation.load(time)) / equation.scale
+            return equation.resting(time, equation.springs(time)[1], equation.torque_at(time)) / equation.scale
 
         return jnp.stack(warm), jnp.stack([resting(time), resting(time + step) - resting(time)])
 

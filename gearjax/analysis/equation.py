@@ -42,7 +42,7 @@ class Excitation(eqx.Module):
 
     gaps: Gaps
     stiffness: Array
-    load: Array
+    torque: Array
 
 
 class Equation(eqx.Module):
@@ -91,7 +91,7 @@ class Equation(eqx.Module):
         assert self.scene.load is not None
         return self.scene.load.alternates or not self.turns_evenly
 
-    def load(self, time: Scalar) -> Scalar:
+    def torque_at(self, time: Scalar) -> Scalar:
         """Load torque, and what the ideal output takes to accelerate [N m]."""
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
@@ -131,7 +131,7 @@ class Equation(eqx.Module):
 
     def excitation(self, time: Scalar) -> Excitation:
         """Contacts and load at a time [s]."""
-        return Excitation(self.gaps(self.instant(time)), self.springs(time)[1], self.load(time))
+        return Excitation(self.gaps(self.instant(time)), self.springs(time)[1], self.torque_at(time))
 
     def _contacts(self, time: Scalar) -> ContactSet:
         return self.scene.contacts(self.scene.system.input_speed * time, "varying")
@@ -145,7 +145,7 @@ class Equation(eqx.Module):
         """Acceleration of the output's deviation [rad/s2]."""
         scene, gaps = self.scene, now.gaps
         overlap = gaps.lever * position - gaps.gap
-        net = -now.load - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
+        net = -now.torque - (gaps.lever * now.stiffness * scene.contact.penetration(overlap)).sum()
         if scene.damping is not None and gaps.gap_rate is not None:
             stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
             coefficient = scene.damping.coefficient(stiffness, self.mass)
@@ -163,35 +163,35 @@ class Equation(eqx.Module):
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry the torque at a time [s]."""
-        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.load(time))
+        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.torque_at(time))
 
     def rate(self, now: Excitation, state: Float[Array, "2"]) -> Float[Array, "2"]:
         """Change of the scaled state per scaled time."""
         acceleration = self.acceleration(now, state[0] * self.scale, state[1] * self.scale * self.frequency)
         return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
 
-    def equilibrium(self, lever: Array, gap: Array, stiffness: Array, load: Scalar) -> Scalar:
+    def equilibrium(self, lever: Array, gap: Array, stiffness: Array, torque: Scalar) -> Scalar:
         """Position where the contacts balance a load [rad]; arguments as for `following`."""
         contacts = ContactSet(lever[:, None], gap, LinearSprings(stiffness), self.layout)
-        return equilibrium(contacts, -load, self.scene.contact).position
+        return equilibrium(contacts, -torque, self.scene.contact).position
 
-    def resting(self, time: Scalar, stiffness: Float[Array, " contact"], load: Scalar) -> Scalar:
+    def resting(self, time: Scalar, stiffness: Float[Array, " contact"], torque: Scalar) -> Scalar:
         """Static equilibrium at a time [s] under a stiffness [N/m] and a load [N m]: position [rad]."""
         now = self.scene.contacts(self.scene.system.input_speed * time)
-        return self.equilibrium(now.lever, now.gap, stiffness, load)
+        return self.equilibrium(now.lever, now.gap, stiffness, torque)
 
-    def following(self, now: Gaps, stiffness: Float[Array, " contact"], load: Scalar) -> Float[Array, "2"]:
+    def following(self, now: Gaps, stiffness: Float[Array, " contact"], torque: Scalar) -> Float[Array, "2"]:
         """Scaled position and velocity of the static equilibrium, moving as the gaps move it.
 
         Args:
             now: levers and gaps, with their rates.
             stiffness: of each contact [N/m].
-            load: [N m].
+            torque: [N m].
         """
         assert now.gap_rate is not None
         turning = jnp.zeros_like(now.lever) if now.lever_rate is None else now.lever_rate
         position, velocity = jax.jvp(
-            lambda lever, gap: self.equilibrium(lever, gap, stiffness, load),
+            lambda lever, gap: self.equilibrium(lever, gap, stiffness, torque),
             (now.lever, now.gap),
             (turning, now.gap_rate),
         )
@@ -202,7 +202,7 @@ class Equation(eqx.Module):
         if start == "zero":
             return jnp.zeros((2,), time.dtype)
         now = self.gaps(self.instant(time, moving=True))
-        return self.following(now, self.springs(time)[1], self.load(time))
+        return self.following(now, self.springs(time)[1], self.torque_at(time))
 
     def per_step(self, step: Scalar) -> Float[Array, "2"]:
         """From scaled position and velocity to position and velocity times step."""

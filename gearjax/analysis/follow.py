@@ -23,7 +23,7 @@ def follow(equation: Equation, ts: Float[Array, " n"], method: QuasiStatic) -> t
     """Position [rad] and velocity [rad/s] at each time, shape (n,) each."""
 
     def position(time: Scalar) -> Scalar:
-        return equation.resting(time, equation.springs(time)[1], equation.load(time))
+        return equation.resting(time, equation.springs(time)[1], equation.torque_at(time))
 
     def at(time: Scalar) -> tuple[Scalar, Scalar]:
         def rate(time: Scalar) -> tuple[Scalar, Scalar]:

@@ -44,15 +44,15 @@ class Reduction(eqx.Module):
         assert isinstance(system, OneContact)
         assert isinstance(compliance, WaveStiffness)
         phase = system.orders["mesh"] * self.theta
-        load = jnp.asarray(torque, self.theta.dtype)
-        pressed = load / (system.lever * compliance.stiffness(phase))
+        torque = jnp.asarray(torque, self.theta.dtype)
+        pressed = torque / (system.lever * compliance.stiffness(phase))
         return -(system.gaps[0].at(phase) + pressed) / system.lever
 
     def error(self, torque: ArrayLike) -> Scalar:
         """By how much its static TE under a positive torque [N m] differs at most from that of the whole scene [rad]:
         at its own torque what the harmonics leave out, at others also what the number of contacts changes."""
-        load = jnp.asarray(torque, self.theta.dtype)
-        return jnp.abs(self.static(load) - _rest(self.whole, self.theta, load)[0]).max()
+        torque = jnp.asarray(torque, self.theta.dtype)
+        return jnp.abs(self.static(torque) - _rest(self.whole, self.theta, torque)[0]).max()
 
 
 @arguments.checked()
@@ -103,20 +103,20 @@ def one_contact(
     mesh = 2 * math.pi / system.orders["mesh"]
     period = mesh if period is None else float(period)
     _check(scene, torque, period, mesh, samples, harmonics)
-    load = jnp.asarray(torque, scene.dtype)
+    torque = jnp.asarray(torque, scene.dtype)
     theta = jnp.asarray(period / samples * np.arange(samples), scene.dtype)
     whole = scene.physics("backlash", "compliance")
-    place, stiffness, pairs, result = _rest(whole, theta, load)
+    place, stiffness, pairs, result = _rest(whole, theta, torque)
     if is_concrete(result):
-        _check_rest(whole, place, result, load, period)
+        _check_rest(whole, place, result, torque, period)
     lever = jnp.abs(whole.contacts(theta[0]).output_levers).mean()
     waves = Waves.of(stiffness / lever**2, harmonics)
     compliance = WaveStiffness(waves)
     phase = jnp.asarray(2 * np.pi / samples * np.arange(samples), scene.dtype)
-    pressed = load / (lever * waves.at(phase))
+    pressed = torque / (lever * waves.at(phase))
     gaps = [-lever * place - pressed]
     if whole.has_back:
-        gaps.append(lever * _rest(whole, theta, -load)[0] - pressed)
+        gaps.append(lever * _rest(whole, theta, -torque)[0] - pressed)
     names = tuple((name, order) for name, order in system.orders.items() if name not in ("mesh", "waves"))
     reduced = OneContact(
         jnp.asarray(system.input_speed), lever, tuple(Waves.of(gap, harmonics) for gap in gaps), period, names
@@ -127,7 +127,7 @@ def one_contact(
     if scene.damping is not None:  # of each pair, whose stiffness is a part of the whole
         each = dataclasses.replace(scene.damping, ratio=scene.damping.ratio * jnp.sqrt(pairs.mean()))
         parts["damping"] = each
-    return Reduction(Scene(reduced, compliance=compliance, **parts), whole, load, theta)
+    return Reduction(Scene(reduced, compliance=compliance, **parts), whole, torque, theta)
 
 
 @eqx.filter_jit

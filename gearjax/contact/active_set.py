@@ -24,7 +24,7 @@ def carrying(
     influence: Float[Array, "contact contact"],
     levers: Float[Array, "contact free"],
     gap: Float[Array, " contact"],
-    load: Float[Array, " free"],
+    applied: Float[Array, " free"],
     loaded: Bool[Array, " contact"],
     start: Bool[Array, " contact"],
 ) -> Found:
@@ -34,7 +34,7 @@ def carrying(
         influence: approach of each contact per force on each [m/N].
         levers: of the coordinates that only contacts hold [m/rad].
         gap: openings at position zero [m].
-        load: on these coordinates [N m].
+        applied: on these coordinates [N m].
         loaded: contacts that hold against the load.
         start: the set to begin with.
     """
@@ -44,7 +44,7 @@ def carrying(
 
     def tried(closed: Array) -> tuple[tuple, Array, Array]:
         """Position, forces and overlaps with a set of closed contacts, whether it is right, and the next set."""
-        position, forces = solved(influence, levers, gap, load, closed)
+        position, forces = solved(influence, levers, gap, applied, closed)
         beyond = levers @ position - gap - influence @ forces
         reach = rounding * (jnp.abs(influence) @ jnp.abs(forces) + jnp.abs(gap) + jnp.abs(levers @ position))
         right = jnp.where(closed, forces >= 0, beyond <= reach).all()
@@ -70,7 +70,7 @@ def carrying(
 
         def slope(share: Array) -> Array:
             pressing = jnp.maximum(overlap + share * close, 0.0)
-            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - load @ turn
+            return (pressing * close).sum() / own + ((forces + share * push) * bend).sum() - applied @ turn
 
         def halve(_, ends: tuple) -> tuple:
             low, high = ends
@@ -93,7 +93,7 @@ def carrying(
     # Two loops: one would look for the shares of all steps, over many angles also of those that are whole. Plain steps
     # start from nothing but a set: a start that is worked out, of the same set at all angles, is one matrix with many
     # right-hand sides, which a BLAS shares among threads that wait for each other (ten times the time of all the rest)
-    nothing = jnp.zeros_like(load), jnp.zeros_like(gap), jnp.zeros_like(gap), start
+    nothing = jnp.zeros_like(applied), jnp.zeros_like(gap), jnp.zeros_like(gap), start
     closed, (position, forces, beyond, last), done, step = jax.lax.while_loop(
         lambda state: unfinished(state) & (state[-1] < PLAIN_STEPS), plain, (start, nothing, jnp.asarray(False), 0)
     )
@@ -111,11 +111,11 @@ def _own(influence: Array) -> Array:
     return 0.5 / (inverse * inverse).sum()
 
 
-def solved(influence: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple[Array, Array]:
+def solved(influence: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple[Array, Array]:
     """Positions and forces with a given set of closed contacts: ``S f + rest - J q = 0`` within it, ``J^T f = Q``."""
     number = closed.shape[0]
     if number < GATHERED_FROM:
-        return _solved(jnp.where(closed[:, None] & closed[None, :], influence, 0.0), levers, rest, load, closed)
+        return _solved(jnp.where(closed[:, None] & closed[None, :], influence, 0.0), levers, rest, applied, closed)
     sizes = [-(-number * part // PARTS) for part in range(1, PARTS + 1)]
 
     def gathered(size: int):
@@ -124,7 +124,7 @@ def solved(influence: Array, levers: Array, rest: Array, load: Array, closed: Ar
             at = jnp.minimum(index, number - 1)
             there = index < number
             inner = jnp.where(there[:, None] & there[None, :], influence[at[:, None], at[None, :]], 0.0)
-            position, forces = _solved(inner, levers[at], rest[at], load, there)
+            position, forces = _solved(inner, levers[at], rest[at], applied, there)
             return position, jnp.zeros_like(rest).at[index].set(forces, mode="drop")
 
         return solve
@@ -133,16 +133,16 @@ def solved(influence: Array, levers: Array, rest: Array, load: Array, closed: Ar
     return jax.lax.switch(fits, [gathered(size) for size in sizes], None)
 
 
-def _solved(inner: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple[Array, Array]:
+def _solved(inner: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple[Array, Array]:
     """The same with the matrix of the closed contacts, the other rows and columns zero."""
     factor = cho_factor(inner + jnp.diag(jnp.where(closed, 0.0, 1.0).astype(inner.dtype)), lower=True)
     arms = jnp.where(closed[:, None], levers, 0.0)
     per_turn = cho_solve(factor, arms)
     at_rest = cho_solve(factor, jnp.where(closed, rest, 0.0))
-    steepness, pull = arms.T @ per_turn, load + arms.T @ at_rest
+    steepness, pull = arms.T @ per_turn, applied + arms.T @ at_rest
     holding = jnp.diagonal(steepness) > 0
     safe = steepness + jnp.diag(jnp.where(holding, 0.0, 1.0).astype(inner.dtype))
     # one number is divided by: a factorisation of it would be a routine of its own
-    position = pull / safe[0] if len(load) == 1 else jnp.linalg.solve(safe, pull)
+    position = pull / safe[0] if len(applied) == 1 else jnp.linalg.solve(safe, pull)
     position = jnp.where(holding, position, 0.0)
     return position, jnp.where(closed, per_turn @ position - at_rest, 0.0)

@@ -44,7 +44,7 @@ class _Sets(NamedTuple):
     step: Int[Array, ""]
 
 
-def search_of_blocks(sided: bool, blocks: Array, levers: Array, gap: Array, load: Array, loaded: Array) -> tuple:
+def search_of_blocks(sided: bool, blocks: Array, levers: Array, gap: Array, applied: Array, loaded: Array) -> tuple:
     """Position, forces, the contacts that carry, and whether they were found, as `active_set.carrying` tells them.
 
     Args:
@@ -53,24 +53,24 @@ def search_of_blocks(sided: bool, blocks: Array, levers: Array, gap: Array, load
         blocks: approach of each contact per force on each of its block, shape (block, own, own) [m/N].
         levers: shape (contact, 1) [m/rad].
         gap: openings at position zero, shape (contact,) [m].
-        load: generalised force, shape (1,) [N m].
+        applied: generalised force, shape (1,) [N m].
         loaded: contacts that hold against the load, shape (contact,).
     """
-    return (_search_of_sides if sided else _search)(blocks, levers, gap, load, loaded)
+    return (_search_of_sides if sided else _search)(blocks, levers, gap, applied, loaded)
 
 
-def solved_of_blocks(blocks: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple:
+def solved_of_blocks(blocks: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
     """Position, shape (1,), and forces with a given set of closed contacts, as `active_set.solved` tells them."""
-    return _linear(blocks, levers, rest, load, closed)
+    return _linear(blocks, levers, rest, applied, closed)
 
 
-def _within(blocks: Matrix, lever: Each, rest: Each, load: Array, closed: Each) -> tuple[Array, Each]:
+def _within(blocks: Matrix, lever: Each, rest: Each, applied: Array, closed: Each) -> tuple[Array, Each]:
     """Position and forces with given sets of closed contacts.
 
     Args:
         blocks: rows of arrays of shape (block, lane or 1) [m/N].
         lever, rest, closed: by contact of a block, arrays of shape (block, lane).
-        load: shape (1, lane).
+        applied: shape (1, lane).
     """
     # a factorisation L D L^T of the closed contacts, rows and columns of the others those of the unit matrix
     own = range(len(lever))
@@ -94,7 +94,7 @@ def _within(blocks: Matrix, lever: Each, rest: Each, load: Array, closed: Each) 
         low.append(row)
         inverse.append(1.0 / diagonal)
     steep = _added([arms[i] * arms[i] * inverse[i] for i in own]).sum(axis=0, keepdims=True)
-    pull = load + _added([arms[i] * held[i] * inverse[i] for i in own]).sum(axis=0, keepdims=True)
+    pull = applied + _added([arms[i] * held[i] * inverse[i] for i in own]).sum(axis=0, keepdims=True)
     place = jnp.where(steep > 0, pull / jnp.where(steep > 0, steep, 1.0), 0.0)
     forces = [(arms[i] * place - held[i]) * inverse[i] for i in own]
     for i in reversed(own):
@@ -103,12 +103,12 @@ def _within(blocks: Matrix, lever: Each, rest: Each, load: Array, closed: Each) 
     return place, [jnp.where(closed[i], forces[i], 0.0) for i in own]
 
 
-def _steps(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each) -> _Sets:
+def _steps(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each) -> _Sets:
     """Sets of closed contacts, from a guess; arguments as for `_within`."""
-    own, rounding = range(len(lever)), jnp.finfo(load.dtype).eps * CLOSED
+    own, rounding = range(len(lever)), jnp.finfo(applied.dtype).eps * CLOSED
 
     def advance(at: _Sets) -> _Sets:
-        place, forces = _within(blocks, lever, gap, load, at.closed)
+        place, forces = _within(blocks, lever, gap, applied, at.closed)
         wrong, chosen, holds = [], [], []
         for i in own:
             parts = [blocks[i][j] * forces[j] for j in own]
@@ -124,12 +124,12 @@ def _steps(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each) ->
         new = [jnp.where(right, at.closed[i], chosen[i] | (loaded[i] & (gap[i] == 0) & lacking)) for i in own]
         return _Sets(new, place, forces, right, at.step + 1)
 
-    nothing, none = jnp.zeros_like(load), [jnp.zeros_like(part) for part in gap]
-    begin = _Sets(_guessed(blocks, lever, gap, load, loaded), nothing, none, ~_any(loaded), jnp.zeros((), jnp.int32))
+    nothing, none = jnp.zeros_like(applied), [jnp.zeros_like(part) for part in gap]
+    begin = _Sets(_guessed(blocks, lever, gap, applied, loaded), nothing, none, ~_any(loaded), jnp.zeros((), jnp.int32))
     return jax.lax.while_loop(lambda at: ~at.right.all() & (at.step < MOST_STEPS), advance, begin)
 
 
-def _guessed(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each) -> Each:
+def _guessed(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each) -> Each:
     """The set that would carry if the contacts were springs one by one, each somewhat stiffer than under a force that
     is the same on all of its block: it takes half of the steps that are needed from all loaded contacts."""
     stiff = [STIFFER / _added([jnp.abs(entry) for entry in row]) for row in blocks]
@@ -138,7 +138,7 @@ def _guessed(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each) 
     for _ in range(GUESSES):  # Newton's method
         inside = [jnp.where(own, w, 0.0) for own, w in zip(closed, weight, strict=True)]
         steep = _added([w * arm for w, arm in zip(inside, lever, strict=True)]).sum(axis=0, keepdims=True)
-        pull = load + _added([w * rest for w, rest in zip(inside, gap, strict=True)]).sum(axis=0, keepdims=True)
+        pull = applied + _added([w * rest for w, rest in zip(inside, gap, strict=True)]).sum(axis=0, keepdims=True)
         place = jnp.where(steep > 0, pull / jnp.where(steep > 0, steep, 1.0), 0.0)
         beyond = [arm * place > rest for arm, rest in zip(lever, gap, strict=True)]
         closed = [own & over for own, over in zip(loaded, beyond, strict=True)]
@@ -146,10 +146,10 @@ def _guessed(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each) 
     return [jnp.where(some, own, all_of) for own, all_of in zip(closed, loaded, strict=True)]
 
 
-def _of_sides(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each) -> _Sets:
+def _of_sides(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each) -> _Sets:
     """The same where the first half of the blocks is of driving flanks, the second of back flanks: of each lane those
     that hold against the load, and the others only as far as they stay open. A side that no lane needs is left out."""
-    half, rounding = lever[0].shape[0] // 2, jnp.finfo(load.dtype).eps * CLOSED
+    half, rounding = lever[0].shape[0] // 2, jnp.finfo(applied.dtype).eps * CLOSED
 
     def side(number: Array) -> tuple:
         def part(given: Each, of: Array) -> Each:
@@ -159,7 +159,7 @@ def _of_sides(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each)
         ours = _any(near[2])
 
         def looked_at() -> tuple:
-            at = _steps([part(row, number) for row in blocks], near[0], near[1], load, near[2])
+            at = _steps([part(row, number) for row in blocks], near[0], near[1], applied, near[2])
             beside = []
             for arm, room, holds in zip(*away, strict=True):
                 turned = arm * at.place
@@ -170,7 +170,7 @@ def _of_sides(blocks: Matrix, lever: Each, gap: Each, load: Array, loaded: Each)
 
         def left_out() -> tuple:
             nothing = [jnp.zeros_like(each) for each in near[1]]
-            return near[2], jnp.zeros_like(load), nothing, ~ours, jnp.zeros((), jnp.int32)
+            return near[2], jnp.zeros_like(applied), nothing, ~ours, jnp.zeros((), jnp.int32)
 
         *found, right, step = jax.lax.cond(ours.any(), looked_at, left_out)
         return *found, right | ~ours, step
@@ -209,34 +209,34 @@ def _in_order(parts: Each) -> Array:
     return each.transpose(2, 1, 0).reshape(each.shape[2], -1)
 
 
-def _searched(steps: Callable, blocks: Array, levers: Array, gap: Array, load: Array, loaded: Array) -> tuple:
+def _searched(steps: Callable, blocks: Array, levers: Array, gap: Array, applied: Array, loaded: Array) -> tuple:
     """The search of many lanes, each with blocks of its own, shape (lane, block, own, own), or all with the same."""
 
-    def part(levers: Array, gap: Array, load: Array, loaded: Array, *apart: Array) -> tuple:
+    def part(levers: Array, gap: Array, applied: Array, loaded: Array, *apart: Array) -> tuple:
         own = apart[0] if apart else blocks
         matrix, (lever, rest, holds) = _laid_out(own, levers[..., 0], gap, loaded)
-        at = steps(matrix, lever, rest, load.T, holds)
+        at = steps(matrix, lever, rest, applied.T, holds)
 
         def exact(lane: Array) -> tuple:
             whole = block_diagonal(own[lane] if apart else own)
-            return carrying(whole, levers[lane], gap[lane], load[lane], loaded[lane], loaded[lane])
+            return carrying(whole, levers[lane], gap[lane], applied[lane], loaded[lane], loaded[lane])
 
         done = (at.right & jnp.isfinite(at.place))[0]
         found = at.place.T, _in_order(at.forces), _in_order(at.closed), done
         return finished(found, done | ~loaded.any(axis=1), exact)
 
-    return in_parts(part, LANES, levers, gap, load, loaded, *([blocks] if blocks.ndim == 4 else []))
+    return in_parts(part, LANES, levers, gap, applied, loaded, *([blocks] if blocks.ndim == 4 else []))
 
 
-def _solved(blocks: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple:
+def _solved(blocks: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
     """The linear problem of many lanes, with blocks as for `_searched`."""
 
-    def part(levers: Array, rest: Array, load: Array, closed: Array, *apart: Array) -> tuple:
+    def part(levers: Array, rest: Array, applied: Array, closed: Array, *apart: Array) -> tuple:
         matrix, (lever, held, inside) = _laid_out(apart[0] if apart else blocks, levers[..., 0], rest, closed)
-        place, forces = _within(matrix, lever, held, load.T, inside)
+        place, forces = _within(matrix, lever, held, applied.T, inside)
         return place.T, _in_order(forces)
 
-    return in_parts(part, LANES, levers, rest, load, closed, *([blocks] if blocks.ndim == 4 else []))
+    return in_parts(part, LANES, levers, rest, applied, closed, *([blocks] if blocks.ndim == 4 else []))
 
 
 def _lanes_of(many: Callable) -> Callable:

@@ -47,7 +47,7 @@ def descended(
     influence: Float[Array, "contact contact"],
     lever: Float[Array, "contact lane"],
     gap: Float[Array, "contact lane"],
-    load: Float[Array, " lane"],
+    applied: Float[Array, " lane"],
     allowed: Bool[Array, "contact lane"],
     most: int,
     one_sided: bool = True,
@@ -58,14 +58,14 @@ def descended(
         influence: approach of each contact per force on each [m/N].
         lever: of each contact [m/rad].
         gap: openings at position zero [m].
-        load: generalised forces [N m].
+        applied: generalised forces [N m].
         allowed: contacts that may carry, whose levers have the sign of the load.
         most: steps.
         one_sided: whether forces press only. Else all allowed contacts carry, either way, with levers of any sign.
     """
     rounding = jnp.finfo(gap.dtype).eps * ROUNDING
 
-    load = load[None]  # one row: numbers of lanes stand beside those of their contacts
+    applied = applied[None]  # one row: numbers of lanes stand beside those of their contacts
 
     def advance(at: Lanes) -> Lanes:
         product = influence @ jnp.where(at.fresh, at.forces, at.way)
@@ -91,7 +91,7 @@ def descended(
             inside = (inside & ~pulls) | joins
             pressing = jnp.where(inside, jnp.maximum(forces, 0.0), 0.0)
             carried = (lever * pressing).sum(axis=0, keepdims=True)
-            forces = jnp.where(cut, pressing * (load / jnp.where(carried == 0, 1.0, carried)), forces)
+            forces = jnp.where(cut, pressing * (applied / jnp.where(carried == 0, 1.0, carried)), forces)
             settled = settled & ~changed
         arms = jnp.where(inside, lever, 0.0)
         level = jnp.where(inside, beyond, 0.0)
@@ -112,9 +112,9 @@ def descended(
 
     arms = jnp.where(allowed, lever, 0.0)
     spread = (arms * arms).sum(axis=0, keepdims=True)
-    start = arms * (load / jnp.where(spread > 0, spread, 1.0))
-    none, rest, no = jnp.zeros_like(gap), jnp.zeros_like(load), jnp.zeros(load.shape, bool)
-    inside = allowed & ((load != 0) | (gap == 0)) if one_sided else allowed
+    start = arms * (applied / jnp.where(spread > 0, spread, 1.0))
+    none, rest, no = jnp.zeros_like(gap), jnp.zeros_like(applied), jnp.zeros(applied.shape, bool)
+    inside = allowed & ((applied != 0) | (gap == 0)) if one_sided else allowed
     begin = Lanes(
         start, none, none, inside, ~no, rest, rest, ~allowed.any(axis=0, keepdims=True), jnp.zeros((), jnp.int32)
     )

@@ -61,13 +61,13 @@ class ContactSet(eqx.Module):
             return [(0, np.arange(len(self.layout.side)))]
         return [(column, np.flatnonzero(np.asarray(self.holds) == column)) for column in (*range(1, self.free), 0)]
 
-    def loaded(self, load: Scalar) -> Bool[Array, " contact"]:
+    def loaded(self, applied: Scalar) -> Bool[Array, " contact"]:
         """Contacts that hold against a generalised force on the output [N m]; against a positive torque at zero."""
         if self.free == 1:
             lever = self.jacobian[:, 0]
-            return jnp.where(load > 0, lever > 0, lever < 0)
+            return jnp.where(applied > 0, lever > 0, lever < 0)
         side = np.asarray(self.layout.side)
-        return jnp.where(load > 0, side < 0, side > 0)
+        return jnp.where(applied > 0, side < 0, side > 0)
 
     @property
     def lever(self) -> Float[Array, " contact"]:
@@ -104,10 +104,10 @@ class ContactSet(eqx.Module):
         layout = Layout(sides, tuple(range(len(own))))
         return ContactSet(self.jacobian[own, column][:, None], self.gap[own], None, layout)
 
-    def carriers(self, load: Scalar) -> Int[Array, ""]:
+    def carriers(self, applied: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry a generalised force [N m]: those with a flank on its side."""
         if not self.layout.sides_turn:
             driving, back = (len(pairs) for pairs in self.layout.pairs_by_side)
             alike = back in (0, driving)
-            return jnp.asarray(driving) if alike else jnp.where(load > 0, back, driving)
-        return jnp.where(load > 0, self.lever > 0, self.lever < 0).sum()
+            return jnp.asarray(driving) if alike else jnp.where(applied > 0, back, driving)
+        return jnp.where(applied > 0, self.lever > 0, self.lever < 0).sum()

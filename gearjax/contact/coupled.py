@@ -40,7 +40,7 @@ def coupled_balance(
     influence: Float[Array, "contact contact"] | Float[Array, "block own own"],
     lever: Float[Array, " contact"],
     gap: Float[Array, " contact"],
-    load: Scalar,
+    applied: Scalar,
     sided: bool = False,
 ) -> Solution:
     """Position of the output, forces of the contacts, and a result code.
@@ -50,7 +50,7 @@ def coupled_balance(
             or small blocks of it, of contacts that do not move those of others, shape (block, own, own) [m/N].
         lever: change of overlap per change of the position, of either sign [m/rad].
         gap: openings at position zero [m].
-        load: generalised force on the output [N m]. At zero the contacts that hold against a positive torque touch.
+        applied: generalised force on the output [N m]. At zero the contacts that hold against a positive torque touch.
         sided: whether the first half of small blocks is of driving flanks, and the second of as many back flanks.
 
     Returns:
@@ -58,31 +58,31 @@ def coupled_balance(
         positive definite or the search did not end; nan with 1 and 2. Differentiable in all arguments, to any order.
         From `MANY` contacts on the matrix is looked at only as far as contacts carry.
     """
-    influence, lever, gap, load = (jnp.asarray(part) for part in (influence, lever, gap, load))
-    frozen_lever, frozen_gap, frozen_load = jax.lax.stop_gradient((lever, gap, load))
-    edge, apart, able = _from_first_touch(frozen_lever, frozen_gap, frozen_load)
-    loaded = _loaded(frozen_lever, frozen_load)
+    influence, lever, gap, applied = (jnp.asarray(part) for part in (influence, lever, gap, applied))
+    frozen_lever, frozen_gap, frozen_applied = jax.lax.stop_gradient((lever, gap, applied))
+    edge, apart, able = _from_first_touch(frozen_lever, frozen_gap, frozen_applied)
+    loaded = _loaded(frozen_lever, frozen_applied)
     place, forces, result = _balanced(
-        influence, lever[:, None], gap, load[None], edge[None], apart, loaded, able, sided
+        influence, lever[:, None], gap, applied[None], edge[None], apart, loaded, able, sided
     )
     return place[0], forces, result
 
 
 def coupled_train(
-    influence: Float[Array, "contact contact"], contacts: ContactSet, load: Scalar
+    influence: Float[Array, "contact contact"], contacts: ContactSet, applied: Scalar
 ) -> tuple[Float[Array, " free"], Float[Array, " contact"], Int[Array, ""]]:
     """The same of a train: positions of the output and of shafts that turn freely [rad], forces, and a result code.
 
     Args:
         influence: as for `coupled_balance`.
         contacts: their Jacobian and gaps count, with supports in the influence.
-        load: generalised force on the output [N m].
+        applied: generalised force on the output [N m].
     """
-    frozen, weight = jax.lax.stop_gradient((contacts, load))
+    frozen, weight = jax.lax.stop_gradient((contacts, applied))
     edge, apart = closed_first(frozen, weight)
     loaded = frozen.loaded(weight)
     able = jnp.stack([loaded[own].any() for _, own in frozen.stages]).all()
-    levers, loads = contacts.jacobian[:, : contacts.free], jnp.zeros_like(edge).at[0].set(load)
+    levers, loads = contacts.jacobian[:, : contacts.free], jnp.zeros_like(edge).at[0].set(applied)
     return _balanced(influence, levers, contacts.gap, loads, edge, apart, loaded, able)
 
 
@@ -90,7 +90,7 @@ def _balanced(
     influence: Array,
     levers: Array,
     gap: Array,
-    load: Array,
+    applied: Array,
     edge: Array,
     apart: Array,
     loaded: Array,
@@ -102,7 +102,7 @@ def _balanced(
     Args:
         influence, gap: as for `coupled_balance`.
         levers: of the coordinates that only contacts hold, shape (contact, free) [m/rad].
-        load: on them, shape (free,) [N m].
+        applied: on them, shape (free,) [N m].
         edge, apart: where the load closes the first contact of each, shape (free,), and the gaps counted from there.
         loaded: contacts that hold against the load.
         able: whether all of these coordinates are held.
@@ -110,19 +110,19 @@ def _balanced(
     """
     # rounding hides which of those that touch together is the first: none on the loaded side is closed before it
     apart = jnp.where(loaded, jnp.maximum(apart, 0.0), apart)
-    place, forces, _, good = _answer(sided, influence, levers, gap, load, (edge, apart, loaded, able))
+    place, forces, _, good = _answer(sided, influence, levers, gap, applied, (edge, apart, loaded, able))
     good = jax.lax.stop_gradient(good) > 0
     result = jnp.where(~able, 1, jnp.where(good, 0, 2))
     return jnp.where(good, place, jnp.nan), jnp.where(good, forces, jnp.nan), result
 
 
-def _primal(sided: bool, influence: Array, levers: Array, gap: Array, load: Array, counted: tuple) -> tuple:
+def _primal(sided: bool, influence: Array, levers: Array, gap: Array, applied: Array, counted: tuple) -> tuple:
     """Positions, forces, and as numbers which contacts carry and whether they were found."""
     del gap  # counted from where contacts touch
     edge, apart, loaded, able = counted
     few = _exact if influence.ndim == 2 else partial(search_of_blocks, sided)
     search = _search if influence.ndim == 2 and len(apart) >= MANY else few
-    position, forces, closed, found = search(influence, levers, apart, load, loaded)
+    position, forces, closed, found = search(influence, levers, apart, applied, loaded)
     good = found & able
     numbers = (jnp.where(good, part, 0.0) for part in (edge + position, forces, closed.astype(forces.dtype)))
     return *numbers, good.astype(forces.dtype)
@@ -134,7 +134,7 @@ _answer = jax.custom_jvp(_primal, nondiff_argnums=(0,))
 @partial(_answer.defjvp, symbolic_zeros=True)
 def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
     """The linear problem of the contacts that carry, whose matrix is symmetric: ``S df - J dq``, ``-J^T df``."""
-    influence, levers, _, load, _ = primals
+    influence, levers, _, applied, _ = primals
     place, forces, closed, good = _answer(sided, *primals)
     carry = jax.lax.stop_gradient(closed) > 0
 
@@ -146,7 +146,7 @@ def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
     pulled = moved(tangents[3], lambda way: way) - moved(tangents[1], lambda way: way.T @ forces)
     number = len(forces)
     # one vector: of two, one may not depend on what is differentiated, which has no transpose
-    right = jnp.concatenate([jnp.where(carry, -pushed, jnp.zeros_like(forces)), jnp.zeros_like(load) - pulled])
+    right = jnp.concatenate([jnp.where(carry, -pushed, jnp.zeros_like(forces)), jnp.zeros_like(applied) - pulled])
 
     def matrix(unknown: Array) -> Array:
         inner, turn = jnp.where(carry, unknown[:number], 0.0), unknown[number:]
@@ -174,57 +174,57 @@ def _approach(influence: Array, forces: Array) -> Array:
     return (influence * own[:, None, :]).sum(axis=-1).ravel()
 
 
-def _exact(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+def _exact(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
     """One problem of few contacts: exact steps from all that hold against the load."""
-    return carrying(influence, levers, apart, load, loaded, loaded)
+    return carrying(influence, levers, apart, applied, loaded, loaded)
 
 
-def _single(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+def _single(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
     """One problem of many contacts: exact steps from a guess."""
-    if len(load) > 1:
-        return _exact(influence, levers, apart, load, loaded)
-    at = descended(influence, levers, apart[:, None], load, loaded[:, None], GUESS)
+    if len(applied) > 1:
+        return _exact(influence, levers, apart, applied, loaded)
+    at = descended(influence, levers, apart[:, None], applied, loaded[:, None], GUESS)
     guess = at.inside[:, 0] & (at.forces[:, 0] > 0)
-    return carrying(influence, levers, apart, load, loaded, jnp.where(guess.any(), guess, loaded))
+    return carrying(influence, levers, apart, applied, loaded, jnp.where(guess.any(), guess, loaded))
 
 
-def _many(influence: Array, levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
     """Many problems under one matrix: conjugate gradients, exact steps where these leave something."""
-    if load.shape[1] > 1:
-        return jax.lax.map(lambda each: _exact(influence, *each), (levers, apart, load, loaded))
+    if applied.shape[1] > 1:
+        return jax.lax.map(lambda each: _exact(influence, *each), (levers, apart, applied, loaded))
 
-    def part(levers: Array, apart: Array, load: Array, loaded: Array) -> tuple:
+    def part(levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
         lever, gap = levers[:, :, 0].T, apart.T
-        at = descended(influence, lever, gap, load[:, 0], loaded.T, ENOUGH)
+        at = descended(influence, lever, gap, applied[:, 0], loaded.T, ENOUGH)
         turned = lever * at.place[None]
         reach = jnp.finfo(gap.dtype).eps * CLOSED * (jnp.abs(at.slope - gap) + jnp.abs(gap) + jnp.abs(turned))
         clear = (loaded.T | (turned - at.slope <= reach)).all(axis=0)  # of the other side
-        closed = (at.inside & ((at.forces > 0) | (load[:, 0] == 0)[None])).T
+        closed = (at.inside & ((at.forces > 0) | (applied[:, 0] == 0)[None])).T
 
         def exact(lane: Array) -> tuple:
             start = jnp.where(closed[lane].any(), closed[lane], loaded[lane])
-            return carrying(influence, levers[lane], apart[lane], load[lane], loaded[lane], start)
+            return carrying(influence, levers[lane], apart[lane], applied[lane], loaded[lane], start)
 
         found = at.found & clear
         return finished((at.place[:, None], at.forces.T, closed, found), found | ~loaded.any(axis=1), exact)
 
-    return in_parts(part, LANES, levers, apart, load, loaded)
+    return in_parts(part, LANES, levers, apart, applied, loaded)
 
 
-def _many_linear(influence: Array, levers: Array, rest: Array, load: Array, closed: Array) -> tuple:
+def _many_linear(influence: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
     """Positions and forces with given sets of closed contacts, of many lanes under one matrix."""
-    if load.shape[1] > 1:
-        return jax.lax.map(lambda each: solved(influence, *each), (levers, rest, load, closed))
+    if applied.shape[1] > 1:
+        return jax.lax.map(lambda each: solved(influence, *each), (levers, rest, applied, closed))
 
-    def part(levers: Array, rest: Array, load: Array, closed: Array) -> tuple:
-        at = descended(influence, levers[:, :, 0].T, rest.T, load[:, 0], closed.T, ENOUGH, one_sided=False)
+    def part(levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
+        at = descended(influence, levers[:, :, 0].T, rest.T, applied[:, 0], closed.T, ENOUGH, one_sided=False)
 
         def exact(lane: Array) -> tuple:
-            return solved(influence, levers[lane], rest[lane], load[lane], closed[lane])
+            return solved(influence, levers[lane], rest[lane], applied[lane], closed[lane])
 
         return finished((at.place[:, None], at.forces.T), at.found, exact)
 
-    return in_parts(part, LANES, levers, rest, load, closed)
+    return in_parts(part, LANES, levers, rest, applied, closed)
 
 
 _search = side_by_side(_single, _many)
@@ -232,11 +232,11 @@ _linear = side_by_side(solved, _many_linear, one_factor=(0, 1, 4))
 
 
 def _from_first_touch(
-    lever: Float[Array, " contact"], gap: Float[Array, " contact"], load: Scalar
+    lever: Float[Array, " contact"], gap: Float[Array, " contact"], applied: Scalar
 ) -> tuple[Scalar, Float[Array, " contact"], Bool[Array, ""]]:
     """Where the load closes the first contact, the gaps counted from there, and whether there is one: positions of
     their own size would round away what a slight load moves."""
-    loaded = _loaded(lever, load)
+    loaded = _loaded(lever, applied)
     able = loaded.any()
     places = jnp.where(loaded, gap / jnp.where(loaded, jnp.abs(lever), 1.0), jnp.inf)
     first = jnp.argmin(places)
@@ -245,5 +245,5 @@ def _from_first_touch(
     return edge, jnp.where((jnp.arange(lever.shape[0]) == first) & able, 0.0, apart), able
 
 
-def _loaded(lever: Float[Array, " contact"], load: Scalar) -> Bool[Array, " contact"]:
-    return jnp.where(load > 0, lever > 0, lever < 0)
+def _loaded(lever: Float[Array, " contact"], applied: Scalar) -> Bool[Array, " contact"]:
+    return jnp.where(applied > 0, lever > 0, lever < 0)

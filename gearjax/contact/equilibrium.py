@@ -85,7 +85,7 @@ def facing(lever: Array, gap: Array, sign: float | Array, per_lever: Array) -> A
     return jnp.where(faces, jnp.clip(-gap / size, -FAR, FAR), -FAR)
 
 
-def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equilibrium:
+def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> Equilibrium:
     """Static equilibrium ``J^T f = Q`` (Wang et al. 2020, eqs. 10-18, with T / r_p in eq. 15).
 
     With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
@@ -98,7 +98,7 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
 
     Args:
         contacts: candidate contacts, with a stiffness.
-        load: generalised force Q on the output [N m]; a positive load torque is negative here.
+        applied: generalised force Q on the output [N m]; a positive load torque is negative here.
         law: contact law.
 
     Returns:
@@ -108,30 +108,30 @@ def equilibrium(contacts: ContactSet, load: Scalar, law: AbstractContact) -> Equ
     if springs is None:
         raise ValueError("rigid contacts have no equilibrium under torque: give them a stiffness")
     if isinstance(springs, CoupledSprings):
-        return _coupled(contacts, springs, load)
+        return _coupled(contacts, springs, applied)
     alone = contacts.jacobian.shape[1] == 1
     if alone and not contacts.layout.sides_turn and isinstance(springs, LinearSprings):
         if isinstance(law, HardContact):
-            return _hard(contacts, springs.stiffness, load)
+            return _hard(contacts, springs.stiffness, applied)
         if contacts.layout.teeth <= MAX_SMOOTH_PAIRS:
-            return _smooth(contacts, springs.stiffness, load, law)
-    edge, counted = _from_first_touch(contacts, load)
+            return _smooth(contacts, springs.stiffness, applied, law)
+    edge, counted = _from_first_touch(contacts, applied)
     if alone:
-        position, forces, found = search(counted, load, law)
+        position, forces, found = search(counted, applied, law)
         return Equilibrium(edge[0] + position, forces, jnp.where(found, 0, 1))
-    place, forces, result = supported(counted, load, law)
+    place, forces, result = supported(counted, applied, law)
     place = place.at[: contacts.free].add(edge)
     return Equilibrium(place[0], forces, result, place[1:])
 
 
-def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Float[Array, " free"], ContactSet]:
+def _from_first_touch(contacts: ContactSet, applied: Scalar) -> tuple[Float[Array, " free"], ContactSet]:
     """Where a load closes the first contact, of each mesh in a train [rad], and the contacts counted from there, so
     that the forces of a tiny torque are not lost in rounding."""
     if contacts.free > 1:
-        place, apart = closed_first(contacts, load)
+        place, apart = closed_first(contacts, applied)
         return place, eqx.tree_at(lambda c: c.gap, contacts, apart)
     lever = contacts.jacobian[:, 0]
-    side = jnp.where(load > 0, -1.0, 1.0).astype(contacts.gap.dtype)
+    side = jnp.where(applied > 0, -1.0, 1.0).astype(contacts.gap.dtype)
     touch = facing(lever, contacts.gap, side, 1 / jnp.mean(jnp.abs(lever)))
     first = jnp.argmax(touch)
     edge = side * touch[first]
@@ -140,17 +140,17 @@ def _from_first_touch(contacts: ContactSet, load: Scalar) -> tuple[Float[Array, 
     return edge[None], eqx.tree_at(lambda c: c.gap, contacts, apart)
 
 
-def _coupled(contacts: ContactSet, springs: CoupledSprings, load: Scalar) -> Equilibrium:
+def _coupled(contacts: ContactSet, springs: CoupledSprings, applied: Scalar) -> Equilibrium:
     """Springs coupled by a matrix, which what the supports give way by adds to."""
     small = contacts.free == 1 and contacts.supports is None and springs.blocks.shape[-1] <= MOST_OWN
     influence = springs.blocks if small else with_supports(contacts, springs.influence)
     if contacts.free == 1:
         position, forces, code = coupled_balance(
-            influence, contacts.jacobian[:, 0], contacts.gap, load, contacts.layout.in_halves
+            influence, contacts.jacobian[:, 0], contacts.gap, applied, contacts.layout.in_halves
         )
         place = position[None]
     else:
-        place, forces, code = coupled_train(influence, contacts, load)
+        place, forces, code = coupled_train(influence, contacts, applied)
     moved = [place[1:]] if contacts.supports is None else [place[1:], moved_by(contacts, forces)]
     moved = None if contacts.jacobian.shape[1] == 1 else jnp.concatenate(moved)
     return Equilibrium(place[0], forces, jnp.where(code == 2, 3, code), moved)
@@ -161,22 +161,22 @@ def _scale(contacts: ContactSet) -> Scalar:
     return jnp.mean(jnp.abs(contacts.lever))
 
 
-def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar) -> Equilibrium:
+def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], applied: Scalar) -> Equilibrium:
     lever = contacts.lever
     strength = lever * stiffness
-    first = _first_loaded(contacts.gap / lever, lever < 0, load)
+    first = _first_loaded(contacts.gap / lever, lever < 0, applied)
     origin, touch = _counted_from(contacts, first)
     few = touch.shape[0] <= MOST_ONE_BY_ONE
-    active = (_active_of_few if few else _active_of_many)(touch, lever, strength, load) | first
+    active = (_active_of_few if few else _active_of_many)(touch, lever, strength, applied) | first
     added = _added_one_by_one if few else jnp.sum
     weight = jnp.where(active, lever * strength, 0.0)
     found = active.any()
-    travel = (load + added(weight * touch)) / jnp.where(found, added(weight), 1.0)  # of the output from the origin
+    travel = (applied + added(weight * touch)) / jnp.where(found, added(weight), 1.0)  # of the output from the origin
     forces = jnp.where(active, strength * (travel - touch), 0.0)
     return Equilibrium(jnp.where(found, origin + travel, jnp.nan), forces, jnp.where(found, 0, 1))
 
 
-def _active_of_few(touch: Array, lever: Array, strength: Array, load: Scalar) -> Bool[Array, " contact"]:
+def _active_of_few(touch: Array, lever: Array, strength: Array, applied: Scalar) -> Bool[Array, " contact"]:
     """Which contacts carry: those where all of them together have not yet reached the load when they begin to touch.
 
     One contact after the other adds to what is carried at each place, which XLA makes one kernel of, also over many
@@ -184,17 +184,17 @@ def _active_of_few(touch: Array, lever: Array, strength: Array, load: Scalar) ->
     """
     carried = [strength[i] * jnp.maximum(lever[i] * (touch - touch[i]), 0.0) for i in range(touch.shape[0])]
     reaction = functools.reduce(jnp.add, carried)
-    return jnp.where(lever < 0, reaction >= load, reaction < load)
+    return jnp.where(lever < 0, reaction >= applied, reaction < applied)
 
 
-def _active_of_many(touch: Array, lever: Array, strength: Array, load: Scalar) -> Bool[Array, " contact"]:
+def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar) -> Bool[Array, " contact"]:
     """The same for many contacts: the reaction never falls from one touch position to the next, so that it is looked at
     only where sorted positions are halved, until the first one is found at which it has reached the load.
 
     Memory grows with the contacts, and time hardly faster. Sums along the sorted positions, which tell the reaction at
     all of them, took a third to twice as long again. Which contacts carry has no derivative.
     """
-    touch, lever, strength, load = jax.lax.stop_gradient((touch, lever, strength, load))
+    touch, lever, strength, applied = jax.lax.stop_gradient((touch, lever, strength, applied))
     number = touch.shape[0]
     places = jnp.sort(touch)
 
@@ -202,7 +202,7 @@ def _active_of_many(touch: Array, lever: Array, strength: Array, load: Scalar) -
         low, high = bounds  # below the first the load is not reached, from the second on it is
         middle = (low + high) // 2
         reaction = (strength * jnp.maximum(lever * (places[jnp.minimum(middle, number - 1)] - touch), 0.0)).sum()
-        reached = (reaction >= load) | (low == high)
+        reached = (reaction >= applied) | (low == high)
         return jnp.where(reached, low, middle + 1), jnp.where(reached, middle, high)
 
     whole = jnp.zeros((), jnp.int32), jnp.full((), number, jnp.int32)
@@ -228,14 +228,14 @@ def _counted_from(contacts: ContactSet, first: Array) -> tuple[Scalar, Array]:
     return origin, jnp.where(jnp.arange(first.shape[0]) == index, 0.0, apart) / contacts.lever
 
 
-def _first_loaded(touch: Array, driving: Array, load: Scalar) -> Array:
+def _first_loaded(touch: Array, driving: Array, applied: Scalar) -> Array:
     """The contact that a load closes first: the first driving one, or under a positive load the first back one.
 
     It always carries: nothing on its side holds the output before it does, and the other side only pushes towards it.
     Said apart, because rounding may hide it at hardly any load.
     """
-    on_side = jnp.where(load > 0, ~driving, driving)
-    place = jnp.where(on_side, jnp.where(load > 0, -touch, touch), -jnp.inf)
+    on_side = jnp.where(applied > 0, ~driving, driving)
+    place = jnp.where(on_side, jnp.where(applied > 0, -touch, touch), -jnp.inf)
     return on_side & (jnp.arange(touch.shape[0]) == jnp.argmax(place))
 
 
@@ -253,14 +253,14 @@ def hard_edges(touch: Sequence[Array], side: Sequence[int]) -> tuple[Array, Arra
     return lower, functools.reduce(lambda one, other: jnp.where(one <= other, one, other), back)
 
 
-def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[int], load: Scalar) -> Array:
+def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[int], applied: Scalar) -> Array:
     """Position of the equilibrium by the hard law, as `equilibrium`, with one array for each contact.
 
     Args:
         touch: position at which each contact touches, arrays of any one shape [rad].
         strength: stiffness of each on the output [N m/rad].
         side: of each contact, 1 for driving flanks and -1 for back flanks.
-        load: generalised force on the output [N m].
+        applied: generalised force on the output [N m].
 
     Returns:
         The position [rad], nan where no contact can carry the load.
@@ -279,11 +279,11 @@ def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[
             ],
             jnp.zeros_like(origin),
         )
-        active = reaction >= load if sign < 0 else reaction < load
+        active = reaction >= applied if sign < 0 else reaction < applied
         pull = pull + jnp.where(active, stiffness * place, 0.0)
         total = total + jnp.where(active, stiffness, 0.0)
     found = total > 0
-    return jnp.where(found, origin + (load + pull) / jnp.where(found, total, 1.0), jnp.nan)
+    return jnp.where(found, origin + (applied + pull) / jnp.where(found, total, 1.0), jnp.nan)
 
 
 def _subsets(size: int) -> np.ndarray:
@@ -292,7 +292,7 @@ def _subsets(size: int) -> np.ndarray:
 
 
 def _smooth(
-    contacts: ContactSet, stiffness: Float[Array, " contact"], load: Scalar, law: AbstractContact
+    contacts: ContactSet, stiffness: Float[Array, " contact"], applied: Scalar, law: AbstractContact
 ) -> Equilibrium:
     """The sum of forces is ``min over S max over R`` of the linear springs S (driving) and R (back) held closed,
     so its root is the ``max over S min over R`` of their roots (reference form for two pairs:
@@ -307,9 +307,9 @@ def _smooth(
     origin = touch[0]
     weight = members * (lever * lever * stiffness)[None, None, :]
     total = weight.sum(axis=-1).at[0, 0].set(1.0)
-    root = (load + (weight * (touch - origin)[None, None, :]).sum(axis=-1)) / total
+    root = (applied + (weight * (touch - origin)[None, None, :]).sum(axis=-1)) / total
     # no spring at all: the sum of forces is zero everywhere, its root is beyond all others on the side of the load
-    nowhere = jnp.where(load > 0, 1e3, -1e3).astype(dtype)
+    nowhere = jnp.where(applied > 0, 1e3, -1e3).astype(dtype)
     root = (root * scale).at[0, 0].set(nowhere)
     inner = -jax.vmap(law.maximum)(-root)
     inner_weights = jax.vmap(law.weights)(-root)

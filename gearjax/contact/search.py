@@ -78,23 +78,23 @@ def _ratio(excess: Array, slope: Array, steepness: Array) -> Array:
     return excess / jnp.where(slope > FLATTEST * steepness, slope, jnp.finfo(slope.dtype).tiny)
 
 
-def search(contacts: ContactSet, load: Scalar, law: AbstractContact) -> tuple[Scalar, Array, Array]:
+def search(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> tuple[Scalar, Array, Array]:
     """Position where the contacts carry the load, their forces, and whether it was found.
 
     Args:
         contacts: candidate contacts, with a stiffness; their gaps count from where the load closes the first contact,
             and so does the position [rad].
-        load: generalised force on the output [N m].
+        applied: generalised force on the output [N m].
         law: contact law.
     """
 
-    def sums(contacts: ContactSet, load: Scalar, position: Scalar) -> tuple[Scalar, Scalar]:
+    def sums(contacts: ContactSet, applied: Scalar, position: Scalar) -> tuple[Scalar, Scalar]:
         lever, force = contacts.lever, spring_forces(contacts, law)
         overlap = lever * position - contacts.gap
         pressed, stiffness = jax.jvp(force, (overlap,), (jnp.ones_like(overlap),))
-        return (lever * pressed).sum() - load, (lever * lever * stiffness).sum()
+        return (lever * pressed).sum() - applied, (lever * lever * stiffness).sum()
 
-    frozen, weight = jax.lax.stop_gradient((contacts, load))
+    frozen, weight = jax.lax.stop_gradient((contacts, applied))
     side = jnp.where(weight > 0, frozen.lever > 0, frozen.lever < 0)
     overlap = jnp.full_like(frozen.gap, TYPICAL)
     stiffness = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
@@ -104,7 +104,7 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact) -> tuple[Sc
     position, found = newton(lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(begin))
     position = jnp.where(found, position, 0.0)
     for _ in range(last_steps(contacts, law)):
-        excess, slope = sums(contacts, load, position)
+        excess, slope = sums(contacts, applied, position)
         # without a closed contact nothing is carried, and the first contact just touches
         position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)
@@ -112,22 +112,24 @@ def search(contacts: ContactSet, load: Scalar, law: AbstractContact) -> tuple[Sc
 
 
 def closed_side(
-    lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], load: Float[Array, " lane"]
+    lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], applied: Float[Array, " lane"]
 ) -> Float[Array, " lane"]:
     """Positions of the equilibrium as if all two-sided contacts of the loaded side were closed [rad]; zero without any.
 
     Arguments as of `hard_balance`.
     """
-    loaded = jnp.where(jnp.where(load[None] > 0, lever > 0, lever < 0), lever, 0.0)
+    loaded = jnp.where(jnp.where(applied[None] > 0, lever > 0, lever < 0), lever, 0.0)
     steepness = (loaded * loaded).sum(axis=0)
-    return jnp.where(steepness > 0, (load + (loaded * gap).sum(axis=0)) / jnp.where(steepness > 0, steepness, 1.0), 0.0)
+    return jnp.where(
+        steepness > 0, (applied + (loaded * gap).sum(axis=0)) / jnp.where(steepness > 0, steepness, 1.0), 0.0
+    )
 
 
 @jax.custom_jvp
 def hard_balance(
     lever: Float[Array, "contact _"],
     gap: Float[Array, "contact lane"],
-    load: Float[Array, " lane"],
+    applied: Float[Array, " lane"],
     start: Float[Array, " lane"],
 ) -> Float[Array, " lane"]:
     """Positions of the equilibrium of two-sided linear springs by the hard law, of several gear sets, or angles.
@@ -135,28 +137,28 @@ def hard_balance(
     Args:
         lever: of each contact, shape (contact, lane), or (contact, 1) for all [m/rad].
         gap: of each contact [m].
-        load: generalised force on the output over the stiffness of a contact, the same for all [m^2/rad]; at zero, the
-            side that holds against a positive torque touches.
+        applied: generalised force on the output over the stiffness of a contact, the same for all [m^2/rad]; at zero
+            the side that holds against a positive torque touches.
         start: positions to start from [rad].
 
     Returns:
         The positions [rad], nan where no contact can carry the load.
     """
-    load = jnp.where(load == 0, -jnp.finfo(load.dtype).tiny, load)  # in play, nothing is not yet carried
+    applied = jnp.where(applied == 0, -jnp.finfo(applied.dtype).tiny, applied)  # in play, nothing is not yet carried
     squared = lever * lever
     sides = [jnp.where(side, squared, 0.0).sum(axis=0) for side in (lever > 0, lever < 0)]
-    steepness = jnp.where(load > 0, *sides)
+    steepness = jnp.where(applied > 0, *sides)
     safe = jnp.where(steepness > 0, steepness, 1.0)
 
     def move(position: Array) -> Array:
         # all that a contact has to do with read anew: what does not change would be worked out before, one by one
-        excess, slope = _sums(*jax.lax.optimization_barrier((lever, gap, load, position)))
+        excess, slope = _sums(*jax.lax.optimization_barrier((lever, gap, applied, position)))
         return _ratio(excess, slope, safe)
 
-    travel = jnp.abs(load) / safe
+    travel = jnp.abs(applied) / safe
     slight = travel < SLIGHT
     begin = jax.lax.cond(
-        slight.any(), lambda: jnp.where(slight, closed_side(lever, gap, load), start), lambda: jnp.asarray(start)
+        slight.any(), lambda: jnp.where(slight, closed_side(lever, gap, applied), start), lambda: jnp.asarray(start)
     )
     position, found = newton(move, jnp.where(steepness > 0, begin, jnp.nan), travel)
     return jnp.where(found, position, jnp.nan)
@@ -166,8 +168,8 @@ def hard_balance(
 def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     position = hard_balance(*primals)
 
-    def excess(lever: Array, gap: Array, load: Array) -> Array:
-        return (lever * jnp.maximum(lever * position[None] - gap, 0.0)).sum(axis=0) - load
+    def excess(lever: Array, gap: Array, applied: Array) -> Array:
+        return (lever * jnp.maximum(lever * position[None] - gap, 0.0)).sum(axis=0) - applied
 
     lever, gap, _, _ = primals
     slope = jnp.where(lever * position[None] > gap, lever * lever, 0.0).sum(axis=0)
@@ -175,7 +177,7 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return position, -change / jnp.where(slope > 0, slope, 1.0)
 
 
-def _sums(lever: Array, gap: Array, load: Array, position: Array) -> tuple[Array, Array]:
+def _sums(lever: Array, gap: Array, applied: Array, position: Array) -> tuple[Array, Array]:
     """What the contacts carry beyond the load, and its slope, both over the stiffness of a contact.
 
     Contacts are written out as one array each, which is what vectorises.
@@ -185,4 +187,4 @@ def _sums(lever: Array, gap: Array, load: Array, position: Array) -> tuple[Array
         overlap = arm * position - at
         moment = moment + jnp.where(overlap > 0, arm * overlap, 0.0)
         slope = slope + jnp.where(overlap > 0, arm * arm, 0.0)
-    return moment - load, slope
+    return moment - applied, slope

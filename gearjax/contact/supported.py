@@ -44,21 +44,21 @@ def moved_by(contacts: ContactSet, forces: Float[Array, " contact"]) -> Float[Ar
 
 
 def supported(
-    contacts: ContactSet, load: Scalar, law: AbstractContact
+    contacts: ContactSet, applied: Scalar, law: AbstractContact
 ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"], Int[Array, ""]]:
     """Displacements where the contacts and supports balance a load, the forces, and a result code.
 
     Args:
         contacts: with springs one by one; their gaps count from where the load closes the first contact of each mesh,
             and so do the positions of the output and of shafts that turn freely.
-        load: generalised force on the output [N m].
+        applied: generalised force on the output [N m].
         law: contact law.
 
     Returns:
         Displacements in all coordinates, the output's first [rad, m]; forces [N]; 0 for found, 1 where no
         contact can carry the load, 3 where the search did not end; nan and zeros with 1 and 3.
     """
-    frozen, weight = jax.lax.stop_gradient((contacts, load))
+    frozen, weight = jax.lax.stop_gradient((contacts, applied))
     unloaded = weight == 0
     weight = jnp.where(unloaded, -1.0, weight)
     loaded = frozen.loaded(weight)
@@ -72,7 +72,7 @@ def supported(
     start = _solve(whole, closed, scale)
     place, ended = _search(frozen, weight, law, jnp.where(able, start, 0.0), whole, scale)
     for _ in range(last_steps(contacts, law)):
-        excess, stiffness = _excess(contacts, load, law, place)
+        excess, stiffness = _excess(contacts, applied, law, place)
         step = _solve(_bending(contacts, stiffness) + SLIGHTLY**2 * whole, excess, scale)
         place = jnp.where(unloaded, 0.0, place - step)
     forces = spring_forces(contacts, law)(contacts.jacobian @ place - contacts.gap)
@@ -82,7 +82,7 @@ def supported(
 
 
 def _search(
-    contacts: ContactSet, load: Scalar, law: AbstractContact, start: Array, whole: Array, scale: Array
+    contacts: ContactSet, applied: Scalar, law: AbstractContact, start: Array, whole: Array, scale: Array
 ) -> tuple[Array, Array]:
     """Displacements at the minimum, and whether they were found."""
     accuracy = float(jnp.finfo(start.dtype).eps) ** ACCURACY
@@ -93,11 +93,11 @@ def _search(
 
     def advance(state: tuple) -> tuple:
         place, _, step = state
-        excess, stiffness = _excess(contacts, load, law, place)
+        excess, stiffness = _excess(contacts, applied, law, place)
         way = -_solve(_bending(contacts, stiffness) + SLIGHTLY * whole, excess, scale)
 
         def slope(share: Scalar) -> Scalar:
-            return way @ _excess(contacts, load, law, place + share * way)[0]
+            return way @ _excess(contacts, applied, law, place + share * way)[0]
 
         def halve(state: tuple) -> tuple:
             low, high, halved = state
@@ -105,7 +105,7 @@ def _search(
             falls = slope(middle) < 0
             return jnp.where(falls, middle, low), jnp.where(falls, high, middle), halved + 1
 
-        zero, one = jnp.zeros_like(load), jnp.ones_like(load)
+        zero, one = jnp.zeros_like(applied), jnp.ones_like(applied)
         far = slope(one) > ENOUGH * jnp.abs(way @ excess)
 
         def rough(state: tuple) -> Array:
@@ -115,33 +115,33 @@ def _search(
         # a loop that is not begun where the whole step is taken; over many angles, a choice would look for all shares
         share = jax.lax.while_loop(rough, halve, (zero, one, 0))[1]
         small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
-        return place + share * way, small | _balanced(contacts, load, law, place, excess), step + 1
+        return place + share * way, small | _balanced(contacts, applied, law, place, excess), step + 1
 
     place, done, _ = jax.lax.while_loop(unfinished, advance, (start, ~jnp.isfinite(start).all(), 0))
     return place, done & jnp.isfinite(place).all()
 
 
-def _balanced(contacts: ContactSet, load: Scalar, law: AbstractContact, place: Array, excess: Array) -> Array:
+def _balanced(contacts: ContactSet, applied: Scalar, law: AbstractContact, place: Array, excess: Array) -> Array:
     """Whether what is left is no more than rounding, which very stiff shafts beside soft bearings bring about."""
     forces = jnp.abs(spring_forces(contacts, law)(contacts.jacobian @ place - contacts.gap))
-    size = (jnp.abs(contacts.jacobian).T @ forces).at[0].add(jnp.abs(load))
+    size = (jnp.abs(contacts.jacobian).T @ forces).at[0].add(jnp.abs(applied))
     if contacts.supports is not None:
         size = size.at[contacts.free :].add(jnp.abs(contacts.supports) @ jnp.abs(place[contacts.free :]))
     return (jnp.abs(excess) <= ROUNDING * jnp.finfo(excess.dtype).eps * size).all()
 
 
 def _excess(
-    contacts: ContactSet, load: Scalar, law: AbstractContact, place: Float[Array, " coordinate"]
+    contacts: ContactSet, applied: Scalar, law: AbstractContact, place: Float[Array, " coordinate"]
 ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
     """What supports and contacts carry beyond the load, and the stiffness of each contact there."""
     overlap = contacts.jacobian @ place - contacts.gap
     forces, stiffness = jax.jvp(spring_forces(contacts, law), (overlap,), (jnp.ones_like(overlap),))
     carried = contacts.jacobian.T @ forces
     if contacts.supports is None:
-        return carried.at[0].add(-load), stiffness
+        return carried.at[0].add(-applied), stiffness
     free = contacts.free
     held = carried[free:] + contacts.supports @ place[free:]
-    return jnp.concatenate([carried[:1] - load, carried[1:free], held]), stiffness
+    return jnp.concatenate([carried[:1] - applied, carried[1:free], held]), stiffness
 
 
 def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float[Array, "coordinate coordinate"]:

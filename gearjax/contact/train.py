@@ -28,7 +28,7 @@ def touching(contacts: ContactSet, law: AbstractContact, side: int) -> Float[Arr
     return place
 
 
-def closed_first(contacts: ContactSet, load: Scalar) -> tuple[Float[Array, " free"], Float[Array, " contact"]]:
+def closed_first(contacts: ContactSet, applied: Scalar) -> tuple[Float[Array, " free"], Float[Array, " contact"]]:
     """Where a load brings the first contact of each mesh to touch, and the gaps counted from there, those contacts' own
     exactly zero: the forces of a tiny torque are not lost in rounding."""
 
@@ -43,7 +43,7 @@ def closed_first(contacts: ContactSet, load: Scalar) -> tuple[Float[Array, " fre
     place, zero = first(1)
     if contacts.layout.has_back:
         back = first(-1)
-        place, zero = (jnp.where(load > 0, other, one) for one, other in zip((place, zero), back, strict=True))
+        place, zero = (jnp.where(applied > 0, other, one) for one, other in zip((place, zero), back, strict=True))
     apart = contacts.gap - contacts.jacobian[:, : contacts.free] @ place
     return place, jnp.where(zero, 0.0, apart)
 

@@ -64,22 +64,24 @@ class Balances(eqx.Module):
         lever, gap = self.lever.T, self.gaps.everywhere(self.gaps.terms(_flat(scene, self.varied)))
         if torque is None:
             return _edges(lever, gap, analysis)
-        load = jnp.broadcast_to(_load(scene, torque), gap.shape[1:])
-        return hard_balance(lever, gap, load, closed_side(*jax.lax.stop_gradient((lever, gap, load))))
+        applied = jnp.broadcast_to(_applied(scene, torque), gap.shape[1:])
+        return hard_balance(lever, gap, applied, closed_side(*jax.lax.stop_gradient((lever, gap, applied))))
 
     def curves(self, scenes: Scene, keys: Sequence[Key]) -> list[Float[Array, "n row"]]:
         """The curves of analyses [rad], of several gear sets, whose numbers have a leading axis."""
         numbers = jax.vmap(lambda scene: _flat(scene, self.varied), out_axes=-1)(scenes)
         terms = jax.lax.optimization_barrier(self.gaps.terms(numbers))
-        loads = [jax.vmap(_load, in_axes=(0, None))(scenes, torque) for _, torque in keys if torque is not None]
+        applied_each = [
+            jax.vmap(_applied, in_axes=(0, None))(scenes, torque) for _, torque in keys if torque is not None
+        ]
         tables = self.lever[..., None], self.gaps.nominal[..., None], self.gaps.influence[..., None]
         lever, nominal, influence = (table[0] for table in tables)
         gap = summed(nominal, influence, terms)
-        starts = [closed_side(*jax.lax.stop_gradient((lever, gap, load))) for load in loads]
+        starts = [closed_side(*jax.lax.stop_gradient((lever, gap, applied))) for applied in applied_each]
 
         def step(last: list[Array], at: tuple[Array, Array, Array]) -> tuple[list[Array], list[Array]]:
             lever, gap = at[0], summed(*at[1:], terms)
-            rests = [hard_balance(lever, gap, load, near) for load, near in zip(loads, last, strict=True)]
+            rests = [hard_balance(lever, gap, applied, near) for applied, near in zip(applied_each, last, strict=True)]
             near = [jnp.where(jnp.isnan(rest), start, rest) for rest, start in zip(rests, last, strict=True)]
             waiting = iter(rests)
             curves = [_edges(lever, gap, analysis) if torque is None else next(waiting) for analysis, torque in keys]
@@ -112,8 +114,8 @@ class Balances(eqx.Module):
         def of_lanes(lever: Array, gap: Array, near: Array) -> Array:
             if torque is None:
                 return _edges(lever, gap, analysis)
-            load = jnp.tile(jax.vmap(_load, in_axes=(0, None))(scenes, torque), gap.shape[1] // rows)
-            return hard_balance(lever, gap, load, near)
+            applied = jnp.tile(jax.vmap(_applied, in_axes=(0, None))(scenes, torque), gap.shape[1] // rows)
+            return hard_balance(lever, gap, applied, near)
 
         return ends(of_lanes, tables, curve)
 
@@ -127,7 +129,7 @@ def _flat(scene: Scene, varied: Sequence[str]) -> Float[Array, " number"]:
     return ravel_pytree(_numbers(scene, varied))[0].astype(scene.dtype)  # without any, ravel_pytree has its own dtype
 
 
-def _load(scene: Scene, torque: float) -> Scalar:
+def _applied(scene: Scene, torque: float) -> Scalar:
     """Generalised force on the output over the stiffness of a contact, which is the same for all [m^2/rad]."""
     return -torque / scene.linear_compliance.mean_stiffness(1)[0]
 

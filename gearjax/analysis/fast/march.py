@@ -178,7 +178,7 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
         if spacing.signals is Signals.BATCH:  # in the loop, so that what is the same for all times is worked out once
             columns = jax.vmap(forcing.columns)(columns)
         waves = forcing.harmonics._replace(cosine=cosine, sine=sine)
-        given = Given(columns, waves, forcing.loads(origin, steps + 1))
+        given = Given(columns, waves, forcing.torques(origin, steps + 1))
         rows, step_forcing = (tabulated if spacing.signals is Signals.TABLE else written_out)(forcing, basis, given)
         ended, path = _steps(forcing.oscillator, step_forcing, carry, rows.own)
         return ended, _measured(forcing.oscillator, step_forcing, rows.every, path, every)
@@ -215,7 +215,7 @@ def begin(
 
     def fast_at(time: Scalar) -> Fast:
         waves = forcing.turned(time)
-        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.load(time))
+        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.torque_at(time))
 
     # in a loop, what both times share is worked out once, not again for every number that it is part of
     both = jax.lax.map(slow_at, instants) if signals is Signals.BATCH else jax.vmap(slow_at)(instants)
@@ -225,7 +225,7 @@ def begin(
     if state is None:
         _, fast = now
         stiffness = equation.layout.per_contact(fast.stiffness)
-        state = equation.following(gaps, stiffness, fast.load) * equation.per_step(oscillator.step)
+        state = equation.following(gaps, stiffness, fast.torque) * equation.per_step(oscillator.step)
         found, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     first, second = (oscillator.state(slow, fast, state[0]) for slow, fast in (now, later))
     return (state[0], change_before(state[1], first, second.push - first.push)), found
@@ -241,7 +241,7 @@ def warm_start(forcing: Forcing, time: Scalar, spacing: Spacing, nodes: Any) -> 
         nodes: of the first block.
     """
     basis = Basis.of(forcing, spacing.steps, spacing.block.nodes)
-    given = Given(nodes, forcing.turned(time), forcing.loads(time, spacing.steps + 1))
+    given = Given(nodes, forcing.turned(time), forcing.torques(time, spacing.steps + 1))
     rows, step_forcing = written_out(forcing, basis, given)
     now, later = jax.vmap(lambda row: forcing.oscillator.resting(*step_forcing(row)))(_rows(rows.every, slice(0, 2)))
     return jnp.nan_to_num(now), jnp.nan_to_num(later - now)

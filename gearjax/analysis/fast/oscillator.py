@@ -46,7 +46,7 @@ class Fast(NamedTuple):
     """What drives a step and follows the teeth or the load: stiffness of each pair [N/m], load torque [N m]."""
 
     stiffness: Numbers
-    load: Array
+    torque: Array
 
 
 class Oscillator(eqx.Module):
@@ -111,8 +111,8 @@ class Oscillator(eqx.Module):
             damping.append(_gate(engaged, _part(slow.damping, pair)))
             if hard:
                 decay.append(jnp.where(engaged, _part(slow.decay, pair), 1.0).prod())
-        load = slow.inverse * self.equation.scale * fast.load
-        push = _total(drag, nothing) - _total(force, nothing) - load
+        held = slow.inverse * self.equation.scale * fast.torque
+        push = _total(drag, nothing) - _total(force, nothing) - held
         damped = _total(damping, nothing)
         left = jnp.exp(-damped) if not hard else jnp.ones_like(position)
         for part in decay:
@@ -123,7 +123,7 @@ class Oscillator(eqx.Module):
         """Scaled position of the static equilibrium."""
         lever, gap, stiffness = self._springs(slow, fast)
         scale = self.equation.scale
-        return self.equation.equilibrium(lever / scale, gap, stiffness, fast.load) / scale
+        return self.equation.equilibrium(lever / scale, gap, stiffness, fast.torque) / scale
 
     def _springs(self, slow: Slow, fast: Fast) -> tuple[Array, Array, Array]:
         """Lever per scaled position, gap and stiffness of each contact."""

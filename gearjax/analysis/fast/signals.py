@@ -86,11 +86,11 @@ class Forcing(eqx.Module):
         """Stiffness harmonics counted from a time [s]."""
         return self.harmonics.turned(mesh_phases(self.oscillator.equation, time))
 
-    def loads(self, time: Scalar, steps: int) -> Array:
+    def torques(self, time: Scalar, steps: int) -> Array:
         """Load of every step of a block [N m]; one number where it does not alternate."""
         if not self.oscillator.equation.load_varies:
-            return self.oscillator.equation.load(time)
-        return jax.vmap(lambda step: self.oscillator.equation.load(time + step * self.oscillator.step))(
+            return self.oscillator.equation.torque_at(time)
+        return jax.vmap(lambda step: self.oscillator.equation.torque_at(time + step * self.oscillator.step))(
             jnp.arange(steps).astype(time.dtype)
         )
 
@@ -127,12 +127,12 @@ class Given(NamedTuple):
     Args:
         columns: what changes of the slow signals at its nodes, each of shape (node,).
         waves: stiffness harmonics, counted from its start.
-        load: of each of its steps, or one number [N m].
+        torque: of each of its steps, or one number [N m].
     """
 
     columns: tuple[Array, ...] | Float[Array, "column node"]
     waves: Harmonics
-    load: Array
+    torque: Array
 
 
 def at_nodes(
@@ -184,12 +184,12 @@ class Rows(NamedTuple):
 
 def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
     """Rows of one table for the steps of a block, and what they mean."""
-    waves, load = given.waves, given.load
+    waves, torque = given.waves, given.torque
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
-    rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (load,) if load.ndim else ()
+    rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (torque,) if torque.ndim else ()
 
     def put(row: Any) -> tuple[Slow, Fast]:
-        return forcing.slow(row[0]), Fast(row[1], row[2][0] if row[2] else load)
+        return forcing.slow(row[0]), Fast(row[1], row[2][0] if row[2] else torque)
 
     return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), StepForcing(
         lambda row: row, lambda rows: rows, put
@@ -198,10 +198,10 @@ def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepF
 
 def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
     """Weights for the steps of a block, and the sums over its nodes that they mean."""
-    waves, load = given.waves, given.load
-    loads = (load,) if load.ndim else ()
-    own = *basis.own, tuple(part[:-1] for part in loads)
-    rows = Rows(own, (basis.weights, basis.cosine, basis.sine, loads))
+    waves, torque = given.waves, given.torque
+    torques = (torque,) if torque.ndim else ()
+    own = *basis.own, tuple(part[:-1] for part in torques)
+    rows = Rows(own, (basis.weights, basis.cosine, basis.sine, torques))
 
     def at(row: Any) -> tuple:
         # whole arrays are taken into the step, so that lanes can be laid out side by side there
@@ -213,15 +213,15 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
         return slow, tuple(stiffness), row[3]
 
     def table(rows: Any) -> tuple:
-        weights, cosine, sine, loads = rows
+        weights, cosine, sine, torques = rows
         slow = tuple(summed(weights, column) for column in given.columns)
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
         stiffness = (mean + summed(cosine, c) + summed(sine, s) for mean, c, s in series)
-        return slow, tuple(stiffness), loads
+        return slow, tuple(stiffness), torques
 
     def put(numbers: tuple) -> tuple[Slow, Fast]:
-        slow, stiffness, loads = numbers
-        return forcing.slow(slow), Fast(stiffness, loads[0] if loads else load)
+        slow, stiffness, torques = numbers
+        return forcing.slow(slow), Fast(stiffness, torques[0] if torques else torque)
 
     return rows, StepForcing(at, table, put)
 

@@ -30,7 +30,7 @@ class Excitation(NamedTuple):
         gap: shape (contact,) [m].
         jacobian_rate, gap_rate: their rates; ``None`` without dampers.
         stiffness: shape (contact,) [N/m].
-        load: load torque [N m].
+        torque: load torque [N m].
     """
 
     jacobian: Array
@@ -38,7 +38,7 @@ class Excitation(NamedTuple):
     jacobian_rate: Array | None
     gap_rate: Array | None
     stiffness: Array
-    load: Array
+    torque: Array
 
 
 class StructureEquation(eqx.Module):
@@ -115,7 +115,7 @@ class StructureEquation(eqx.Module):
         orbits, supports = self.scene.system.orbits, self.scene.supports
         return any("x" in support.directions for body, support in supports.items() if body in orbits)
 
-    def load(self, time: Scalar) -> Scalar:
+    def torque_at(self, time: Scalar) -> Scalar:
         """Load torque, and what the ideal output takes to accelerate [N m]."""
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
@@ -134,9 +134,9 @@ class StructureEquation(eqx.Module):
 
         if self.coefficient is None and not moving:
             jacobian, gap, stiffness = contacts(time)
-            return Excitation(jacobian, gap, None, None, stiffness, self.load(time))
+            return Excitation(jacobian, gap, None, None, stiffness, self.torque_at(time))
         (jacobian, gap, stiffness), rates = jax.jvp(contacts, (time,), (jnp.ones_like(time),))
-        return Excitation(jacobian, gap, rates[0], rates[1], stiffness, self.load(time))
+        return Excitation(jacobian, gap, rates[0], rates[1], stiffness, self.torque_at(time))
 
     def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
         """Forces on the contacts: elastic, shape (contact,), and of the damper of each pair along its first flank,
@@ -188,7 +188,7 @@ class StructureEquation(eqx.Module):
 
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
         """Forces on the coordinates that do not depend on them [N m, N]."""
-        return self.structure.push.at[0].add(-now.load)
+        return self.structure.push.at[0].add(-now.torque)
 
     def acceleration(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " coordinate"]:
         """Acceleration of the coordinates [rad/s2, m/s2]."""
@@ -206,18 +206,18 @@ class StructureEquation(eqx.Module):
         now = self.excitation(time)
         return now.stiffness * self.scene.contact.penetration(now.jacobian @ place - now.gap)
 
-    def loaded(self, jacobian: Array, load: Scalar) -> Bool[Array, " contact"]:
+    def loaded(self, jacobian: Array, torque: Scalar) -> Bool[Array, " contact"]:
         """Contacts that hold against a load torque [N m]."""
         supports = None if self.free == jacobian.shape[1] else self.structure.stiffness[self.free :, self.free :]
         none = jnp.zeros(jacobian.shape[0], jacobian.dtype)
-        return ContactSet(jacobian, none, None, self.layout, supports, self.holds).loaded(-load)
+        return ContactSet(jacobian, none, None, self.layout, supports, self.holds).loaded(-torque)
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry the torque at a time [s]."""
-        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.load(time))
+        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.torque_at(time))
 
     def resting(
-        self, jacobian: Array, gap: Array, stiffness: Array, load: Scalar
+        self, jacobian: Array, gap: Array, stiffness: Array, torque: Scalar
     ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
         """Static equilibrium [rad, m], and the forces of the contacts [N]: centrifugal forces included, nan where there
         is none."""
@@ -227,7 +227,7 @@ class StructureEquation(eqx.Module):
             supports = self.structure.stiffness[free:, free:]
             pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
         contacts = ContactSet(jacobian, gap - jacobian @ pushed, springs, self.layout, supports, self.holds)
-        found = equilibrium(contacts, -load, self.scene.contact)
+        found = equilibrium(contacts, -torque, self.scene.contact)
         assert found.moved is not None
         place = jnp.concatenate([found.position[None], found.moved]) + pushed
         return jnp.where(found.result == 0, place, jnp.nan), found.forces
@@ -238,7 +238,7 @@ class StructureEquation(eqx.Module):
             return jnp.zeros((2, len(self.scale)), time.dtype)
         now = self.excitation(time, moving=True)
         place, speed = jax.jvp(
-            lambda jacobian, gap: self.resting(jacobian, gap, now.stiffness, now.load)[0],
+            lambda jacobian, gap: self.resting(jacobian, gap, now.stiffness, now.torque)[0],
             (now.jacobian, now.gap),
             (now.jacobian_rate, now.gap_rate),
         )

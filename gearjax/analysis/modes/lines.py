@@ -22,7 +22,7 @@ class Driving(NamedTuple):
         lever_rate: of first flanks, shape (coordinate, pair) [m/rad s, 1/s]; ``None`` with ``lever``, or no dampers.
         gap_rate: of first flanks, shape (pair,) [m/s]; ``None`` without dampers.
         stiffness: shape (contact,) [N/m].
-        load: load torque [N m].
+        torque: load torque [N m].
     """
 
     lever: Array | None
@@ -30,7 +30,7 @@ class Driving(NamedTuple):
     lever_rate: Array | None
     gap_rate: Array | None
     stiffness: Array
-    load: Array
+    torque: Array
 
 
 class Lines(eqx.Module):
@@ -61,9 +61,9 @@ class Lines(eqx.Module):
         apart = not equation.levers_turn and contacts <= coordinates
         mean = equation.layout.per_contact(equation.scene.linear_compliance.mean_stiffness(equation.layout.teeth))
         if equation.layout.sides_turn:
-            carries = equation.resting(jacobian, now.gap, now.stiffness, now.load)[1] > 0
+            carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0
         else:
-            carries = equation.loaded(jacobian, now.load)
+            carries = equation.loaded(jacobian, now.torque)
         held = jnp.where(carries, mean, 0.0)
         if not apart:
             unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
@@ -115,9 +115,9 @@ class Lines(eqx.Module):
         now, first = self.equation.excitation(time), self.equation.layout.flanks[0]
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
-            return Driving(None, now.gap, None, heard, now.stiffness, now.load)
+            return Driving(None, now.gap, None, heard, now.stiffness, now.torque)
         rate = None if now.jacobian_rate is None else now.jacobian_rate[first].T
-        return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.load)
+        return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.torque)
 
     def overlap(self, now: Driving, sight: Array) -> Float[Array, " contact"]:
         """Overlap of the contacts [m]."""
@@ -139,8 +139,8 @@ class Lines(eqx.Module):
     def known(self, now: Driving) -> Float[Array, " known"]:
         """Inputs that do not depend on the motion, where lines are contacts: load torque and centrifugal forces."""
         if not self.apart:
-            return jnp.zeros((0,), now.load.dtype)
-        return jnp.stack([now.load, jnp.ones_like(now.load)]) if self.equation.pushed else now.load[None]
+            return jnp.zeros((0,), now.torque.dtype)
+        return jnp.stack([now.torque, jnp.ones_like(now.torque)]) if self.equation.pushed else now.torque[None]
 
     def inputs(self, now: Driving, sight: Array) -> Float[Array, " line"]:
         """The inputs u of the lines [N, N m].
@@ -162,7 +162,7 @@ class Lines(eqx.Module):
         if now.lever is None:
             return kept - force
         first = jnp.zeros_like(seen).at[0].set(1.0)
-        return kept + equation.structure.push - now.load * first - now.lever @ force
+        return kept + equation.structure.push - now.torque * first - now.lever @ force
 
     def _of_mean(self, mean: Array, seen: Array) -> Array:
         """What mean springs or dampers hold; those of contacts do not see each other."""
