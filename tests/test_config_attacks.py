@@ -35,6 +35,7 @@ def test_a_few_of_the_attacks(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # the nine samples of a study that it lists
+@pytest.mark.filterwarnings("ignore::gearjax.FewCandidates")  # of attacked numbers of pairs, and of attacked backlash
 def test_attacks(tmp_path, capsys):
     """Those that load also run, shortened to one analysis of nine samples: results, or one line."""
     path, loaded, ran, refused = tmp_path / "attack.toml", 0, 0, 0

@@ -235,6 +235,7 @@ REFUSE = {
     "contact_pressure": "line contacts",
     "export_profile": "has no disc with a profile",
     "matched_assembly": "phases",
+    "one_contact": "outputs that turn evenly",
 }
 
 
