@@ -71,13 +71,13 @@ def each_on_cluster(
         futures = {client.submit(evaluate, config, chunk, pure=False): chunk for chunk in chunks}
         for future in as_completed(list(futures)):
             try:
-                found = future.result()
+                evaluated = future.result()
             except KilledWorker as fault:
                 words = "the workers that took them died: is there memory enough?"
                 raise GearjaxError(f"samples {futures[future]}: {words}") from fault
             except Exception as fault:  # whatever a worker raised: a missing package, a lost scheduler
                 raise GearjaxError(f"samples {futures[future]}: {type(fault).__name__}: {fault}") from fault
-            yield futures.pop(future), found
+            yield futures.pop(future), evaluated
     finally:
         client.close()
         if cluster is not None:

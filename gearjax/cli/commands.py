@@ -165,16 +165,16 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     text = _read_text(config)
     scene, section = loads_optimise(text)
     folder = _folder(out, json_, config)
-    found = run_optimise(section, scene, _say)
+    optimisation = run_optimise(section, scene, _say)
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
-        written = save_optimisation(found, text, folder) + save_optimisation_figures(found, folder)
+        written = save_optimisation(optimisation, text, folder) + save_optimisation_figures(optimisation, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
-        print(json.dumps(found.as_json(), allow_nan=False))
+        print(json.dumps(optimisation.as_json(), allow_nan=False))
     else:
-        print_optimisation(found)
+        print_optimisation(optimisation)
 
 
 @app.command()
@@ -205,19 +205,19 @@ def tradeoff(
             else:
                 print_shifts(shifted)
             return
-    found = run_tradeoff(scene, allowed, _say)
+    comparison = run_tradeoff(scene, allowed, _say)
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
-        written = save_tradeoff(found, folder) + save_tradeoff_figure(found, folder)
+        written = save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder)
         _say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
-        entries = tradeoff_as_json(str(config), found)
+        entries = tradeoff_as_json(str(config), comparison)
         if shifted:
             entries["float32_quantiles"] = shifts_as_json(shifted)
         print(json.dumps(entries, allow_nan=False))
     else:
-        print_tradeoff(found)
+        print_tradeoff(comparison)
         if shifted:
             print_shifts(shifted)
 
@@ -243,16 +243,16 @@ def tolerance(
 
     text = _read_text(config)
     folder = _folder(out, json_, config)
-    found, work = study(text, config.parent, folder, scheduler, workers, _progress, _say)
+    results, work = study(text, config.parent, folder, scheduler, workers, _progress, _say)
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
 
-        written = save_tolerance(found, work, text, folder) + save_tolerance_figures(found, folder)
+        written = save_tolerance(results, work, text, folder) + save_tolerance_figures(results, folder)
         _say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
-        print(json.dumps(found.as_json(), allow_nan=False))
+        print(json.dumps(results.as_json(), allow_nan=False))
     else:
-        print_tolerance(found)
+        print_tolerance(results)
 
 
 def _folder(out: Path | None, json_: bool, config: Path) -> Path | None:

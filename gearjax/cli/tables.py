@@ -16,46 +16,53 @@ from gearjax.tolerance.precision import PrecisionShift
 from gearjax.units import arcmin, deg
 
 
-def print_tradeoff(found: Tradeoff) -> None:
+def print_tradeoff(comparison: Tradeoff) -> None:
     table = Table(title="What each choice costs and buys; one run, one torque")
     for column in ("setting", "", "error [arcmin]", "run [ms]", "gradient [ms]", "compile [s]"):
         table.add_column(column, justify="left" if column in ("setting", "") else "right")
-    for row in found.rows:
+    for row in comparison.rows:
         gradient = "" if row.gradient_seconds is None else f"{1e3 * row.gradient_seconds:.1f}"
         error = f"{row.error / arcmin:.2g}"
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
     console.print(table)
-    if found.statics:
+    if comparison.statics:
         table = Table(title="Geometry under static torque, against the most exact choice")
         for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):
             table.add_column(column, justify="left" if column == "choice" else "right")
-        for one in found.statics:
+        for one in comparison.statics:
             off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
             table.add_row(one.name, *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
         console.print(table)
-    allowed = f"{found.error / arcmin:g} arcmin"
-    if found.best is None:
+    allowed = f"{comparison.error / arcmin:g} arcmin"
+    if comparison.best is None:
         console.print(f"no setting is within {allowed}", soft_wrap=True)
     else:
-        console.print(f"cheapest within {allowed}: {found.best.group}: {found.best.name}", soft_wrap=True)
+        console.print(f"cheapest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
 
 
-def print_optimisation(found: Optimisation) -> None:
+def print_optimisation(optimisation: Optimisation) -> None:
     console = output()
-    table = Table(title=f"{found.section.objective.name}, {found.section.window:g} s")
-    parameters = found.parameters
+    table = Table(title=f"{optimisation.section.objective.name}, {optimisation.section.window:g} s")
+    parameters = optimisation.parameters
     units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
     columns = ["", "arcmin", *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
     for column in (*columns, "evaluations", "run [s]", "compile [s]"):
         table.add_column(column, justify="right" if column else "left", overflow="fold")
 
     def row(title: str, objective: float, point, *rest: str) -> None:
-        shown = [f"{found.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
+        shown = [f"{optimisation.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
         table.add_row(title, f"{objective / arcmin:.5f}", *shown, *rest)
 
-    row("before", found.before, pick(found.scene, found.section.where).get(found.scene), "", "", "")
-    grid, search = found.grid, found.gradient
+    row(
+        "before",
+        optimisation.before,
+        pick(optimisation.scene, optimisation.section.where).get(optimisation.scene),
+        "",
+        "",
+        "",
+    )
+    grid, search = optimisation.grid, optimisation.gradient
     if grid is not None:
         count = f"{grid.combinations} ({grid.evaluated} on all times)"
         row("grid", grid.objective, grid.best, count, f"{grid.seconds:.2f}", f"{grid.compile_seconds:.1f}")
@@ -69,7 +76,7 @@ def print_optimisation(found: Optimisation) -> None:
     )
     if not search.improved:
         console.print(f"gradients: {UNIMPROVED}", soft_wrap=True)
-    around = found.sensitivity
+    around = optimisation.sensitivity
     for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
         if flat:
             words = ", ".join(f"{path} {share:+.2f}" for path, share in zip(around.paths, direction, strict=True))
@@ -80,15 +87,15 @@ def print_optimisation(found: Optimisation) -> None:
             f"{worst / arcmin:.4f} at worst",
             soft_wrap=True,
         )
-    _print_stages(console, found)
+    _print_stages(console, optimisation)
 
 
-def _print_stages(console: Console, found: Optimisation) -> None:
+def _print_stages(console: Console, optimisation: Optimisation) -> None:
     table = Table(title="Transmission error in arcmin, before and after")
     for column in ("case", "window [s]", "stage", *(name.replace("_", "-") for name in METRICS)):
         table.add_column(column, justify="left" if column in ("case", "stage") else "right")
-    for row, case in enumerate(found.cases["before"]):
-        for stage, cases in found.cases.items():
+    for row, case in enumerate(optimisation.cases["before"]):
+        for stage, cases in optimisation.cases.items():
             title = (case.title, case.span) if stage == "before" else ("", "")
             table.add_row(*title, stage, *(f"{cases[row].metrics[name] / arcmin:.4f}" for name in METRICS))
     console.print(table)
@@ -139,12 +146,12 @@ def print_rows(paper: str, rows: list[Row]) -> None:
         console.print(f"{'; '.join(items)}: {why}", style="dim", soft_wrap=True)
 
 
-def print_shifts(found: list[PrecisionShift]) -> None:
+def print_shifts(shifts: list[PrecisionShift]) -> None:
     """Quantiles of a tolerance study in both precisions."""
     table = Table(title="Quantiles of the tolerance study, the same gear sets; in arcmin")
     for column in ("measure", "quantile", "float64", "float32", "shift [%]"):
         table.add_column(column, justify="left" if column == "measure" else "right")
-    for shift in found:
+    for shift in shifts:
         values = [f"{value / arcmin:.6f}" for value in (shift.double, shift.single)]
         table.add_row(shift.name, f"{100 * shift.level:g} %", *values, f"{100 * shift.relative:.5f}")
     output().print(table)

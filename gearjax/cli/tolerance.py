@@ -84,9 +84,9 @@ def study(
                 from gearjax.cli.cluster import each_on_cluster
 
                 source = each_on_cluster(tomli_w.dumps(tables), pending, scheduler, workers, say)
-            for chunk, found in source:
-                kept.put(chunk, found)
-                advance(chunk[1] - chunk[0], _good(work, found))
+            for chunk, evaluated in source:
+                kept.put(chunk, evaluated)
+                advance(chunk[1] - chunk[0], _good(work, evaluated))
         done = work.study(*kept.load(), watch)
         return finished(section, work, done, watch.seconds, computed, say), work
 
@@ -110,18 +110,18 @@ class Kept:
         """All chunks."""
         return self.work.chunks
 
-    def put(self, chunk: tuple[int, int], found: Evaluated) -> None:
+    def put(self, chunk: tuple[int, int], evaluated: Evaluated) -> None:
         """Keep a chunk."""
-        self.values[slice(*chunk)], self.codes[slice(*chunk)] = found
+        self.values[slice(*chunk)], self.codes[slice(*chunk)] = evaluated
 
     def load(self) -> Evaluated:
         """Measures and result codes of all samples."""
         return self.values, self.codes
 
 
-def _good(work: Work, found: Evaluated) -> int:
+def _good(work: Work, evaluated: Evaluated) -> int:
     """How many samples of a chunk are within all limits, -1 where there are none."""
-    within = [measure.holds(found[0][:, i]) for i, measure in enumerate(work.measures) if measure.is_limited]
+    within = [measure.holds(evaluated[0][:, i]) for i, measure in enumerate(work.measures) if measure.is_limited]
     return int(np.all(within, axis=0).sum()) if within else -1
 
 
@@ -145,10 +145,10 @@ def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int, int
         yield advance
 
 
-def print_tolerance(found: ToleranceResults) -> None:
+def print_tolerance(results: ToleranceResults) -> None:
     """Tables of all that was studied."""
-    console, study_ = output(), found.study
-    title = f"{study_.samples} gear sets, {found.section.sampler}, seed {found.section.seed}; in arcmin"
+    console, study_ = output(), results.study
+    title = f"{study_.samples} gear sets, {results.section.sampler}, seed {results.section.seed}; in arcmin"
     table = Table(title=title)
     for column in ("measure", "mean", "std", *(f"{100 * level:g} %" for level in QUANTILES), "limit", "good [%]"):
         name = column == "measure"
@@ -166,17 +166,17 @@ def print_tolerance(found: ToleranceResults) -> None:
         listed = ", ".join(map(str, study_.failed[:LISTED].tolist()))
         more = "" if len(study_.failed) <= LISTED else " and more: code and number of each are in samples.zarr"
         console.print(f"failed samples: {listed}{more}", soft_wrap=True)
-    if found.clashes is not None and found.clashes.told is not None:
-        console.print(found.clashes.told, soft_wrap=True)
-    for words in found.problems:
+    if results.clashes is not None and results.clashes.told is not None:
+        console.print(results.clashes.told, soft_wrap=True)
+    for words in results.problems:
         console.print(f"not done: {words}", soft_wrap=True)
-    for name, missed in found.missed.items():
+    for name, missed in results.missed.items():
         console.print(
             f"{name}: extremes between the samples are {missed / arcmin:+.2g} arcmin off on average", style="dim"
         )
-    _print_sensitivity(console, found)
-    _print_allocation(console, found)
-    _print_assembly(console, found)
+    _print_sensitivity(console, results)
+    _print_allocation(console, results)
+    _print_assembly(console, results)
 
 
 def _interval(estimate: Estimate, scale: float, digits: int) -> str:
@@ -184,9 +184,9 @@ def _interval(estimate: Estimate, scale: float, digits: int) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def _print_sensitivity(console: Console, found: ToleranceResults) -> None:
-    for one in found.sensitivity:
-        narrowed = found.tightened.get(one.name, {})
+def _print_sensitivity(console: Console, results: ToleranceResults) -> None:
+    for one in results.sensitivity:
+        narrowed = results.tightened.get(one.name, {})
         table = Table(title=f"{one.name}: shares of its variance; {one.samples} gear sets for the Sobol indices")
         columns = ["number", "linear", "Sobol first", "Sobol total", "one at a time"]
         columns += ["halved: good [%]"] if narrowed else []
@@ -208,8 +208,8 @@ def _print_sensitivity(console: Console, found: ToleranceResults) -> None:
             console.print(words, soft_wrap=True)
 
 
-def _print_allocation(console: Console, found: ToleranceResults) -> None:
-    bought = found.allocation
+def _print_allocation(console: Console, results: ToleranceResults) -> None:
+    bought = results.allocation
     if bought is None:
         return
     table = Table(title=f"Cheapest tolerances for {100 * bought.required:g} % within the limit of {bought.measure}")
@@ -226,8 +226,8 @@ def _print_allocation(console: Console, found: ToleranceResults) -> None:
     )
 
 
-def _print_assembly(console: Console, found: ToleranceResults) -> None:
-    matched = found.assembly
+def _print_assembly(console: Console, results: ToleranceResults) -> None:
+    matched = results.assembly
     if matched is None:
         return
     table = Table(title=f"{matched.measure.name} of {len(matched.random)} units, the same parts; in arcmin")

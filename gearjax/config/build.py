@@ -184,11 +184,11 @@ def _apart(section: str, tables: dict[str, Any]) -> tuple[dict[str, Any], dict[s
 
 def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The sections of a section, such as ``[errors.NAME]``."""
-    found = tables.get(section, {})
-    for name, table in found.items():
+    sections = tables.get(section, {})
+    for name, table in sections.items():
         if not isinstance(table, dict):
             raise ParameterError(f"{section}.{name}", table, f"must be a section: [{section}.{name}]")
-    return found
+    return sections
 
 
 def loads_optimise(text: str) -> tuple[Scene, OptimiseSection]:

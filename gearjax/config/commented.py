@@ -153,7 +153,7 @@ def _commented(section: str) -> str:
 def options(text: str) -> list[tuple[int, ...]]:
     """Which lines of a template may be put in, each by itself or a block of them together."""
     lines = text.splitlines()
-    found: list[tuple[int, ...]] = []
+    blocks: list[tuple[int, ...]] = []
     block: list[int] = []
     together = section = False
     for place, line in enumerate([*lines, ""]):
@@ -163,11 +163,11 @@ def options(text: str) -> list[tuple[int, ...]]:
             if line.startswith("#") and not line.startswith("# "):
                 block.append(place)
             elif not line or (section and not line.startswith("#")):
-                found.append(tuple(block))
+                blocks.append(tuple(block))
                 block, together, section = [], False, False
         elif line.startswith("#") and not line.startswith("# "):
-            found.append((place,))
-    return found
+            blocks.append((place,))
+    return blocks
 
 
 def put_in(text: str, places: Iterable[int]) -> str:
@@ -222,7 +222,7 @@ def _if_it_loads(text: str, section: str) -> str:
 
 def _errors(text: str, scene: Scene) -> str:
     """A section for each kind of error, on the first body that can have it."""
-    found = "\n" + _prose(
+    sections = "\n" + _prose(
         "Errors, as many as there are, [errors.NAME] each. The name is free: paths such as errors.NAME.amplitude lead "
         f"to its numbers. Bodies: {', '.join(scene.system.bodies)}."
     )
@@ -232,11 +232,11 @@ def _errors(text: str, scene: Scene) -> str:
             section = _part(f"errors.{part.kind}", part, part.kind, body=as_toml(body))
             fault = _fault(text + section)
             if not fault:
-                found += section
+                sections += section
                 break
         if fault:
-            found += f"\n{_prose(f'No {part.kind} for a {scene.system.kind}: {fault}')}"
-    return found
+            sections += f"\n{_prose(f'No {part.kind} for a {scene.system.kind}: {fault}')}"
+    return sections
 
 
 def _reference(text: str) -> str:
@@ -247,20 +247,20 @@ def _reference(text: str) -> str:
 
 def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
     """The section of an optional part: the first kind that suits the gear set, others to put in instead."""
-    found = ""
+    sections = ""
     for part in parts:
         kind = getattr(part, "kind", "")
         section = _part(slot, part, kind)
         fault = _fault(text + section)
         if fault:
-            found += f"\n{_prose(f'No [{slot}] {kind}: {fault}')}"
-        elif f"[{slot}]" not in found.splitlines():
-            found += section
+            sections += f"\n{_prose(f'No [{slot}] {kind}: {fault}')}"
+        elif f"[{slot}]" not in sections.splitlines():
+            sections += section
         else:
             words = {name: limits(parameter) for name, parameter in declared(part).items()}
             prose = "".join(map(_prose, summary(part) + told(part, words, words)))
-            found += f"\n{prose}{INSTEAD}\n{_commented(section)}"
-    return found
+            sections += f"\n{prose}{INSTEAD}\n{_commented(section)}"
+    return sections
 
 
 def _supports(text: str, scene: Scene) -> str:
@@ -322,16 +322,16 @@ def _optimise(scene: Scene) -> str:
     bounds = "{ " + ", ".join(f'"{path}" = ["-90 deg", "90 deg"]' for path in phases) + " }"
     given = {"where": as_toml(phases), "bounds": bounds, "window": f'"{scene.run.duration:.4g} s"'}
     terms = '[{ name = "static_order", torque = "30 N*m", order = "output", weight = 1.0 }]'
-    found = f"\n{_prose('What gearjax optimise searches for: assembly phases, or any other numbers.')}[optimise]\n"
+    section = f"\n{_prose('What gearjax optimise searches for: assembly phases, or any other numbers.')}[optimise]\n"
     for name, key in OPTIMISE_KEYS.items():
         if name in ("torque", "order"):  # of the objective
-            found += _prose(f"{name}: {key.words}")
+            section += _prose(f"{name}: {key.words}")
             continue
         value = given.get(name) or key.example or key.default
-        found += _line(name, key, says.get(name, ""), value)
+        section += _line(name, key, says.get(name, ""), value)
         if name == "objective":
-            found += f"{INSTEAD}\n#objective = {terms}\n"
-    return found
+            section += f"{INSTEAD}\n#objective = {terms}\n"
+    return section
 
 
 def _tolerance(scene: Scene) -> str:
@@ -339,36 +339,36 @@ def _tolerance(scene: Scene) -> str:
     known, says = numbers(scene), meanings(ToleranceSection)
     sizes = [path for path in known if path.startswith("errors.") and path.endswith("amplitude")]
     measures = '[{ name = "no_load.peak_to_peak", limit = "2 arcmin" }]'
-    found = f"\n{_prose('What gearjax tolerance draws, measures and judges.')}[tolerance]\n"
+    section = f"\n{_prose('What gearjax tolerance draws, measures and judges.')}[tolerance]\n"
     for name, key in TOLERANCE_KEYS.items():
         value = {"measures": measures}.get(name, key.default)
-        found += _line(name, key, says.get(name, ""), value)
+        section += _line(name, key, says.get(name, ""), value)
         if name == "measures":
-            found += "".join(_prose(f"{each}: {one.words}") for each, one in MEASURE_KEYS.items())
-    found += _prose("Numbers that vary, by path; [*] stands for every number of a list.")
-    found += "".join(f'"{path}" = {{ kind = "uniform_phase" }}\n' for path in _phases(scene))
+            section += "".join(_prose(f"{each}: {one.words}") for each, one in MEASURE_KEYS.items())
+    section += _prose("Numbers that vary, by path; [*] stands for every number of a list.")
+    section += "".join(f'"{path}" = {{ kind = "uniform_phase" }}\n' for path in _phases(scene))
     for path in sizes:
-        found += f'"{path}" = {{ kind = "rayleigh", scale = "1 um" }}\n'
+        section += f'"{path}" = {{ kind = "rayleigh", scale = "1 um" }}\n'
     if sizes:
-        found += _prose("Instead of the last one:") + _distributions(sizes[-1], known[sizes[-1]])
-    return found + _studies(sizes, _phases(scene))
+        section += _prose("Instead of the last one:") + _distributions(sizes[-1], known[sizes[-1]])
+    return section + _studies(sizes, _phases(scene))
 
 
 def _distributions(path: str, parameter: Parameter) -> str:
     """Every distribution that a number may have, commented out."""
-    found = ""
+    lines = ""
     for part in DISTRIBUTIONS:
         keys = distribution_keys(part, parameter)
-        found += "".join(map(_prose, [f"{part.kind}: {' '.join(summary(part))}", *told(part, keys, {})]))
+        lines += "".join(map(_prose, [f"{part.kind}: {' '.join(summary(part))}", *told(part, keys, {})]))
         if part is Empirical:
             says = "; ".join(f"{name}: {key.words}" for name, key in COLUMN_KEYS.items())
-            found += _prose(f"or, in place of values, from a CSV file: {says}")
+            lines += _prose(f"or, in place of values, from a CSV file: {says}")
         if part.kind == "uniform_phase":
             continue
         declared_of = {field.name: field.metadata["parameter"] for field in dataclasses.fields(part) if field.metadata}
         entries = {"kind": part.kind} | {name: _drawn(name, declared_of[name]) for name in keys}
-        found += f'#"{path}" = {{ {", ".join(f"{name} = {as_toml(value)}" for name, value in entries.items())} }}\n'
-    return found
+        lines += f'#"{path}" = {{ {", ".join(f"{name} = {as_toml(value)}" for name, value in entries.items())} }}\n'
+    return lines
 
 
 def _drawn(name: str, parameter: Parameter) -> Any:
@@ -389,11 +389,11 @@ def _studies(sizes: list[str], phases: list[str]) -> str:
         "allocation": (Allocation, ALLOCATION_KEYS, {"measure": measure, "cost": costs}),
         "assembly": (Assembly, ASSEMBLY_KEYS, {"measure": measure, "where": as_toml(phases)}),
     }
-    found = ""
+    studies = ""
     for name, (part, keys, given) in sections.items():
         words = {each: key.words + (f"; without it {key.default}" if key.default else "") for each, key in keys.items()}
         about = summary(part) if part is not object else ["Which tolerances matter, and what halving each would buy"]
         says = "".join(map(_prose, about + told(part, keys, words)))
         lines = "".join(f"#{each} = {given.get(each) or key.default or key.example}\n" for each, key in keys.items())
-        found += f"\n{says}#[tolerance.{name}]\n{lines}"
-    return found
+        studies += f"\n{says}#[tolerance.{name}]\n{lines}"
+    return studies

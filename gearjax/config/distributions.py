@@ -61,16 +61,14 @@ def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, fol
 
 def distribution_keys(kind: type[AbstractDistribution], parameter: Parameter) -> dict[str, Key]:
     """The keys of a distribution, for a number of the given declaration."""
-    found = {}
+    keys = {}
     for field in dataclasses.fields(kind):
         if "parameter" in field.metadata:
             declared = field.metadata["parameter"]
             own = dataclasses.replace(declared, dimension=declared.dimension or parameter.dimension)
             required = field.default is dataclasses.MISSING
-            found[field.name] = Key(
-                in_words(own), default="" if required else as_toml(field.default), required=required
-            )
-    return found
+            keys[field.name] = Key(in_words(own), default="" if required else as_toml(field.default), required=required)
+    return keys
 
 
 def _value(key: str, given: Any, declared: Parameter, leaf: Parameter) -> Any:
@@ -121,8 +119,8 @@ def _numbers(key: str, path: Path, column_key: str, column: str) -> list[float]:
             rows = csv.reader(file, strict=True)
             header = [name.strip() for name in next(rows, [])]
             if header.count(column) != 1:
-                found = "two columns or more" if column in header else f"none of the {len(header)} columns"
-                raise ParameterError(column_key, column, f"{found} in line 1 of {path} have this name, must be one")
+                how_many = "two columns or more" if column in header else f"none of the {len(header)} columns"
+                raise ParameterError(column_key, column, f"{how_many} in line 1 of {path} have this name, must be one")
             place, values = header.index(column), []
             for row in rows:
                 if not row:  # an empty line, such as the last

@@ -16,7 +16,7 @@ _ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
 def meanings(part: Any) -> dict[str, str]:
     """The ``Args`` of a class's docstring by name, without the units, which a configuration writes itself."""
     _, _, listed = inspect.cleandoc(part.__doc__ or "").partition("Args:\n")
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     names: list[str] = []
     for line in listed.splitlines():
         if line and not line.startswith("    "):
@@ -25,8 +25,8 @@ def meanings(part: Any) -> dict[str, str]:
         if entry:
             names = entry[1].split(", ")
         for name in names:
-            found[name] = f"{found.get(name, '')} {entry[2] if entry else line.strip()}".strip()
-    return {name: _plain(text) for name, text in found.items()}
+            texts[name] = f"{texts.get(name, '')} {entry[2] if entry else line.strip()}".strip()
+    return {name: _plain(text) for name, text in texts.items()}
 
 
 def told(part: Any, names: Iterable[str], words: Mapping[str, str]) -> list[str]:

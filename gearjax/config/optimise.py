@@ -97,13 +97,13 @@ def _where(given: Any, scene: Scene) -> tuple[str, ...]:
 
 
 def _by_path(table: dict[str, Any], key: str, where: tuple[str, ...], default: Any) -> dict[str, Any]:
-    found = table.get(key, default)
-    if not isinstance(found, dict):
-        raise ParameterError(f"optimise.{key}", found, f"must be a section: [optimise.{key}]")
-    for path in found:
+    section = table.get(key, default)
+    if not isinstance(section, dict):
+        raise ParameterError(f"optimise.{key}", section, f"must be a section: [optimise.{key}]")
+    for path in section:
         if path not in where:
-            raise ParameterError(f"optimise.{key}.{path}", found[path], f"is not free; {nearest(path, where)}")
-    return found
+            raise ParameterError(f"optimise.{key}.{path}", section[path], f"is not free; {nearest(path, where)}")
+    return section
 
 
 def _bounds(path: str, pair: Any, parameter: Parameter) -> tuple[float, float]:

@@ -52,8 +52,8 @@ def _dimensionality(unit: str) -> Any:
 
 def _measured(unit: Any) -> str | None:
     """``a length``, ``an energy``: what a unit measures."""
-    found = unit.dimensionality
-    return next((words for words, forms in _FORMS.items() if found in map(_dimensionality, forms)), None)
+    dimensionality = unit.dimensionality
+    return next((words for words, forms in _FORMS.items() if dimensionality in map(_dimensionality, forms)), None)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -88,7 +88,7 @@ def read_published(entries: Any) -> tuple[Published, ...]:
     """Values to show next to the computed ones, from the ``[[published]]`` sections."""
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ParameterError("published", entries, "must be a list of sections: [[published]]")
-    found = []
+    published = []
     for index, entry in enumerate(entries):
         path = f"published[{index}]"
         known_keys(path, entry, PUBLISHED_KEYS)
@@ -102,5 +102,5 @@ def read_published(entries: Any) -> tuple[Published, ...]:
         note = entry.get("note", "")
         if not isinstance(note, str):
             raise ParameterError(f"{path}.note", note, "must be text in quotes")
-        found.append(Published(entry["analysis"], torque, metrics, note))
-    return tuple(found)
+        published.append(Published(entry["analysis"], torque, metrics, note))
+    return tuple(published)

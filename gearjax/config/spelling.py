@@ -138,18 +138,18 @@ def factors(text: str) -> tuple[Factor, ...]:
     rest = text.translate(_SUPERSCRIPTS).replace("**", "^").strip()
     if set(rest) & set("'\"\u2032\u2033"):
         raise UnknownUnit("strokes may be minutes of arc or feet: write arcmin, arcsec, ft or in")
-    below, found = False, []
+    below, written = False, []
     if rest.startswith(("1/", "1 /", "/")):
         rest, below = rest.split("/", 1)[1].lstrip(), True
     while True:
         match = _FACTOR.match(rest)
-        if match is None or len(found) == _MOST_FACTORS:
+        if match is None or len(written) == _MOST_FACTORS:
             raise UnknownUnit(f'unknown unit "{text}"')
         power = int(match[2] or 1)
-        found.append(Factor(match[1], -power if below else power))
+        written.append(Factor(match[1], -power if below else power))
         rest = rest[match.end() :]
         if not rest:
-            return tuple(found)
+            return tuple(written)
         sign = _BETWEEN.match(rest)
         if sign is None:
             raise UnknownUnit(f'unknown unit "{text}"')

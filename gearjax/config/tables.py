@@ -104,15 +104,15 @@ def as_toml(value: Any) -> str:
 
 def keys_of(part: Any) -> dict[str, Key]:
     """The keys of a part of the scene (its class), from its declared fields."""
-    found = {}
+    keys = {}
     for field in dataclasses.fields(part):
         parameter = field.metadata.get("parameter")
         if parameter is None:
             continue
         required = field.default is dataclasses.MISSING
         default = "" if required or field.default is None else as_toml(written(field.default, parameter))
-        found[field.name] = Key(in_words(parameter), default=default, required=required)
-    return found
+        keys[field.name] = Key(in_words(parameter), default=default, required=required)
+    return keys
 
 
 def read_whole(key: str, given: Any, low: int, high: int) -> int:
@@ -139,7 +139,7 @@ def read_parameter(key: str, given: Any, parameter: Parameter) -> float:
 
 def flattened(tables: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     """Tables in tables as one table of dotted keys."""
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in tables.items():
-        found |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return found
+        flat |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat

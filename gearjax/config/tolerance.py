@@ -190,7 +190,7 @@ def sampled(tables: dict[str, Any]) -> dict[str, Any]:
 
 def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
     """The table without a leaf, however its dotted path was written."""
-    found: dict[str, Any] = {}
+    kept: dict[str, Any] = {}
     for key, value in table.items():
         if key == path:
             continue
@@ -198,13 +198,13 @@ def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
             value = _forget(value, path.removeprefix(f"{key}."))
             if not value:  # nothing else was in it
                 continue
-        found[key] = value
-    return found
+        kept[key] = value
+    return kept
 
 
 def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, Any]]]:
     """Paths with their distributions; quoted or not, a dotted key is a path, and ``[*]`` every number of a series."""
-    known, found = numbers(scene), []
+    known, leaves = numbers(scene), []
 
     def visit(path: str, given: Any) -> None:
         if path.endswith("[*]") and (names := members(path, known)) != (path,):
@@ -220,21 +220,21 @@ def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, An
             raise ParameterError(f"tolerance.{path}", given, f"unknown key; {nearest(path, words)}")
         if not isinstance(given, dict):
             raise ParameterError(f"tolerance.{path}", given, 'must be a table such as {kind = "normal", ...}')
-        if path in dict(found):
+        if path in dict(leaves):
             raise ParameterError(f"tolerance.{path}", given.get("kind"), "is listed twice")
-        found.append((path, given))
+        leaves.append((path, given))
 
     for key, given in table.items():
         if key not in TOLERANCE_KEYS and key not in _STUDIES:
             visit(key, given)
-    return found
+    return leaves
 
 
 def _measures(given: Any) -> tuple[Measure, ...]:
     if not isinstance(given, list) or not given:
         right = 'must be a list such as [{name = "no_load.peak_to_peak", limit = "1 arcmin"}]'
         raise ParameterError("tolerance.measures", given, right)
-    found: list[Measure] = []
+    measures: list[Measure] = []
     for index, entry in enumerate(given):
         key = f"tolerance.measures[{index}]"
         table = {"name": entry} if isinstance(entry, str) else entry
@@ -250,16 +250,16 @@ def _measures(given: Any) -> tuple[Measure, ...]:
             measure = Measure.named(table["name"], **rest)
         except ParameterError as fault:
             raise ParameterError(f"{key}.{fault.key}", fault.given, fault.right) from fault
-        if measure.name in [other.name for other in found]:
+        if measure.name in [other.name for other in measures]:
             raise ParameterError(key, measure.name, "is listed twice")
-        found.append(measure)
-    return tuple(found)
+        measures.append(measure)
+    return tuple(measures)
 
 
 def _correlations(given: Any) -> list[Correlation]:
     if not isinstance(given, list):
         raise ParameterError("correlated", given, "must be a list of {between = [path, path], coefficient = 0.5}")
-    found = []
+    correlations = []
     for index, entry in enumerate(given):
         key = f"tolerance.correlated[{index}]"
         if not isinstance(entry, dict):
@@ -269,8 +269,8 @@ def _correlations(given: Any) -> list[Correlation]:
         if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(path, str) for path in pair):
             raise ParameterError(f"{key}.between", pair, "must be two paths")
         coefficient = read_plain(f"{key}.coefficient", entry.get("coefficient", MISSING))
-        found.append(Correlation(pair[0], pair[1], coefficient))
-    return found
+        correlations.append(Correlation(pair[0], pair[1], coefficient))
+    return correlations
 
 
 def _word(table: dict[str, Any], key: str, default: str, words: tuple[str, ...]) -> Any:

@@ -15,19 +15,19 @@ NAMED_VALLEYS = 5
 COLOURS = {"before": "0.55", "grid": "tab:blue", "after": "tab:red"}
 
 
-def before_after_figure(found: Optimisation) -> Figure:
+def before_after_figure(optimisation: Optimisation) -> Figure:
     """Curve and order spectrum of every case, before and after (figs. 14-16 of Wang et al. 2020)."""
-    count = len(found.cases["before"])
+    count = len(optimisation.cases["before"])
     figure, axes = new_figure(count, 2, width=13.0, height=2.5)
     for row in range(count):
-        cases = {stage: found.cases[stage][row] for stage in ("before", "after")}
-        _curves(axes[2 * row], found, cases)
-        _spectra(axes[2 * row + 1], found, cases)
+        cases = {stage: optimisation.cases[stage][row] for stage in ("before", "after")}
+        _curves(axes[2 * row], optimisation, cases)
+        _spectra(axes[2 * row + 1], optimisation, cases)
     return figure
 
 
-def _curves(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
-    run = required_run(found.scene)
+def _curves(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> None:
+    run = required_run(optimisation.scene)
     time = run.times
     for stage, case in cases.items():
         spread = case.metrics["peak_to_peak"] / arcmin
@@ -42,8 +42,8 @@ def _curves(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
     ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
 
 
-def _spectra(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
-    scene = found.scene
+def _spectra(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> None:
+    scene = optimisation.scene
     run, orders = required_run(scene), scene.system.orders
     theta = run.times * float(scene.system.input_speed)
     turn = 2 * np.pi / orders["output"]
@@ -63,24 +63,24 @@ def _spectra(ax: Axes, found: Optimisation, cases: dict[str, Case]) -> None:
     ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
 
 
-def search_figure(found: Optimisation) -> Figure:
+def search_figure(optimisation: Optimisation) -> Figure:
     """Where the starts ended, how they came there, and what assembly errors cost."""
     figure, axes = new_figure(2, 2, width=12.0, height=3.6)
-    _ends(axes[0], found)
-    _history(axes[1], found)
-    _directions(axes[2], found)
-    _deviations(axes[3], found)
+    _ends(axes[0], optimisation)
+    _history(axes[1], optimisation)
+    _directions(axes[2], optimisation)
+    _deviations(axes[3], optimisation)
     return figure
 
 
-def _reference_lines(ax: Axes, found: Optimisation) -> None:
-    ax.axhline(found.before / arcmin, label="before", linestyle="--", linewidth=0.9, color=COLOURS["before"])
-    if found.grid is not None:
-        ax.axhline(found.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
+def _reference_lines(ax: Axes, optimisation: Optimisation) -> None:
+    ax.axhline(optimisation.before / arcmin, label="before", linestyle="--", linewidth=0.9, color=COLOURS["before"])
+    if optimisation.grid is not None:
+        ax.axhline(optimisation.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
 
 
-def _ends(ax: Axes, found: Optimisation) -> None:
-    search = found.gradient
+def _ends(ax: Axes, optimisation: Optimisation) -> None:
+    search = optimisation.gradient
     good = np.isfinite(search.objectives)
     order = np.argsort(search.objectives[good])
     heights, valleys = search.objectives[good][order] / arcmin, search.valley[good][order]
@@ -95,20 +95,20 @@ def _ends(ax: Axes, found: Optimisation) -> None:
         number = len(set(valleys[others].tolist()))
         label = f"{number} other valleys: {others.sum()} starts" if number > 1 else f"one other: {others.sum()}"
         ax.plot(place[others], heights[others], ".", markersize=5, color="0.6", label=label)
-    _reference_lines(ax, found)
-    objective = found.section.objective.name.replace("_", " ")
+    _reference_lines(ax, optimisation)
+    objective = optimisation.section.objective.name.replace("_", " ")
     finish(ax, f"End points of {len(search.starts)} starts, best first", x="start [-]", y=f"{objective} [arcmin]")
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
 
 
-def _history(ax: Axes, found: Optimisation) -> None:
-    history = found.gradient.history[np.isfinite(found.gradient.objectives)] / arcmin
+def _history(ax: Axes, optimisation: Optimisation) -> None:
+    history = optimisation.gradient.history[np.isfinite(optimisation.gradient.objectives)] / arcmin
     steps = np.arange(history.shape[1])
     low, middle, high = np.quantile(history, [0.1, 0.5, 0.9], axis=0)
     ax.fill_between(steps, low, high, alpha=0.25, color="tab:red", label="10 to 90 % of the starts")
     ax.plot(steps, middle, color="tab:red", linewidth=1.2, label="median")
     ax.plot(steps, np.fmin.reduce(history, axis=0), color="black", linewidth=0.9, label="best")
-    _reference_lines(ax, found)
+    _reference_lines(ax, optimisation)
     finish(
         ax,
         "Objective on the way: smoothed, then polished",
@@ -118,8 +118,8 @@ def _history(ax: Axes, found: Optimisation) -> None:
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
 
 
-def _directions(ax: Axes, found: Optimisation) -> None:
-    around = found.sensitivity
+def _directions(ax: Axes, optimisation: Optimisation) -> None:
+    around = optimisation.sensitivity
     names = [_short(path) for path in around.paths]
     width = 0.8 / len(names)
     place = np.arange(len(around.rises))
@@ -134,8 +134,8 @@ def _directions(ax: Axes, found: Optimisation) -> None:
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
 
 
-def _deviations(ax: Axes, found: Optimisation) -> None:
-    around = found.sensitivity
+def _deviations(ax: Axes, optimisation: Optimisation) -> None:
+    around = optimisation.sensitivity
     names = [_short(path) for path in around.paths]
     place = np.arange(len(names) + 2)
     width = 0.8 / len(around.deviations)
@@ -144,8 +144,8 @@ def _deviations(ax: Axes, found: Optimisation) -> None:
         heights = np.array([*single, around.mean[index], around.worst[index]]) / arcmin
         ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"off by {deviation:g} deg")
     ax.axhline(around.objective / arcmin, color="black", linewidth=0.9, label="as optimised")
-    if found.grid is not None:
-        ax.axhline(found.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
+    if optimisation.grid is not None:
+        ax.axhline(optimisation.grid.objective / arcmin, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
     ax.set_xticks(place, [*names, "all: mean", "all: worst"], rotation=20, ha="right", fontsize="small")
     finish(ax, "What assembly errors cost", x="which number is off", y="objective [arcmin]")
     ax.set_ylim(0.0, 1.4 * ax.get_ylim()[1])  # room for the legend
@@ -158,11 +158,11 @@ def _short(path: str) -> str:
     return parts[0] if parts[-1] == "phase" else ".".join(parts)
 
 
-def save_optimisation_figures(found: Optimisation, folder: Path) -> list[Path]:
+def save_optimisation_figures(optimisation: Optimisation, folder: Path) -> list[Path]:
     """Write ``before_after.png`` and ``search.png``.
 
     Raises:
         GearjaxError: a file cannot be written.
     """
-    figures = {"before_after.png": before_after_figure(found), "search.png": search_figure(found)}
+    figures = {"before_after.png": before_after_figure(optimisation), "search.png": search_figure(optimisation)}
     return [save_figure(figure, folder / name) for name, figure in figures.items()]

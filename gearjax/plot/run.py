@@ -125,18 +125,18 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)
     for ax, (title, members) in zip(axes, groups, strict=True):
         dynamic = title == "dynamic"
-        spectra = [(case, found) for case in members if (found := order_lines(scene, case)) is not None]
+        spectra = [(case, lines) for case in members if (lines := order_lines(scene, case)) is not None]
         if not spectra:
             continue
-        for case, found in spectra:
-            ax.semilogy(found.order, found.amplitude / arcmin, label=case.title, linewidth=1.0)
+        for case, lines in spectra:
+            ax.semilogy(lines.order, lines.amplitude / arcmin, label=case.title, linewidth=1.0)
         limit = 2.2 * orders["mesh"] if dynamic else 8 * orders[name]
         ax.set_xlim(0, min(limit / orders["output"], highest))
         top = ax.get_ylim()[1]
         ax.set_ylim(1e-5 * top, 2 * top)
         mark = orders["mesh"] if dynamic else orders[name]
         mark_multiples(ax, mark / orders["output"], "mesh" if dynamic else name)
-        window = "whole cycles" if all(found.whole for _, found in spectra) else "Hann window"
+        window = "whole cycles" if all(lines.whole for _, lines in spectra) else "Hann window"
         finish(
             ax,
             f"Order spectrum, {title} ({window}, lines {spectra[0][1].order[1]:.2g} orders apart)",

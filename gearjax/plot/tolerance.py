@@ -45,8 +45,8 @@ def histogram_figure(study: Study) -> Figure:
 def _limits(ax: Axes, study: Study, name: str, vertical: bool = True) -> None:
     for measure in study.measures:
         if measure.name == name and measure.is_limited:
-            found = study.share_within(name)
-            words = f"limit; good: {100 * found.value:.2f} % [{100 * found.low:.2f}, {100 * found.high:.2f}]"
+            estimate = study.share_within(name)
+            words = f"limit; good: {100 * estimate.value:.2f} % [{100 * estimate.low:.2f}, {100 * estimate.high:.2f}]"
             for limit in (measure.limit, measure.at_least):
                 if limit is not None:
                     line = ax.axvline if vertical else ax.axhline
@@ -61,14 +61,16 @@ def convergence_figure(study: Study) -> Figure:
     for ax, name in zip(axes, study.names, strict=False):
         column = study.column(name) / arcmin
         for level, colour in zip(QUANTILES, ("tab:blue", "black", "tab:red"), strict=True):
-            found = [quantile(part[np.isfinite(part)], level, _sizes(part)) for part in (column[:n] for n in numbers)]
-            _band(ax, numbers, np.array(found), f"{100 * level:g} %", colour)
+            quantiles = [
+                quantile(part[np.isfinite(part)], level, _sizes(part)) for part in (column[:n] for n in numbers)
+            ]
+            _band(ax, numbers, np.array(quantiles), f"{100 * level:g} %", colour)
         finish(ax, name, x="samples", y="quantile [arcmin]")
     for ax, name in zip(axes[len(study.names) :], limited, strict=True):
         measure = next(m for m in study.measures if m.name == name)
         good = measure.holds(study.column(name))
-        found = np.array([share(good[:n], _sizes(good[:n])) for n in numbers])
-        _band(ax, numbers, 100 * found, "good", "tab:green")
+        shares = np.array([share(good[:n], _sizes(good[:n])) for n in numbers])
+        _band(ax, numbers, 100 * shares, "good", "tab:green")
         finish(ax, f"{name}: yield", x="samples", y="yield [%]")
     return figure
 
@@ -78,17 +80,17 @@ def _sizes(part: np.ndarray) -> np.ndarray:
     return np.array([len(part)])
 
 
-def _band(ax: Axes, numbers: np.ndarray, found: np.ndarray, label: str, colour: str) -> None:
-    ax.semilogx(numbers, found[:, 0], color=colour, linewidth=1.1, label=label)
-    ax.fill_between(numbers, found[:, 1], found[:, 2], color=colour, alpha=0.18, linewidth=0)
+def _band(ax: Axes, numbers: np.ndarray, estimates: np.ndarray, label: str, colour: str) -> None:
+    ax.semilogx(numbers, estimates[:, 0], color=colour, linewidth=1.1, label=label)
+    ax.fill_between(numbers, estimates[:, 1], estimates[:, 2], color=colour, alpha=0.18, linewidth=0)
 
 
-def sensitivity_figure(found: ToleranceResults) -> Figure:
+def sensitivity_figure(results: ToleranceResults) -> Figure:
     """Shares of the variance in three ways, for each measure."""
-    results = found.sensitivity
-    height = 0.9 + 0.42 * len(results[0].paths)
-    figure, axes = new_figure(len(results), width=9.5, height=height)
-    for ax, one in zip(axes, results, strict=True):
+    sensitivity = results.sensitivity
+    height = 0.9 + 0.42 * len(sensitivity[0].paths)
+    figure, axes = new_figure(len(sensitivity), width=9.5, height=height)
+    for ax, one in zip(axes, sensitivity, strict=True):
         order = np.argsort(one.total)
         places = np.arange(len(order))
         for step, (kind, colour) in enumerate(WIDTHS.items()):
@@ -106,27 +108,27 @@ def sensitivity_figure(found: ToleranceResults) -> Figure:
     return figure
 
 
-def assembly_figure(found: MatchedAssembly) -> Figure:
+def assembly_figure(assembly: MatchedAssembly) -> Figure:
     """The same gear sets assembled at random and matched: distributions, shares within any limit, and each unit."""
     figure, axes = new_figure(1, 3, width=15.0, height=4.6)
-    parts = {"at random": (found.random, "0.55"), "matched": (found.matched, "tab:green")}
-    top = float(np.nanmax([found.random, found.matched])) / arcmin
-    bins = np.linspace(min(0.0, float(np.nanmin(found.matched)) / arcmin), top, 60).tolist()
+    parts = {"at random": (assembly.random, "0.55"), "matched": (assembly.matched, "tab:green")}
+    top = float(np.nanmax([assembly.random, assembly.matched])) / arcmin
+    bins = np.linspace(min(0.0, float(np.nanmin(assembly.matched)) / arcmin), top, 60).tolist()
     for label, (values, colour) in parts.items():
         good = np.sort(values[np.isfinite(values)]) / arcmin
         middle = float(np.median(good))
         axes[0].hist(good, bins=bins, color=colour, alpha=0.65, label=f"{label}: median {middle:.3f}")
         axes[1].plot(good, 100 * np.arange(1, len(good) + 1) / len(good), color=colour, label=label)
-    for limit in (found.measure.limit, found.measure.at_least):
+    for limit in (assembly.measure.limit, assembly.measure.at_least):
         if limit is not None:
-            random, matched = found.shares()
+            random, matched = assembly.shares()
             words = f"limit: {100 * random.value:.1f} % to {100 * matched.value:.1f} %"
             axes[0].axvline(limit / arcmin, color="tab:red", linewidth=1.2)
             axes[1].axvline(limit / arcmin, color="tab:red", linewidth=1.2, label=words)
-    axes[2].scatter(found.random / arcmin, found.matched / arcmin, s=5, color="tab:green", alpha=0.6)
+    axes[2].scatter(assembly.random / arcmin, assembly.matched / arcmin, s=5, color="tab:green", alpha=0.6)
     axes[2].plot([0, top], [0, top], color="0.55", linewidth=0.9, label="as at random")
-    name = f"{found.measure.name} [arcmin]"
-    finish(axes[0], f"{len(found.random)} units, the same parts", x=name, y="units")
+    name = f"{assembly.measure.name} [arcmin]"
+    finish(axes[0], f"{len(assembly.random)} units, the same parts", x=name, y="units")
     finish(axes[1], "Share of units within a limit", x=name, y="share [%]")
     finish(axes[2], "Each unit", x=f"at random: {name}", y=f"matched: {name}")
     for ax, place in zip(axes, ("upper right", "lower right", "upper left"), strict=True):
@@ -134,9 +136,9 @@ def assembly_figure(found: MatchedAssembly) -> Figure:
     return figure
 
 
-def allocation_figure(found: ToleranceResults) -> Figure:
+def allocation_figure(results: ToleranceResults) -> Figure:
     """Factors on the tolerances, and yield and cost before and after."""
-    bought = found.allocation
+    bought = results.allocation
     assert bought is not None
     figure, axes = new_figure(1, 2, width=12.0, height=1.2 + 0.4 * max(3, len(bought.paths)))
     places = np.arange(len(bought.paths))
@@ -154,17 +156,17 @@ def allocation_figure(found: ToleranceResults) -> Figure:
     return figure
 
 
-def save_tolerance_figures(found: ToleranceResults, folder: Path) -> list[Path]:
+def save_tolerance_figures(results: ToleranceResults, folder: Path) -> list[Path]:
     """Write the figures of all that was studied.
 
     Raises:
         GearjaxError: the folder cannot be written.
     """
-    figures = {"histograms.png": histogram_figure(found.study), "convergence.png": convergence_figure(found.study)}
-    if found.sensitivity:
-        figures["sensitivity.png"] = sensitivity_figure(found)
-    if found.allocation is not None:
-        figures["allocation.png"] = allocation_figure(found)
-    if found.assembly is not None:
-        figures["assembly.png"] = assembly_figure(found.assembly)
+    figures = {"histograms.png": histogram_figure(results.study), "convergence.png": convergence_figure(results.study)}
+    if results.sensitivity:
+        figures["sensitivity.png"] = sensitivity_figure(results)
+    if results.allocation is not None:
+        figures["allocation.png"] = allocation_figure(results)
+    if results.assembly is not None:
+        figures["assembly.png"] = assembly_figure(results.assembly)
     return [save_figure(figure, folder / name) for name, figure in figures.items()]

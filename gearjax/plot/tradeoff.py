@@ -13,12 +13,12 @@ LEANS = ((35, "left"), (-35, "left"), (-40, "right"), (40, "right"), (8, "left")
 """Angle of the labels of a group [deg], and the end at its point: groups that meet lean away from each other."""
 
 
-def tradeoff_figure(found: Tradeoff) -> Figure:
+def tradeoff_figure(comparison: Tradeoff) -> Figure:
     """Error of the metrics against run time and against the time of a gradient, a colour for each group."""
     figure, axes = new_figure(2, height=5.0)
     for ax, kind in zip(axes, ("run", "gradient"), strict=True):
-        for index, group in enumerate(dict.fromkeys(row.group for row in found.rows)):
-            rows = [row for row in found.rows if row.group == group]
+        for index, group in enumerate(dict.fromkeys(row.group for row in comparison.rows)):
+            rows = [row for row in comparison.rows if row.group == group]
             times = [row.seconds if kind == "run" else row.gradient_seconds for row in rows]
             points = [
                 (1e3 * seconds, max(row.error / arcmin, LEAST), row.name)
@@ -42,17 +42,17 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
                     rotation=turned,
                     rotation_mode="anchor",
                 )
-        ax.axhline(found.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
+        ax.axhline(comparison.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
         title = "one run" if kind == "run" else "gradient of the standard deviation, all numbers of the errors"
         finish(ax, f"Error against time: {title}", x="time [ms]", y="largest error of a metric [arcmin]")
         ax.margins(x=0.15, y=0.18)
     return figure
 
 
-def save_tradeoff_figure(found: Tradeoff, folder: Path) -> list[Path]:
+def save_tradeoff_figure(comparison: Tradeoff, folder: Path) -> list[Path]:
     """Write ``tradeoff.png``.
 
     Raises:
         GearjaxError: the file cannot be written.
     """
-    return [save_figure(tradeoff_figure(found), folder / "tradeoff.png")]
+    return [save_figure(tradeoff_figure(comparison), folder / "tradeoff.png")]

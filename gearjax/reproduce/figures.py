@@ -30,8 +30,8 @@ def save_loads_figure(rows: list[Row], folder: Path) -> list[Path]:
     figure, (above, below) = new_figure(2, width=9.0)
     first: list[float] = []
     for place, (item, label, printed) in enumerate(SERIES):
-        found = [by_item.get(item.format(tooth)) for tooth in TEETH]
-        loads = [0.0 if row is None else float(row.published) if printed else row.computed for row in found]
+        series = [by_item.get(item.format(tooth)) for tooth in TEETH]
+        loads = [0.0 if row is None else float(row.published) if printed else row.computed for row in series]
         first = first or loads
         at = [tooth + 0.27 * (place - 1) for tooth in TEETH]
         above.bar(at, loads, width=0.25, label=label, color=f"C{place}")

@@ -100,12 +100,12 @@ _PRINTED = """
 
 
 def _points() -> list[_Point]:
-    found = []
+    points = []
     for line in _PRINTED.strip().splitlines():
         tooth, face, own, mate, error, other, force, same = line.split()
         faces = float(face), float(face) + 0.5
-        found.append(_Point(int(tooth), faces, (own, mate), (int(error), int(other)), (force, same)))
-    return found
+        points.append(_Point(int(tooth), faces, (own, mate), (int(error), int(other)), (force, same)))
+    return points
 
 
 class Case(NamedTuple):
@@ -113,12 +113,12 @@ class Case(NamedTuple):
 
     points: Candidates
     influence: np.ndarray
-    found: Pressed
+    carried: Pressed
 
     @property
     def loads(self) -> np.ndarray:
         """Load of each tooth from 13 to 21, shape (tooth,) [N]."""
-        return np.array([self.found.forces[self.points.tooth == tooth].sum() for tooth in sorted(POINTS)])
+        return np.array([self.carried.forces[self.points.tooth == tooth].sum() for tooth in sorted(POINTS)])
 
 
 def case(both: Tables, phase: float = PHASE) -> Case:
@@ -144,7 +144,7 @@ def rows(say: Progress = silent) -> list[Row]:
     """
     scikit_fem()
     say("two-dimensional method of Table 2")
-    found = _table_2()
+    report = _table_2()
     say(f"finite elements of both gears, rim {RIM / mm:g} mm")
     both = tables()
     fitted = case(both)
@@ -152,10 +152,10 @@ def rows(say: Progress = silent) -> list[Row]:
     other = case(tables(OTHER_RIM))
     say("loads at phases beside the fitted one")
     aside = [case(both, PHASE + step).loads for step in (-STEP, STEP)]
-    found += _table_5(fitted)
-    found += _owed(fitted, other, aside)
+    report += _table_5(fitted)
+    report += _owed(fitted, other, aside)
     say("linear programme of the paper")
-    return found + _programme(fitted) + _tables_7_and_8(fitted)
+    return report + _programme(fitted) + _tables_7_and_8(fitted)
 
 
 def rms(loads: np.ndarray, published: dict[int, str]) -> float:
@@ -184,41 +184,41 @@ def _table_2() -> list[Row]:
     fitted, plain = fitted[::-1], plain[::-1]  # pairs stand in the order of increasing polar angles
     limit = 0.02 * max(map(float, TABLE_2.values()))
     why = f"{FOUNDATION}; limit 2 % of the largest load"
-    found = [_row(f"Table 2, tooth {t}", load, _of(fitted, t), "N", limit, why) for t, load in TABLE_2.items()]
+    report = [_row(f"Table 2, tooth {t}", load, _of(fitted, t), "N", limit, why) for t, load in TABLE_2.items()]
     carry = float((fitted > 0).sum())
-    found.append(_row("Table 2, loaded pairs", "7", carry, "-", 0.5, f"teeth 14 to 20; {FOUNDATION}"))
+    report.append(_row("Table 2, loaded pairs", "7", carry, "-", 0.5, f"teeth 14 to 20; {FOUNDATION}"))
     for name, loads, why in (
         ("fitted", fitted, FOUNDATION),
         ("half-plane", plain, "eqs. (9) and (10), nothing fitted to Table 2: the teeth stand on a half-plane"),
     ):
-        found.append(Row(f"Table 2, rms of the loads, {name}", "", rms(loads, TABLE_2), "N", 0.0, why=why))
-    return found
+        report.append(Row(f"Table 2, rms of the loads, {name}", "", rms(loads, TABLE_2), "N", 0.0, why=why))
+    return report
 
 
 def _table_5(fitted: Case) -> list[Row]:
-    loads, forces = fitted.loads, fitted.found.forces
+    loads, forces = fitted.loads, fitted.carried.forces
     why = "T / r_b1, eq. (5), whatever is fitted"
-    found = [Row("Table 5, sum of the loads", "1554.9", float(loads.sum()), "N", 0.05, why=why)]
+    report = [Row("Table 5, sum of the loads", "1554.9", float(loads.sum()), "N", 0.05, why=why)]
     ours, theirs = ({tooth: pair[column] for tooth, pair in TEETH.items()} for column in (0, 1))
     for tooth, load in ours.items():
-        found.append(_row(f"Table 5, tooth {tooth}", load, _of(loads, tooth), "N", 1.0, f"{FITTED}; limit 1 N"))
+        report.append(_row(f"Table 5, tooth {tooth}", load, _of(loads, tooth), "N", 1.0, f"{FITTED}; limit 1 N"))
     for tooth in UNLOADED:
-        found.append(_row(f"Table 5, unloaded, tooth {tooth}", "0", _of(loads, tooth), "N", 1e-9, "printed as --"))
+        report.append(_row(f"Table 5, unloaded, tooth {tooth}", "0", _of(loads, tooth), "N", 1e-9, "printed as --"))
     for tooth, load in theirs.items():
-        found.append(_row(f"Table 5, ANSYS, tooth {tooth}", load, _of(loads, tooth), "N", 3.0, ANSYS))
+        report.append(_row(f"Table 5, ANSYS, tooth {tooth}", load, _of(loads, tooth), "N", 3.0, ANSYS))
     why = "the 556 are those of ANSYS; at least 8 of them do not touch in the paper's own method"
     touching = float((forces > 0).sum())
-    return [*found, Row("Text, points in contact", "556", touching, "-", 8.0, why=why)]
+    return [*report, Row("Text, points in contact", "556", touching, "-", 8.0, why=why)]
 
 
 def _owed(fitted: Case, other: Case, aside: list[np.ndarray]) -> list[Row]:
     """What the loads owe to the two fitted numbers."""
     ours = {tooth: pair[0] for tooth, pair in TEETH.items()}
-    found = []
+    report = []
     for one, rim in ((fitted, RIM), (other, OTHER_RIM)):
         told = f"Table 5, rim {rim / mm:g} mm, phase {PHASE}"
-        found.append(Row(f"{told}, rms of the loads", "", rms(one.loads, ours), "N", 0.0, why="six loads"))
-        found.append(Row(f"{told}, approach", "", one.found.approach / um, "um", 0.0, why="r_b1 theta"))
+        report.append(Row(f"{told}, rms of the loads", "", rms(one.loads, ours), "N", 0.0, why="six loads"))
+        report.append(Row(f"{told}, approach", "", one.carried.approach / um, "um", 0.0, why="r_b1 theta"))
     changes = (
         ("per 0.01 of the phase", (aside[1] - aside[0]) * (0.01 / (2 * STEP)), f"to both sides of {PHASE}"),
         (
@@ -229,25 +229,25 @@ def _owed(fitted: Case, other: Case, aside: list[np.ndarray]) -> list[Row]:
     )
     for name, change, why in changes:
         for tooth in TEETH:
-            found.append(Row(f"Table 5, change {name}, tooth {tooth}", "", _of(change, tooth), "N", 0.0, why=why))
-    return found
+            report.append(Row(f"Table 5, change {name}, tooth {tooth}", "", _of(change, tooth), "N", 0.0, why=why))
+    return report
 
 
 def _programme(fitted: Case) -> list[Row]:
-    found = by_programme(fitted.influence, fitted.points.gap, total_load())
-    largest = float(np.abs(found.forces - fitted.found.forces).max())
+    carried = by_programme(fitted.influence, fitted.points.gap, total_load())
+    largest = float(np.abs(carried.forces - fitted.carried.forces).max())
     why = "largest difference of the force at a point, of all 1274, by HiGHS and by the solver of this package"
     return [Row("Eqs. (3) and (4), linear programme against ours", "", largest, "N", 0.0, why=why)]
 
 
 def _tables_7_and_8(fitted: Case) -> list[Row]:
-    points, forces = fitted.points, fitted.found.forces
-    found = []
+    points, forces = fitted.points, fitted.carried.forces
+    report = []
     why = "ANSYS, from the ratios that Table 7 prints; limit 12 %, below which most errors of the paper are"
     for tooth, (force, ratio) in LARGEST.items():
         published, computed = 100 * force / ratio, float(forces[points.tooth == tooth].max())
         item = f"Table 7, largest force at a point, tooth {tooth}"
-        found.append(_row(item, f"{published:.2f}", computed, "N", 0.12 * published, why))
+        report.append(_row(item, f"{published:.2f}", computed, "N", 0.12 * published, why))
     for column, table in enumerate(("Table 7", "Table 8")):
         own, missed = [], []
         for point in _points():
@@ -258,8 +258,8 @@ def _tables_7_and_8(fitted: Case) -> list[Row]:
             missed.append(own[-1].deviation)
         told = f"of 27 points; {sum(row.status == 'not reproduced' for row in own)} of them beyond their limits"
         off = float(np.sqrt(np.mean(np.square(missed))))
-        found += [*own, Row(f"{table}, rms of the forces", "", off, "N", 0.0, why=told)]
-    return found
+        report += [*own, Row(f"{table}, rms of the forces", "", off, "N", 0.0, why=told)]
+    return report
 
 
 def _nearest(points: Candidates, point: _Point, column: int) -> int:

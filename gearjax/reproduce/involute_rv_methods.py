@@ -80,15 +80,15 @@ def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Presse
     """
     scaled, clearance = influence / LENGTH, gap / LENGTH
     carry = gap <= max(EARLY, float(gap.min()))
-    found = _programme(scaled, clearance, force, carry)
+    programme = _programme(scaled, clearance, force, carry)
     for _ in range(MOST_PROGRAMMES):
-        change = (found.values <= SETTLED) & (found.entering < -SETTLED)
+        change = (programme.values <= SETTLED) & (programme.entering < -SETTLED)
         if not change.any():
             break
         carry = carry ^ change
-        found = _programme(scaled, clearance, force, carry)
-    assert found.objective < 1e-6, "the artificial variables of eq. (4) have not left the basis"
-    return Pressed(np.where(carry, found.values, 0.0), found.approach * LENGTH)
+        programme = _programme(scaled, clearance, force, carry)
+    assert programme.objective < 1e-6, "the artificial variables of eq. (4) have not left the basis"
+    return Pressed(np.where(carry, programme.values, 0.0), programme.approach * LENGTH)
 
 
 def _programme(influence: np.ndarray, gap: np.ndarray, force: float, carry: np.ndarray) -> _Programme:
@@ -105,10 +105,10 @@ def _programme(influence: np.ndarray, gap: np.ndarray, force: float, carry: np.n
     columns, others = np.where(carry, forces, slacks), np.where(carry, slacks, forces)
     matrix = np.hstack([columns, np.append(np.ones(number), 0.0)[:, None]])
     right = np.append(gap, force)
-    found = linprog(-matrix.sum(axis=0), A_ub=matrix, b_ub=right, method="highs-ds", options=EXACT)
-    assert found.success, found.message
-    entering = -others.sum(axis=0) - found.ineqlin.marginals @ others
-    return _Programme(found.x[:-1], float(found.x[-1]), float(found.fun + right.sum()), entering)
+    solution = linprog(-matrix.sum(axis=0), A_ub=matrix, b_ub=right, method="highs-ds", options=EXACT)
+    assert solution.success, solution.message
+    entering = -others.sum(axis=0) - solution.ineqlin.marginals @ others
+    return _Programme(solution.x[:-1], float(solution.x[-1]), float(solution.fun + right.sum()), entering)
 
 
 class PairStiffness(NamedTuple):
@@ -170,9 +170,9 @@ def two_dimensional(pairs: PairStiffness, force: float) -> np.ndarray:
         matrix = np.zeros((number, number))
         matrix[0] = 1.0
         matrix[steps + 1, steps], matrix[steps + 1, steps + 1] = yielding[:-1], -yielding[1:]
-        found = np.linalg.solve(matrix, np.append(force, np.diff(pairs.clearance[chosen])))
-        if (found < 0).any():
+        chosen_loads = np.linalg.solve(matrix, np.append(force, np.diff(pairs.clearance[chosen])))
+        if (chosen_loads < 0).any():
             break
         loads[:] = 0.0
-        loads[chosen] = found
+        loads[chosen] = chosen_loads
     return loads

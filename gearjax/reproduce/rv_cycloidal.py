@@ -152,7 +152,7 @@ def rows(say: Progress = silent) -> list[Row]:
 def _table_2() -> list[Row]:
     disc = system().profile
     indices = sensitivity_indices(disc)
-    found = [
+    report = [
         Row(
             f"Table 2, sensitivity index of {name}",
             published,
@@ -169,7 +169,7 @@ def _table_2() -> list[Row]:
         f"-|k_n| in rad/mm, not over the reference like the others; the exact derivative of eqs. 5 and 6 by the throw "
         f"is {exact:.4g} rad/mm, not 2 k_n = {2 * computed:.4g}; the backlash is even in it"
     )
-    return [*found, Row("Table 2, sensitivity index of throw", "-0.00024", computed, "-", 5.1e-6, why=why)]
+    return [*report, Row("Table 2, sensitivity index of throw", "-0.00024", computed, "-", 5.1e-6, why=why)]
 
 
 def _short_width() -> list[Row]:
@@ -187,7 +187,7 @@ def _short_width() -> list[Row]:
 
 
 def _forces() -> list[Row]:
-    found = []
+    report = []
     for table, (design, steps) in _STEPS.items():
         own = contacts(design)
         two_before = [own.seed(), _SEEDS[table], *(float(force) for _, force in steps)]
@@ -195,18 +195,20 @@ def _forces() -> list[Row]:
             given = own.deformation(two_before[index])
             why = f"{INFERRED}; eq. 38 of the force two steps before, as the tables are two interleaved sequences"
             item = f"{table}, row {index + 1}"
-            found.append(Row(f"{item}, deformation", deformation, given / mm, "mm", 6e-5, inferred=index == 0, why=why))
-            found.append(_force_row(f"{item}, force", force, own.force(given), own, given))
+            report.append(
+                Row(f"{item}, deformation", deformation, given / mm, "mm", 6e-5, inferred=index == 0, why=why)
+            )
+            report.append(_force_row(f"{item}, force", force, own.force(given), own, given))
         deformation, force, before = _FINAL[table]
         given = own.deformation(before)
         computed, count = own.iterated()
-        found.append(Row(f"{table}, last row, deformation", deformation, given / mm, "mm", 6e-5))
-        found.append(
+        report.append(Row(f"{table}, last row, deformation", deformation, given / mm, "mm", 6e-5))
+        report.append(
             _force_row(f"{table}, final force ({count} steps)", force, computed, own, own.deformation(computed))
         )
-    found.append(Row("Table 4, pins in contact", "9", float(len(contacts(INITIAL).teeth(0.011567 * mm))), "-", 0.5))
+    report.append(Row("Table 4, pins in contact", "9", float(len(contacts(INITIAL).teeth(0.011567 * mm))), "-", 0.5))
     why = "13 on the front by the paper's own criterion; its 5 'back' ones are interference, not load sharing"
-    found.append(
+    report.append(
         Row(
             "Table 8, pins in contact, front",
             "12",
@@ -216,7 +218,7 @@ def _forces() -> list[Row]:
             why=why,
         )
     )
-    return found
+    return report
 
 
 def _force_row(item: str, published: str, computed: float, own: Contacts, deformation: float) -> Row:
@@ -230,7 +232,7 @@ def _force_row(item: str, published: str, computed: float, own: Contacts, deform
 
 
 def _deformations() -> list[Row]:
-    found = []
+    report = []
     for table, (design, force, values) in _DEFORMATIONS.items():
         own = contacts(design)
         largest = own.deformation(force)
@@ -238,13 +240,13 @@ def _deformations() -> list[Row]:
             computed = own.lever[1 + index] * largest / mm
             why = f"eqs. 36 and 38 of the published {force:g} N: not a test of the equilibrium"
             item = f"{table}, pin {index + 1}"
-            found.append(Row(item, f"{published * 1e-4:.4f}", float(computed), "mm", 5.1e-5, why=why))
-    return found
+            report.append(Row(item, f"{published * 1e-4:.4f}", float(computed), "mm", 5.1e-5, why=why))
+    return report
 
 
 def _loaded() -> list[Row]:
     """The largest force over the rotation by gearjax' own equilibrium, next to the published one."""
-    found = []
+    report = []
     for table, design in (("Table 4", INITIAL), ("Table 7", MODIFIED)):
         published = _FINAL[table][1]
         one = scene(design, discs=1)
@@ -252,8 +254,8 @@ def _loaded() -> list[Row]:
         te = transmission_error(one, theta, SHARE * TORQUE)
         assert te.forces is not None
         why = "equilibrium of all pins at once, every pin with its own curvature, both flanks; the largest over a turn"
-        found.append(Row(f"{table}, final force, gearjax", published, float(te.forces.max()), "N", 1.0, why=why))
-    return found
+        report.append(Row(f"{table}, final force, gearjax", published, float(te.forces.max()), "N", 1.0, why=why))
+    return report
 
 
 def _percentages() -> list[Row]:

@@ -200,18 +200,18 @@ _DYNAMIC = (
 def rows(say: Progress = silent) -> list[Row]:
     """Every published value of Figs. 4, 5, 13, 15 and Table 4 next to ours."""
     del say  # it takes seconds
-    found = []
+    report = []
     for pair, values, reached in _SINGLE_PAIRS:
-        found += _compare(_item(f"Fig. 4, NLTE of pair {pair}", 15.8, values, reached), scene(pair=pair))
+        report += _compare(_item(f"Fig. 4, NLTE of pair {pair}", 15.8, values, reached), scene(pair=pair))
     for item in _QUASI_STATIC:
-        found += _compare(item, scene(item.phases))
+        report += _compare(item, scene(item.phases))
     for group, values, reached in _GROUPS:
         why = "the phase is missing in Table 3; 120 or 130 deg fit" if "3" in group else "base circle of the ring"
         item = _item(f"Fig. 13, NLTE of {group}", 15.8, values, reached, phases=group, why=why)
-        found += _compare(item, scene(group, te_radius="ring"))
+        report += _compare(item, scene(group, te_radius="ring"))
     for phases, torque, values in _DYNAMIC:
-        found += _dynamic(phases, torque, values)
-    return found
+        report += _dynamic(phases, torque, values)
+    return report
 
 
 def _compare(item: _Item, scene: Scene) -> list[Row]:
@@ -225,13 +225,13 @@ def _compare(item: _Item, scene: Scene) -> list[Row]:
         "mean": float(te.mean),
         "std": float(te.std),
     }
-    found = []
+    report = []
     for name, published in item.values.items():
         least = 0.0015 if "Table 4" in item.label and name != "std" else printed_precision(published)
         tolerance = max(least, item.reached[name] + 6e-5)  # the deviations reached are rounded to four decimals
         label = f"{item.label}, {name.replace('_', '-')} ({item.window:g} s)"
-        found.append(Row(label, published, ours[name] / arcmin, "arcmin", tolerance, why=item.why))
-    return found
+        report.append(Row(label, published, ours[name] / arcmin, "arcmin", tolerance, why=item.why))
+    return report
 
 
 def _dynamic(phases: str, torque: float, values: dict[str, str]) -> list[Row]:
