@@ -34,6 +34,7 @@ class Parameter:
         words: whether any word may stand in place of a number; the scene knows which ones mean something.
         example: a sensible value as a configuration holds it, such as ``"2.5 mm"`` or 12; ``None`` where that of the
             dimension will do.
+        is_file: whether a name is that of a file or a folder, which configurations look for from their own folder on.
     """
 
     dimension: units.Dimension | None
@@ -46,6 +47,7 @@ class Parameter:
     words: bool = False
     periodic: bool = False
     example: Any = None
+    is_file: bool = False
 
     @property
     def range(self) -> tuple[float, float]:
@@ -172,6 +174,12 @@ def name(*, default: Any = dataclasses.MISSING, names: tuple[str, ...] = ()) -> 
     """A word, static; one of ``names`` where they are given."""
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(Parameter(None, "name", names=names), static=True, **keywords)
+
+
+def file_name(*, default: Any = dataclasses.MISSING) -> Any:
+    """The name of a file or a folder, static."""
+    keywords = {} if default is dataclasses.MISSING else {"default": default}
+    return _field(Parameter(None, "name", is_file=True), static=True, **keywords)
 
 
 def name_list(*, example: Any = None) -> Any:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.config import loads, loads_optimise, loads_tolerance
 from gearjax.influence.files import write_arrays
 from gearjax.influence.table import gear_hash
 from gearjax.units import mm
+from tests.conftest import ROOT
 from tests.test_influence import gear_of, table_of
 
 
@@ -127,3 +129,14 @@ def test_neighbours_that_outweigh_a_tooth_are_refused(table, gear):
     blocks[1] = 0.6 * blocks[0]
     with pytest.raises(gj.GearjaxError, match="not positive definite"):
         gj.InfluenceTable(table.radius, table.face, blocks, made_for=gear_hash(gear))
+
+
+@pytest.mark.parametrize("read", [loads, loads_optimise, loads_tolerance])
+def test_a_configuration_names_files_from_its_own_folder_on(read, tmp_path, monkeypatch):
+    text = (ROOT / "configs" / "involute_rv" / "yang_2019.toml").read_text(encoding="utf-8")
+    files = 'kind = "influence_matrix"\nexternal_file = "one.npz"\ninternal_file = "../other.npz"\n'
+    monkeypatch.chdir("/")
+    with pytest.raises(gj.GearjaxError) as caught:
+        read(text.replace('kind = "elastic_teeth" ', files), tmp_path)
+    assert str(tmp_path / "one.npz") in str(caught.value)
+    assert "\n" not in str(caught.value)

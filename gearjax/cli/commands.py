@@ -163,7 +163,7 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     text = _read_text(config)
-    scene, section = loads_optimise(text)
+    scene, section = loads_optimise(text, config.parent)
     folder = _folder(out, json_, config)
     optimisation = run_optimise(section, scene, _say)
     if folder is not None:

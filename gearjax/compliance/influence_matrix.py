@@ -15,7 +15,7 @@ from gearjax.contact.springs import block_diagonal
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import InfluenceTable, influence_of, read_influence, tooth_influence
 from gearjax.influence.interpolate import across_face, along_radius
-from gearjax.parameters import check_parameters, count, length, name, number
+from gearjax.parameters import check_parameters, count, file_name, length, number
 from gearjax.typing import Array, Float, Number
 
 FEWEST_POINTS = 3  # along the profile: single nodal forces would tell of the elements, not of the teeth
@@ -40,7 +40,8 @@ class InfluenceMatrix(AbstractToothCompliance):
         rim: depth under the root circle at which a gear is held [m]: as decisive as where the teeth stand.
         profile_elements, layers: elements along the part of the profile that may touch, and across the face.
         external_file, internal_file: tables of another program (`save_influence`); both or none.
-        cache: folder where tables of the own run are kept; not kept without.
+        cache: folder where tables of the own run are kept; not kept without. In a configuration these three are looked
+            for from its folder on.
     """
 
     kind: ClassVar[str] = "influence_matrix"
@@ -52,9 +53,9 @@ class InfluenceMatrix(AbstractToothCompliance):
     rim: Number = length(at_least=1e-6, at_most=10.0, example="0.8 mm")
     profile_elements: int = count(at_least=3, at_most=100, default=10)
     layers: int = count(at_most=200, default=13)
-    external_file: str = name(default="")
-    internal_file: str = name(default="")
-    cache: str = name(default="")
+    external_file: str = file_name(default="")
+    internal_file: str = file_name(default="")
+    cache: str = file_name(default="")
     tables: tuple[InfluenceTable, InfluenceTable] | None = None
 
     def __check_init__(self):

@@ -1,6 +1,7 @@
 """From the tables of a configuration to a scene. What may stand in a table is read from the declared fields."""
 
 import dataclasses
+import os
 import re
 import tomllib
 from collections.abc import Iterable
@@ -122,12 +123,25 @@ def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
     Raises:
         ParameterError: naming the key, what was given and what would be right.
     """
-    scene = _scene(tables)
+    scene = _scene(_with_files(tables, Path(folder)))
     if "optimise" in tables:
         read_optimise(tables["optimise"], scene)
     if "tolerance" in tables:
         read_tolerance(tables["tolerance"], scene, Path(folder))
     return scene
+
+
+def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The tables with the files and folders that a compliance names looked for from a folder on, in full: what is
+    written of them again, or sent to other processes, means the same."""
+    given = tables.get("compliance")
+    if not isinstance(given, dict):
+        return tables
+    part = next((known for known in kinds("gearjax.compliances") if known.kind == given.get("kind")), None)
+    files = [key for key, parameter in declared(part).items() if parameter.is_file] if part else []
+    named = {key: given[key] for key in files if isinstance(given.get(key), str) and given[key]}
+    full = {key: os.path.abspath(folder / os.path.expanduser(name)) for key, name in named.items()}
+    return {**tables, "compliance": {**given, **full}} if full else tables
 
 
 def _scene(tables: dict[str, Any]) -> Scene:
@@ -191,13 +205,13 @@ def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return sections
 
 
-def loads_optimise(text: str) -> tuple[Scene, OptimiseSection]:
-    """A scene and its optimise section from TOML text.
+def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, OptimiseSection]:
+    """A scene and its optimise section from TOML text; files named in it are relative to the folder.
 
     Raises:
         GearjaxError: something in it is wrong, or there is no such section; one line that says where.
     """
-    tables = read_tables(text)
+    tables = _with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
     if "optimise" not in tables:
         raise GearjaxError(
@@ -213,7 +227,7 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
     Raises:
         GearjaxError: something in it is wrong, or there is no such section; one line that says where.
     """
-    tables = read_tables(text)
+    tables = _with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
     if "tolerance" not in tables:
         raise GearjaxError(
