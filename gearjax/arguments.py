@@ -73,22 +73,22 @@ def real(name: str, value: Any, words: str = "must be a real number, or an array
             raise ParameterError(name, "complex numbers", words)
         return None
     try:
-        found = np.asarray(value)
+        array = np.asarray(value)
     except (ValueError, TypeError) as fault:  # rows of different lengths
         raise ParameterError(name, value, words) from fault
-    if found.dtype.kind not in "iuf" and not jnp.issubdtype(found.dtype, jnp.floating):
+    if array.dtype.kind not in "iuf" and not jnp.issubdtype(array.dtype, jnp.floating):
         raise ParameterError(name, value, words)
-    return found
+    return array
 
 
 def finite(name: str, value: Any) -> np.ndarray | None:
     """Real numbers that are finite, any shape."""
-    found = real(name, value)
-    if found is not None and not np.isfinite(found).all():
-        place = np.argwhere(~np.isfinite(found))[0]
+    array = real(name, value)
+    if array is not None and not np.isfinite(array).all():
+        place = np.argwhere(~np.isfinite(array))[0]
         where = name + "".join(f"[{index}]" for index in place)
-        raise ParameterError(where, found[tuple(place)], "must be finite")
-    return found
+        raise ParameterError(where, array[tuple(place)], "must be finite")
+    return array
 
 
 def numbers(name: str, value: Any) -> None:
@@ -98,16 +98,16 @@ def numbers(name: str, value: Any) -> None:
 
 def one_number(name: str, value: Any) -> None:
     """One finite number."""
-    found = finite(name, value)
-    if found is not None and found.ndim:
-        raise ParameterError(name, found.shape, "is a shape: must be one number")
+    array = finite(name, value)
+    if array is not None and array.ndim:
+        raise ParameterError(name, array.shape, "is a shape: must be one number")
 
 
 def positive(name: str, value: Any) -> None:
     """Finite numbers above zero."""
-    found = finite(name, value)
-    if found is not None and not (found > 0).all():
-        raise ParameterError(name, found.min() if found.size else value, "must be above 0")
+    array = finite(name, value)
+    if array is not None and not (array > 0).all():
+        raise ParameterError(name, array.min() if array.size else value, "must be above 0")
 
 
 def one_positive(name: str, value: Any) -> None:
@@ -118,9 +118,9 @@ def one_positive(name: str, value: Any) -> None:
 
 def torques(name: str, value: Any) -> None:
     """Torques [N m], any shape."""
-    found = finite(name, value)
-    if found is not None and found.size and np.abs(found).max() > LARGEST_TORQUE:
-        raise ParameterError(name, np.abs(found).max(), f"must be at most {LARGEST_TORQUE:g} N*m")
+    array = finite(name, value)
+    if array is not None and array.size and np.abs(array).max() > LARGEST_TORQUE:
+        raise ParameterError(name, np.abs(array).max(), f"must be at most {LARGEST_TORQUE:g} N*m")
 
 
 def torque(name: str, value: Any) -> None:
@@ -134,14 +134,14 @@ def angles(name: str, value: Any) -> None:
     _increasing(name, value, 1, "give input angles of shape (n,)")
     if not is_concrete(value):
         return
-    found = np.asarray(value, dtype=float)
-    if np.abs(found).max() > LARGEST_ANGLE:
-        raise ParameterError(name, np.abs(found).max(), f"must be at most {LARGEST_ANGLE:g} rad")
-    steps = np.diff(found)
-    long = steps.size and steps.min() > 0.5 and found[-1] - found[0] > DEGREES
+    array = np.asarray(value, dtype=float)
+    if np.abs(array).max() > LARGEST_ANGLE:
+        raise ParameterError(name, np.abs(array).max(), f"must be at most {LARGEST_ANGLE:g} rad")
+    steps = np.diff(array)
+    long = steps.size and steps.min() > 0.5 and array[-1] - array[0] > DEGREES
     if long and np.allclose(steps, np.round(steps), rtol=0, atol=1e-6):
         warnings.warn(
-            f"{name} runs from {found[0]:g} to {found[-1]:g} in whole steps: it is in radians; degrees are given as "
+            f"{name} runs from {array[0]:g} to {array[-1]:g} in whole steps: it is in radians; degrees are given as "
             f"{name} * gj.units.deg",
             stacklevel=3,
         )
@@ -153,11 +153,11 @@ def times(name: str, value: Any) -> None:
 
 
 def _increasing(name: str, value: Any, least: int, words: str) -> None:
-    found = finite(name, value)
-    shape = np.shape(value) if found is None else found.shape
+    array = finite(name, value)
+    shape = np.shape(value) if array is None else array.shape
     if len(shape) != 1 or shape[0] < least:
         raise SceneError(f"{name} has shape {shape}: {words}")
-    if found is not None and not (np.diff(found.astype(float)) > 0).all():
+    if array is not None and not (np.diff(array.astype(float)) > 0).all():
         raise SceneError(f"{name} must increase")
 
 
@@ -176,8 +176,8 @@ def whole(least: int) -> Checker:
 def turn(name: str, value: Any) -> None:
     """The angle of a turn [rad]."""
     one_positive(name, value)
-    found = real(name, value)
-    if found is not None and not 1e-9 <= float(found) <= 1e9:
+    number = real(name, value)
+    if number is not None and not 1e-9 <= float(number) <= 1e9:
         raise ParameterError(name, value, "must be at least 1e-9 rad and at most 1e9 rad")
 
 
@@ -201,8 +201,8 @@ def pairs(name: str, value: Any) -> None:
     if not isinstance(value, Mapping):
         raise ParameterError(name, value, 'must be pairs by path: {"errors.planet_1.amplitude": (0.0, 20e-6)}')
     for path, pair in value.items():
-        found = real(f"{name} of {path}", pair, "must be a pair of numbers, lowest first")
-        if found is not None and (found.shape != (2,) or not found[0] <= found[1]):
+        bounds = real(f"{name} of {path}", pair, "must be a pair of numbers, lowest first")
+        if bounds is not None and (bounds.shape != (2,) or not bounds[0] <= bounds[1]):
             raise ParameterError(f"{name} of {path}", pair, "must be a pair of numbers, lowest first")
 
 

@@ -104,9 +104,9 @@ class Coordinates:
         return self._row(places) if places else None
 
     def _row(self, places: tuple[int, ...]) -> np.ndarray:
-        found = np.zeros(len(self.names))
-        found[list(places)] = 1.0
-        return found
+        row = np.zeros(len(self.names))
+        row[list(places)] = 1.0
+        return row
 
 
 def _up_to(free: int, motions: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[str, tuple[int, ...]], ...]:
@@ -222,7 +222,7 @@ def _check_shafts(meshes: Meshes, shafts: Mapping[str, tuple[str, ...]]) -> None
 
 def _holds(meshes: Meshes, rotations: Mapping[str, tuple[int, ...]], free: int) -> tuple[int, ...]:
     """Of each mesh the free coordinate of its driven body, each handed on to by what comes before it."""
-    found, drivers = [], []
+    driven, drivers = [], []
     for driver, body in meshes:
         free_of = [next((at for at in rotations[end] if at < free), None) for end in (driver, body)]
         if free_of[1] is None:
@@ -233,9 +233,9 @@ def _holds(meshes: Meshes, rotations: Mapping[str, tuple[int, ...]], free: int) 
             raise SceneError(
                 f"the mesh of {driver} and {body} drives a shaft that comes before it, seen from the input"
             )
-        found.append(free_of[1])
+        driven.append(free_of[1])
         drivers.append(free_of[0])
-        if len(sources := {turn for turn, held in zip(drivers, found, strict=True) if held == free_of[1]}) > 1:
+        if len(sources := {turn for turn, held in zip(drivers, driven, strict=True) if held == free_of[1]}) > 1:
             words = "behind which torque would split between shafts: this is not modelled"
             raise SceneError(f"the shaft of {body} is driven from {len(sources)} shafts that turn apart, {words}")
-    return tuple(found)
+    return tuple(driven)

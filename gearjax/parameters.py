@@ -111,10 +111,10 @@ def as_leaf(value: Any) -> Any:
 def is_numeric(value: Any) -> bool:
     """Whether a value that is known is a real number, or an array of them."""
     try:
-        found = np.asarray(value)
+        array = np.asarray(value)
     except (ValueError, TypeError):  # rows of different lengths
         return False
-    return found.dtype.kind in "iuf" or jnp.issubdtype(found.dtype, jnp.floating)
+    return array.dtype.kind in "iuf" or jnp.issubdtype(array.dtype, jnp.floating)
 
 
 def strong(value: Any) -> Any:

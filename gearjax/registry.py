@@ -98,9 +98,9 @@ def _read_plugins() -> None:
                 words = " ".join(f"{type(fault).__name__}: {fault}".split())
                 raise GearjaxError(f"{where}: {entry.value} cannot be loaded ({words})") from fault
             try:
-                found = _group_of(part)
-                if found != group:
-                    raise GearjaxError(f"{entry.value} belongs into the group {found}, not {group}")
+                own = _group_of(part)
+                if own != group:
+                    raise GearjaxError(f"{entry.value} belongs into the group {own}, not {group}")
                 _add(part, group)
             except GearjaxError as fault:
                 raise GearjaxError(f"{where}: {fault}") from fault

@@ -212,8 +212,8 @@ class Scene(eqx.Module):
 
     def _coordinates(self, stiffness: Stiffness) -> Coordinates:
         """What moves: without forces, what nothing holds."""
-        found = self.moving.coordinates
-        return found.rigid if stiffness == "rigid" else found
+        coordinates = self.moving.coordinates
+        return coordinates.rigid if stiffness == "rigid" else coordinates
 
     def pose(self, theta: Scalar, stiffness: Stiffness = "rigid") -> Pose:
         """What the system shows at an input angle [rad]: all that does not depend on the errors' own numbers.

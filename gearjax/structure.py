@@ -136,17 +136,17 @@ class Moving(NamedTuple):
 
     def _sum(self, kind: str, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
         number = len(self.coordinates.names)
-        found = jnp.zeros((number, number), dtype)
+        matrix = jnp.zeros((number, number), dtype)
         for body, support in self.supports.items():
             for way in support.directions:
-                found = _with(found, getattr(support, way + kind), self.coordinates.along(body, way))
+                matrix = _with(matrix, getattr(support, way + kind), self.coordinates.along(body, way))
         for shaft in self.shafts.values():
             for one, other in itertools.pairwise(shaft.bodies):
                 torsion, bending = (getattr(shaft, name + kind, None) for name in ("torsion", "bending"))
-                found = _with(found, torsion, self._apart(one, other, "rz"))
+                matrix = _with(matrix, torsion, self._apart(one, other, "rz"))
                 for way in "xy":
-                    found = _with(found, bending, self._apart(one, other, way))
-        return found
+                    matrix = _with(matrix, bending, self._apart(one, other, way))
+        return matrix
 
     def _apart(self, one: str, other: str, way: str) -> np.ndarray | None:
         """Motion of two bodies against each other, per coordinate; ``None`` where one does not move that way."""

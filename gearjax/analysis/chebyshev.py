@@ -32,6 +32,6 @@ def weights(steps: int, number: int, at: np.ndarray) -> np.ndarray:
     barycentric = (-1.0) ** np.arange(number) * np.sin(np.pi * (np.arange(number) + 0.5) / number)
     away = at[:, None] - nodes(steps, number)[None, :]
     met = np.isclose(away, 0, atol=1e-12)
-    found = barycentric / np.where(met, 1.0, away)
-    found /= found.sum(axis=1, keepdims=True)
-    return np.where(np.any(met, axis=1, keepdims=True), met, found)
+    shares = barycentric / np.where(met, 1.0, away)
+    shares /= shares.sum(axis=1, keepdims=True)
+    return np.where(np.any(met, axis=1, keepdims=True), met, shares)

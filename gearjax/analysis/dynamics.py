@@ -240,13 +240,13 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
     spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
     steps = _steps(equation, ts, method.spacing)
     rate = equation.scale * equation.frequency
-    found = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
-    place, speed = found.states[:, 0], found.states[:, 1]
+    record = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
+    place, speed = record.states[:, 0], record.states[:, 1]
     forces = jax.vmap(equation.forces)(ts, place)
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
     fast = steps.step * equation.fastest_rate(modes=True) > LONGEST_STEP
     failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
-    return recorded(equation, ts, (place, speed), (found.highest, found.lowest), forces, settle, failed)
+    return recorded(equation, ts, (place, speed), (record.highest, record.lowest), forces, settle, failed)
 
 
 def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
@@ -259,10 +259,10 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
         return step * turning_rate(equation.scene) * block.steps <= 1.01 * chebyshev.reach(block.nodes, accuracy)
 
     def by(spacing: march.Spacing) -> march.March:
-        found = march.march(forcing, begun, carry, spacing)
+        record = march.march(forcing, begun, carry, spacing)
         load = equation.scene.load
         growing = load is not None and load.alternates  # what else makes disturbances grow is not known
-        return watch(found, forcing, begun, carry, spacing) if growing else found
+        return watch(record, forcing, begun, carry, spacing) if growing else record
 
     def in_one_go() -> march.March:
         quick = method.quick
@@ -271,12 +271,12 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
         return jax.lax.cond(resolves(*march.QUICK), lambda: by(quick), lambda: by(method.spacing))
 
     if method.windows is None:
-        found = in_one_go()
+        record = in_one_go()
     else:
-        found = march.march_windows(forcing, begun, carry, method.spacing, method.windows)
+        record = march.march_windows(forcing, begun, carry, method.spacing, method.windows)
         if method.fall_back:
-            whole = found.defect <= allowed(ts.dtype)
-            found = jax.lax.cond(whole, lambda: found, lambda: in_one_go()._replace(defect=found.defect))
+            whole = record.defect <= allowed(ts.dtype)
+            record = jax.lax.cond(whole, lambda: record, lambda: in_one_go()._replace(defect=record.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
     block = method.spacing.block if method.windows is None else method.windows.block
@@ -285,13 +285,13 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
     failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
     return Motion(
         ts,
-        found.positions * scale,
-        found.speeds * (scale / step),
-        found.forces,
-        found.highest * scale,
-        found.lowest * scale,
+        record.positions * scale,
+        record.speeds * (scale / step),
+        record.forces,
+        record.highest * scale,
+        record.lowest * scale,
         settle,
         failed,
-        found.defect * scale,
+        record.defect * scale,
         equation.layout,
     )

@@ -73,24 +73,24 @@ def growth_in_modes(steps: modes.Steps, place: Array, speed: Array, spacing: mod
 
 
 def watch(
-    found: march.March, forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing
+    record: march.March, forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing
 ) -> march.March:
     """The same march, which warns when it is differentiated although disturbances of it grow; arguments as for
     `growth`."""
 
     @jax.custom_jvp
-    def same(found: march.March, given: tuple) -> march.March:
+    def same(record: march.March, given: tuple) -> march.March:
         del given
-        return found
+        return record
 
     @same.defjvp
     def warning(primals: tuple, tangents: tuple) -> tuple:
-        found, given = primals
+        record, given = primals
         length = spacing.samples * spacing.each * given[0].oscillator.step
         jax.debug.callback(_warn, growth(given[0], given[1], given[2], spacing), length)
-        return found, tangents[0]
+        return record, tangents[0]
 
-    return same(found, (forcing, start, carry))
+    return same(record, (forcing, start, carry))
 
 
 def _warn(rate: Any, length: Any) -> None:

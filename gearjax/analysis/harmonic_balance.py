@@ -182,8 +182,8 @@ class OfStructure:
             real, imaginary = stiffness - rate**2 * parts.mass, rate * damping
             both = jnp.outer(size, size)
             whole = jax.lax.complex(real * both, imaginary * both)
-            found = jnp.linalg.solve(whole, (size[:, None] * lines.acting).astype(whole.dtype))
-            return size.astype(found.dtype)[:, None] * found
+            answer = jnp.linalg.solve(whole, (size[:, None] * lines.acting).astype(whole.dtype))
+            return size.astype(answer.dtype)[:, None] * answer
 
         return jax.vmap(of)(rates)
 
@@ -206,9 +206,9 @@ class OfStructure:
         """Coefficients of the coordinates that what is seen leads to [rad, m]."""
         mean, cosine, sine = self.series.apart(self._inputs(numbers))
         waves = jax.lax.complex(cosine, -sine)
-        found = jnp.einsum("hci,hi->hc", self.answers[1:], waves)
+        amplitudes = jnp.einsum("hci,hi->hc", self.answers[1:], waves)
         still = (self.answers[0].real @ mean)[None]
-        return jnp.concatenate([still, found.real, -found.imag])
+        return jnp.concatenate([still, amplitudes.real, -amplitudes.imag])
 
 
 def _posed(problem: Problem, series: Series) -> OfOutput | OfStructure:

@@ -225,9 +225,9 @@ def extremes(
     at_sample = jnp.stack([jnp.argmax(values), jnp.argmin(values)])
     sampled = values[at_sample]
     better = (points.heights > -jnp.inf) & (signs * refined > signs * sampled)
-    found = jnp.where(better, refined, sampled)
+    best = jnp.where(better, refined, sampled)
     where = jnp.where(better, points.ends.mean(axis=1), theta[at_sample])
-    return Extremes(found[0], found[1], where[0], where[1])
+    return Extremes(best[0], best[1], where[0], where[1])
 
 
 def tangent_bounds(

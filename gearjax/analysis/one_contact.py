@@ -137,9 +137,9 @@ def _rest(scene: Scene, theta: Array, torque: Scalar) -> tuple[Array, Array, Arr
     members = [np.asarray(own) for own in scene.layout.members]
 
     def at(angle: Scalar) -> tuple[Array, Array, Array, Array]:
-        found, stiffness = resistance(scene, angle, torque)
-        carrying = jnp.stack([(found.forces[own] > 0).any() for own in members])
-        return found.position, stiffness, carrying.sum().astype(theta.dtype), found.result
+        rest, stiffness = resistance(scene, angle, torque)
+        carrying = jnp.stack([(rest.forces[own] > 0).any() for own in members])
+        return rest.position, stiffness, carrying.sum().astype(theta.dtype), rest.result
 
     return jax.vmap(at)(theta)
 

@@ -126,12 +126,12 @@ def shoot(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_step
     state, solver = start, optimistix.Newton(rtol=1e-10, atol=1e-10)
     if max_steps:
         state = optimistix.root_find(lacking, solver, start, problem, max_steps=max_steps, throw=False).value
-    found = motion.course(state)
-    left = jnp.abs(found.states[-1] - state).max()
-    size = jnp.abs(found.states[:, 0]).max()
+    course = motion.course(state)
+    left = jnp.abs(course.states[-1] - state).max()
+    size = jnp.abs(course.states[:, 0]).max()
     frozen = jax.lax.stop_gradient(state)
     slope = jax.jacfwd(lambda flat: motion.end(flat.reshape(state.shape)).ravel())(frozen.ravel())
-    states = found.states[:-1] * motion.scale[None]
+    states = course.states[:-1] * motion.scale[None]
     supported = not problem.scene.output_alone
     return Periodic(
         problem.period / cut.steps * jnp.arange(cut.steps).astype(state.dtype),
@@ -193,8 +193,8 @@ def speed_sweep(
     turns, physics = scene.system.orders[order], scene.physics(*MODELLED)
     torque = jnp.asarray(torque, scene.dtype)
     cut = Cut.of(_at_speed(physics, torque, turns, speeds[0]), steps)
-    found = _speed_sweep(physics, torque, speeds, periods, cut, turns)
-    return dataclasses.replace(found, ends=found.ends[..., 0]) if scene.output_alone else found
+    sweep = _speed_sweep(physics, torque, speeds, periods, cut, turns)
+    return dataclasses.replace(sweep, ends=sweep.ends[..., 0]) if scene.output_alone else sweep
 
 
 def _at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Problem:
@@ -210,10 +210,10 @@ def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, cut:
         state = jax.lax.scan(
             lambda state, _: (motion.end(state), None), state / motion.scale, None, length=periods - 1
         )[0]
-        found = motion.course(state)
-        path, output = found.states[:-1, 0, 0], motion.scale[0, 0]
-        spread = found.highest.max() - found.lowest.min()
-        state = found.states[-1] * motion.scale
+        course = motion.course(state)
+        path, output = course.states[:-1, 0, 0], motion.scale[0, 0]
+        spread = course.highest.max() - course.lowest.min()
+        state = course.states[-1] * motion.scale
         return state, (path.std() * output, spread * output, state)
 
     first = return_map(_at_speed(scene, torque, turns, scene.system.input_speed), cut)

@@ -219,26 +219,26 @@ def transmission_error(
     require(scene, "static", "compliance")
     torque = torque_on(scene, theta, torque)
     places = extremes or ("samples" if isinstance(scene.compliance, COUPLED) else "between")
-    found = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
-    _warn_of_few_candidates(scene, found)
-    return found
+    te = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
+    _warn_of_few_candidates(scene, te)
+    return te
 
 
 class FewCandidates(UserWarning):
     """More teeth would carry than are looked at."""
 
 
-def _warn_of_few_candidates(scene: Scene, found: TransmissionError) -> None:
+def _warn_of_few_candidates(scene: Scene, te: TransmissionError) -> None:
     """Warn where candidates carry that others are left out beside; inside a trace nothing is known."""
-    if found.crowded is None or not is_concrete(found.crowded) or not bool(found.crowded.any()):
+    if te.crowded is None or not is_concrete(te.crowded) or not bool(te.crowded.any()):
         return
-    worst = int(np.argmax(np.asarray(found.crowded)))
-    ends = scene.system.outermost(found.theta[worst], Request(scene.has_back))
-    assert found.forces is not None
+    worst = int(np.argmax(np.asarray(te.crowded)))
+    ends = scene.system.outermost(te.theta[worst], Request(scene.has_back))
+    assert te.forces is not None
     assert ends is not None  # some of them carry
-    name = scene.system.contact_name(int(jnp.argmax(jnp.where(ends, found.forces[worst], 0.0))))
-    words = f"the outermost candidates carry load at {100 * float(found.crowded.mean()):.3g} % of the angles"
-    words = f"{words} ({name}, input angle {float(found.theta[worst]) / deg:.5g} deg): teeth beside them would too"
+    name = scene.system.contact_name(int(jnp.argmax(jnp.where(ends, te.forces[worst], 0.0))))
+    words = f"the outermost candidates carry load at {100 * float(te.crowded.mean()):.3g} % of the angles"
+    words = f"{words} ({name}, input angle {float(te.theta[worst]) / deg:.5g} deg): teeth beside them would too"
     warnings.warn(f"{words}, give more system.pairs", FewCandidates, stacklevel=4)
 
 
@@ -338,10 +338,10 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
     layout, fastest = scene.layout, scene.system.fastest_order
     if torque is None:
         te = jax.vmap(no_load, in_axes=(None, 0))(scene, theta)
-        found = extremes(no_load, scene, theta, te) if places == "between" else extremes_of_samples(theta, te)
+        peaks = extremes(no_load, scene, theta, te) if places == "between" else extremes_of_samples(theta, te)
         overlap = _clash(scene, theta) if scene.has_back else None
         result = jnp.zeros(theta.shape, int) if overlap is None else overlap.result
-        return TransmissionError(theta, te, None, result, found, layout, fastest, None, overlap)
+        return TransmissionError(theta, te, None, result, peaks, layout, fastest, None, overlap)
 
     def at(angle: Scalar, torque: Array) -> Scalar:
         """Torque at an angle, between its samples too."""
@@ -356,9 +356,9 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
 
     rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
     if places == "between":
-        found = extremes(under, (scene, torque), theta, rests.position)
+        peaks = extremes(under, (scene, torque), theta, rests.position)
     else:
-        found = extremes_of_samples(theta, rests.position)
+        peaks = extremes_of_samples(theta, rests.position)
     record = rests.position, rests.forces, rests.result
 
     def crowd(angle: Scalar, forces: Array) -> Array | None:
@@ -367,7 +367,7 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
 
     crowded = jax.vmap(crowd)(theta, rests.forces)
     moved = rests.moved, scene.coordinates
-    return TransmissionError(theta, *record, found, layout, fastest, able, None, *moved, crowded)
+    return TransmissionError(theta, *record, peaks, layout, fastest, able, None, *moved, crowded)
 
 
 @eqx.filter_jit
@@ -375,8 +375,8 @@ def _backlash(scene: Scene, theta: Array) -> Backlash:
     scene = scene.anchored()
 
     lower, upper = jax.vmap(edges, in_axes=(None, 0))(scene, theta)
-    found, overlap = extremes(play, scene, theta, upper - lower), _clash(scene, theta)
-    return Backlash(theta, lower, upper, found, overlap, scene.system.fastest_order)
+    peaks, overlap = extremes(play, scene, theta, upper - lower), _clash(scene, theta)
+    return Backlash(theta, lower, upper, peaks, overlap, scene.system.fastest_order)
 
 
 @eqx.filter_jit

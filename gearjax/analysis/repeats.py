@@ -81,12 +81,12 @@ def periodic_motion(
         ends = np.asarray(ends)
         away = [_distance(ends[-1], ends[-1 - periods]) for periods in range(1, longest + 1)]
         for periods in (number for number, distance in enumerate(away, start=1) if distance < RETURNED):
-            found = _shot(problem, steps, state, periods)
-            begins = np.asarray(found.start).reshape(2, -1) / np.asarray(_scale(problem, cut))
+            motion = _shot(problem, steps, state, periods)
+            begins = np.asarray(motion.start).reshape(2, -1) / np.asarray(_scale(problem, cut))
             near = _distance(begins, ends[-1]) < max(SAME, 10 * away[periods - 1])
-            stays = bool((jnp.abs(found.multipliers) < 1 + NEUTRAL).all())  # undamped motions neither grow nor die out
-            if int(found.result) == 0 and stays and near:
-                return found
+            stays = bool((jnp.abs(motion.multipliers) < 1 + NEUTRAL).all())  # undamped motions neither grow nor die out
+            if int(motion.result) == 0 and stays and near:
+                return motion
     return dataclasses.replace(_shot(problem, steps, state, longest, search=0), result=jnp.asarray(2))
 
 
@@ -100,8 +100,8 @@ def _shot(problem: Problem, steps: int, state: Array, periods: int, search: int 
     """Newton's method from a state, over some periods."""
     several = problem._replace(period=problem.period * periods)
     guess = state * _scale(problem, Cut.of(problem, steps))
-    found = shoot(several, Cut.of(several, periods * steps), guess, 0, search)
-    return dataclasses.replace(found, periods=periods)
+    motion = shoot(several, Cut.of(several, periods * steps), guess, 0, search)
+    return dataclasses.replace(motion, periods=periods)
 
 
 @eqx.filter_jit

@@ -112,8 +112,8 @@ def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int
 
     def straight(_: Any, at: tuple[Scalar, Array]) -> tuple[Scalar, Array]:
         scene, angle, torque = frozen
-        found = equilibrium(scene.contacts(angle, "mean", at[0]), -torque, scene.contact)
-        return jnp.where(found.result == 0, found.position, at[0]), found.result
+        balanced = equilibrium(scene.contacts(angle, "mean", at[0]), -torque, scene.contact)
+        return jnp.where(balanced.result == 0, balanced.position, at[0]), balanced.result
 
     start = jnp.zeros_like(scene.system.input_speed), jnp.zeros((), int)
     place, result = jax.lax.fori_loop(0, ROUNDS, straight, start)
@@ -141,12 +141,12 @@ def resistance(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> tuple[Equi
     output against the load while the input is held [N m/rad]; nan where there is no equilibrium."""
 
     def position(load: Scalar) -> tuple[Scalar, Equilibrium]:
-        found = rest(scene, angle, load, derivatives=2)
-        return found.position, found
+        balanced = rest(scene, angle, load, derivatives=2)
+        return balanced.position, balanced
 
-    _, way, found = jax.jvp(position, (torque,), (jnp.ones_like(torque),), has_aux=True)
-    held = (found.result == 0) & (way < 0)
-    return found, jnp.where(held, -1 / jnp.where(held, way, -1.0), jnp.nan)
+    _, way, balanced = jax.jvp(position, (torque,), (jnp.ones_like(torque),), has_aux=True)
+    held = (balanced.result == 0) & (way < 0)
+    return balanced, jnp.where(held, -1 / jnp.where(held, way, -1.0), jnp.nan)
 
 
 def carriers(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Int[Array, ""]:

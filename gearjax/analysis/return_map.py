@@ -90,12 +90,12 @@ class OfOutput(NamedTuple):
         return (first * self.equation.per_step(self.period / self.steps))[:, None]
 
     def end(self, state: Array) -> Array:
-        found = self._march(state)
-        return jnp.stack([found.positions[-1], found.speeds[-1]])[:, None]
+        record = self._march(state)
+        return jnp.stack([record.positions[-1], record.speeds[-1]])[:, None]
 
     def course(self, state: Array) -> Course:
-        found = self._march(state)
-        return Course(jnp.stack([found.positions, found.speeds], axis=1)[:, :, None], found.highest, found.lowest)
+        record = self._march(state)
+        return Course(jnp.stack([record.positions, record.speeds], axis=1)[:, :, None], record.highest, record.lowest)
 
     def _march(self, state: Array) -> march.March:
         start = jnp.zeros_like(self.period)
@@ -131,9 +131,9 @@ class OfStructure(NamedTuple):
     def _march(self, state: Array, spacing: modes.Spacing) -> Course:
         place, speed = state * self.scale
         steps = Steps.of(self.equation, jnp.zeros_like(self.period), self.period / self.steps)
-        found = modes.march(steps, place, speed, spacing)
+        record = modes.march(steps, place, speed, spacing)
         output = self.equation.scale[0]
-        return Course(found.states / self.scale[None], found.highest / output, found.lowest / output)
+        return Course(record.states / self.scale[None], record.highest / output, record.lowest / output)
 
 
 def return_map(problem: Problem, cut: Cut) -> OfOutput | OfStructure:

@@ -90,10 +90,10 @@ def _mesh_stiffness(scene: Scene, theta: Array, torque: Array) -> MeshStiffness:
 
     def at(angle: Scalar, torque: Scalar) -> tuple[Array, Array, Array, Array]:
         none = torque == 0
-        unloaded, found, tangent = _both(scene, angle, torque, jnp.where(none, SLIGHTEST, torque))
-        lag = jnp.where(none, 0.0, unloaded - found.position)
+        unloaded, rest, tangent = _both(scene, angle, torque, jnp.where(none, SLIGHTEST, torque))
+        lag = jnp.where(none, 0.0, unloaded - rest.position)
         secant = jnp.where(none, tangent, torque / jnp.where(none, 1.0, lag))
-        return secant, tangent, lag, found.result
+        return secant, tangent, lag, rest.result
 
     return MeshStiffness(theta, torque, *jax.vmap(at)(theta, torque))
 
@@ -105,7 +105,7 @@ def _both(scene: Scene, angle: Scalar, torque: Scalar, load: Scalar) -> tuple[Sc
     # one program of both, which takes long to compile where a matrix couples the springs
     loads = jnp.stack([jnp.zeros_like(load), load])
     rests, tangents = jax.vmap(lambda load: resistance(scene, angle, load))(loads)
-    found, tangent = jax.tree.map(lambda part: part[1], (rests, tangents))
+    rest, tangent = jax.tree.map(lambda part: part[1], (rests, tangents))
     lower, upper = edges(scene, angle)
     touching = jnp.where(torque < 0, upper, lower)
-    return jnp.where(upper < lower, rests.position[0], touching), found, tangent
+    return jnp.where(upper < lower, rests.position[0], touching), rest, tangent

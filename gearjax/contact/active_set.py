@@ -82,7 +82,7 @@ def carrying(
         best = jax.lax.fori_loop(0, HALVINGS, halve, (zero, one))[1]
         share = jnp.where(slope(one) <= 0, one, best)
         at = position + share * turn, forces + share * push, overlap + share * close
-        at = tuple(jnp.where(right, found, part) for found, part in zip((ended, pressed, target), at, strict=True))
+        at = tuple(jnp.where(right, whole, part) for whole, part in zip((ended, pressed, target), at, strict=True))
         chosen = jnp.where(share == 1, chosen, held(at[2] > 0))
         return jnp.where(right, closed, chosen), at, right, step + 1
 

@@ -172,8 +172,8 @@ def _of_sides(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Ea
             nothing = [jnp.zeros_like(each) for each in near[1]]
             return near[2], jnp.zeros_like(applied), nothing, ~ours, jnp.zeros((), jnp.int32)
 
-        *found, right, step = jax.lax.cond(ours.any(), looked_at, left_out)
-        return *found, right | ~ours, step
+        *solution, right, step = jax.lax.cond(ours.any(), looked_at, left_out)
+        return *solution, right | ~ours, step
 
     closed, place, forces, right, step = jax.lax.map(side, jnp.arange(2))
     whole = [[each.reshape(2 * half, -1) for each in given] for given in (closed, forces)]
@@ -222,8 +222,8 @@ def _searched(steps: Callable, blocks: Array, levers: Array, gap: Array, applied
             return carrying(whole, levers[lane], gap[lane], applied[lane], loaded[lane], loaded[lane])
 
         done = (at.right & jnp.isfinite(at.place))[0]
-        found = at.place.T, _in_order(at.forces), _in_order(at.closed), done
-        return finished(found, done | ~loaded.any(axis=1), exact)
+        solutions = at.place.T, _in_order(at.forces), _in_order(at.closed), done
+        return finished(solutions, done | ~loaded.any(axis=1), exact)
 
     return in_parts(part, LANES, levers, gap, applied, loaded, *([blocks] if blocks.ndim == 4 else []))
 
@@ -249,8 +249,8 @@ def _lanes_of(many: Callable) -> Callable:
 
     @jax.custom_batching.custom_vmap
     def one(blocks: Array, *given: Array) -> tuple:
-        found = many(blocks, *(part[None] for part in given))
-        return jax.tree.map(lambda part: part[0], found)
+        solutions = many(blocks, *(part[None] for part in given))
+        return jax.tree.map(lambda part: part[0], solutions)
 
     @jax.custom_batching.custom_vmap
     def shared(blocks: Array, *given: Array) -> tuple:
@@ -265,34 +265,34 @@ def _lanes_of(many: Callable) -> Callable:
         return [part if own else jnp.broadcast_to(part, (size, *part.shape)) for part, own in each]
 
     def flat(function: Callable, size: int, *given: Array) -> tuple:
-        found = function(*(part.reshape(-1, *part.shape[2:]) for part in given))
-        return jax.tree.map(lambda part: part.reshape(size, -1, *part.shape[1:]), found)
+        solutions = function(*(part.reshape(-1, *part.shape[2:]) for part in given))
+        return jax.tree.map(lambda part: part.reshape(size, -1, *part.shape[1:]), solutions)
 
     @one.def_vmap
     def _(size: int, batched: list, *given: Array) -> tuple:
         lanes = spread(size, batched[1:], given[1:])
-        found = (apart if batched[0] else shared)(given[0], *lanes)
-        return found, jax.tree.map(lambda _: True, found)
+        solutions = (apart if batched[0] else shared)(given[0], *lanes)
+        return solutions, jax.tree.map(lambda _: True, solutions)
 
     @shared.def_vmap
     def _(size: int, batched: list, *given: Array) -> tuple:
         lanes = spread(size, batched[1:], given[1:])
         if batched[0]:  # one matrix after the other, with its lanes
-            found = jax.lax.map(lambda own: shared(*own), (given[0], *lanes))
+            solutions = jax.lax.map(lambda own: shared(*own), (given[0], *lanes))
         else:
-            found = flat(lambda *flat_lanes: shared(given[0], *flat_lanes), size, *lanes)
-        return found, jax.tree.map(lambda _: True, found)
+            solutions = flat(lambda *flat_lanes: shared(given[0], *flat_lanes), size, *lanes)
+        return solutions, jax.tree.map(lambda _: True, solutions)
 
     @apart.def_vmap
     def _(size: int, batched: list, *given: Array) -> tuple:
         lanes = spread(size, batched[1:], given[1:])
         if batched[0]:
-            found = flat(apart, size, given[0], *lanes)
+            solutions = flat(apart, size, given[0], *lanes)
         else:  # lanes of each matrix come together
             across = [jnp.swapaxes(part, 0, 1) for part in lanes]
-            found = jax.lax.map(lambda own: shared(*own), (given[0], *across))
-            found = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), found)
-        return found, jax.tree.map(lambda _: True, found)
+            solutions = jax.lax.map(lambda own: shared(*own), (given[0], *across))
+            solutions = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), solutions)
+        return solutions, jax.tree.map(lambda _: True, solutions)
 
     return one
 

@@ -28,7 +28,7 @@ class Lanes(NamedTuple):
         fresh: whether the slope is to be worked out anew, shape (lane,).
         place: position [rad].
         first: what a set of contacts began with [m].
-        found: whether all conditions hold, by a slope worked out anew.
+        done: whether all conditions hold, by a slope worked out anew.
         step: products so far.
     """
 
@@ -39,7 +39,7 @@ class Lanes(NamedTuple):
     fresh: Bool[Array, " lane"]
     place: Float[Array, " lane"]
     first: Float[Array, " lane"]
-    found: Bool[Array, " lane"]
+    done: Bool[Array, " lane"]
     step: Int[Array, ""]
 
 
@@ -72,7 +72,7 @@ def descended(
         bend = (at.way * product).sum(axis=0, keepdims=True)
         bend = jnp.where(bend > 0, bend, 1.0)
         # a lane that is found stays as it is: float32 would wander off
-        share = jnp.where(at.fresh | at.found, 0.0, -(at.way * at.slope).sum(axis=0, keepdims=True) / bend)
+        share = jnp.where(at.fresh | at.done, 0.0, -(at.way * at.slope).sum(axis=0, keepdims=True) / bend)
         forces = at.forces + share * at.way
         slope = jnp.where(at.fresh, product + gap, at.slope + share * product)
         arms = jnp.where(at.inside, lever, 0.0)
@@ -81,7 +81,7 @@ def descended(
         left = jnp.abs(jnp.where(at.inside, beyond, 0.0)).max(axis=0, keepdims=True)
         size = jnp.where(at.inside, jnp.abs(slope - gap) + jnp.abs(gap), 0.0).max(axis=0, keepdims=True)
         reach = rounding * (size + jnp.abs(place) * jnp.abs(arms).max(axis=0, keepdims=True))
-        settled, first, inside, cut = left <= reach, jnp.where(at.fresh, left, at.first), at.inside, at.found & False
+        settled, first, inside, cut = left <= reach, jnp.where(at.fresh, left, at.first), at.inside, at.done & False
         changed = cut
         if one_sided:
             eased = settled | (left <= EASED * first)
@@ -99,14 +99,14 @@ def descended(
         turn = jnp.where(at.fresh | changed, 0.0, -(level * product).sum(axis=0, keepdims=True) / bend)
         way = level + turn * jnp.where(inside, at.way, 0.0)
         return Lanes(
-            forces=jnp.where(at.found, at.forces, forces),
+            forces=jnp.where(at.done, at.forces, forces),
             way=way,
             slope=slope,
-            inside=jnp.where(at.found, at.inside, inside),
-            fresh=~at.found & (cut | (settled & ~at.fresh)),
-            place=jnp.where(at.found, at.place, place),
+            inside=jnp.where(at.done, at.inside, inside),
+            fresh=~at.done & (cut | (settled & ~at.fresh)),
+            place=jnp.where(at.done, at.place, place),
             first=jnp.where(changed, jnp.abs(level).max(axis=0, keepdims=True), first),
-            found=at.found | (settled & at.fresh),
+            done=at.done | (settled & at.fresh),
             step=at.step + 1,
         )
 
@@ -118,5 +118,5 @@ def descended(
     begin = Lanes(
         start, none, none, inside, ~no, rest, rest, ~allowed.any(axis=0, keepdims=True), jnp.zeros((), jnp.int32)
     )
-    at = jax.lax.while_loop(lambda at: ~at.found.all() & (at.step < most), advance, begin)
-    return at._replace(fresh=at.fresh[0], place=at.place[0], first=at.first[0], found=at.found[0])
+    at = jax.lax.while_loop(lambda at: ~at.done.all() & (at.step < most), advance, begin)
+    return at._replace(fresh=at.fresh[0], place=at.place[0], first=at.first[0], done=at.done[0])

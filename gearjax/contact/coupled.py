@@ -122,8 +122,8 @@ def _primal(sided: bool, influence: Array, levers: Array, gap: Array, applied: A
     edge, apart, loaded, able = counted
     few = _exact if influence.ndim == 2 else partial(search_of_blocks, sided)
     search = _search if influence.ndim == 2 and len(apart) >= MANY else few
-    position, forces, closed, found = search(influence, levers, apart, applied, loaded)
-    good = found & able
+    position, forces, closed, done = search(influence, levers, apart, applied, loaded)
+    good = done & able
     numbers = (jnp.where(good, part, 0.0) for part in (edge + position, forces, closed.astype(forces.dtype)))
     return *numbers, good.astype(forces.dtype)
 
@@ -205,8 +205,8 @@ def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded:
             start = jnp.where(closed[lane].any(), closed[lane], loaded[lane])
             return carrying(influence, levers[lane], apart[lane], applied[lane], loaded[lane], start)
 
-        found = at.found & clear
-        return finished((at.place[:, None], at.forces.T, closed, found), found | ~loaded.any(axis=1), exact)
+        done = at.done & clear
+        return finished((at.place[:, None], at.forces.T, closed, done), done | ~loaded.any(axis=1), exact)
 
     return in_parts(part, LANES, levers, apart, applied, loaded)
 
@@ -222,7 +222,7 @@ def _many_linear(influence: Array, levers: Array, rest: Array, applied: Array, c
         def exact(lane: Array) -> tuple:
             return solved(influence, levers[lane], rest[lane], applied[lane], closed[lane])
 
-        return finished((at.place[:, None], at.forces.T), at.found, exact)
+        return finished((at.place[:, None], at.forces.T), at.done, exact)
 
     return in_parts(part, LANES, levers, rest, applied, closed)
 

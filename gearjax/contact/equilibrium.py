@@ -117,8 +117,8 @@ def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> 
             return _smooth(contacts, springs.stiffness, applied, law)
     edge, counted = _from_first_touch(contacts, applied)
     if alone:
-        position, forces, found = search(counted, applied, law)
-        return Equilibrium(edge[0] + position, forces, jnp.where(found, 0, 1))
+        position, forces, carries = search(counted, applied, law)
+        return Equilibrium(edge[0] + position, forces, jnp.where(carries, 0, 1))
     place, forces, result = supported(counted, applied, law)
     place = place.at[: contacts.free].add(edge)
     return Equilibrium(place[0], forces, result, place[1:])
@@ -170,10 +170,10 @@ def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], applied: Sc
     active = (_active_of_few if few else _active_of_many)(touch, lever, strength, applied) | first
     added = _added_one_by_one if few else jnp.sum
     weight = jnp.where(active, lever * strength, 0.0)
-    found = active.any()
-    travel = (applied + added(weight * touch)) / jnp.where(found, added(weight), 1.0)  # of the output from the origin
+    carries = active.any()
+    travel = (applied + added(weight * touch)) / jnp.where(carries, added(weight), 1.0)  # of the output from the origin
     forces = jnp.where(active, strength * (travel - touch), 0.0)
-    return Equilibrium(jnp.where(found, origin + travel, jnp.nan), forces, jnp.where(found, 0, 1))
+    return Equilibrium(jnp.where(carries, origin + travel, jnp.nan), forces, jnp.where(carries, 0, 1))
 
 
 def _active_of_few(touch: Array, lever: Array, strength: Array, applied: Scalar) -> Bool[Array, " contact"]:
@@ -282,8 +282,8 @@ def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[
         active = reaction >= applied if sign < 0 else reaction < applied
         pull = pull + jnp.where(active, stiffness * place, 0.0)
         total = total + jnp.where(active, stiffness, 0.0)
-    found = total > 0
-    return jnp.where(found, origin + (applied + pull) / jnp.where(found, total, 1.0), jnp.nan)
+    carries = total > 0
+    return jnp.where(carries, origin + (applied + pull) / jnp.where(carries, total, 1.0), jnp.nan)
 
 
 def _subsets(size: int) -> np.ndarray:
@@ -316,7 +316,7 @@ def _smooth(
     outer_weights = law.weights(inner)
     chosen = outer_weights[:, None] * inner_weights
     position = origin + law.maximum(inner) / scale
-    found = chosen[0, 0] < 0.5
+    carries = chosen[0, 0] < 0.5
     each = (stiffness * lever)[None, None, :] * ((root / scale)[:, :, None] - (touch - origin)[None, None, :])
     forces = (chosen[:, :, None] * members * each).sum(axis=(0, 1))
-    return Equilibrium(jnp.where(found, position, jnp.nan), forces, jnp.where(found, 0, 1))
+    return Equilibrium(jnp.where(carries, position, jnp.nan), forces, jnp.where(carries, 0, 1))

@@ -40,8 +40,8 @@ def least_overlap(contacts: ContactSet) -> Overlap:
     if contacts.free == 1:
         return _of_one_mesh(contacts)
     each = [(own, _of_one_mesh(contacts.alone(column, own))) for column, own in contacts.stages]
-    overlaps = jnp.stack([found.overlap for _, found in each])
-    deepest = jnp.stack([jnp.asarray(own)[found.contact] for own, found in each])
+    overlaps = jnp.stack([least.overlap for _, least in each])
+    deepest = jnp.stack([jnp.asarray(own)[least.contact] for own, least in each])
     worst = jnp.argmax(overlaps)
     return Overlap(overlaps[worst], deepest[worst], touching(contacts, HardContact(), 1)[0])
 

@@ -74,14 +74,14 @@ def in_parts(function: Callable, most: int, *given: Array) -> tuple:
     return jax.tree.map(lambda part: part.reshape(parts * each, *part.shape[2:])[:lanes], out)
 
 
-def finished(out: tuple, found: Bool[Array, " lane"], exact: Callable) -> tuple:
+def finished(out: tuple, done: Bool[Array, " lane"], exact: Callable) -> tuple:
     """What was found, and of the other lanes what another function of the lane tells, one after the other."""
 
     def one(state: tuple) -> tuple:
-        out, found = state
-        lane = jnp.argmin(found)
+        out, done = state
+        lane = jnp.argmin(done)
         values = exact(lane)
         out = tuple(part.at[lane].set(value) for part, value in zip(out, values, strict=True))
-        return out, found.at[lane].set(True)
+        return out, done.at[lane].set(True)
 
-    return jax.lax.while_loop(lambda state: ~state[1].all(), one, (out, found))[0]
+    return jax.lax.while_loop(lambda state: ~state[1].all(), one, (out, done))[0]

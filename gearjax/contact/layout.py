@@ -99,10 +99,10 @@ class Layout:
     @functools.cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
         """Contacts of each pair."""
-        found: list[tuple[int, ...]] = [()] * self.teeth
+        of_pair: list[tuple[int, ...]] = [()] * self.teeth
         for contact, pair in enumerate(self.pair):
-            found[pair] += (contact,)
-        return tuple(found)
+            of_pair[pair] += (contact,)
+        return tuple(of_pair)
 
     def on(self, side: int) -> Place:
         """The contacts of one side, 1 or -1, of contacts whose sides are known."""

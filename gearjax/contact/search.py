@@ -101,14 +101,14 @@ def search(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> tuple
     steepness = jnp.where(side, frozen.lever * frozen.lever * stiffness, 0.0).sum()
     safe = jnp.where(steepness > 0, steepness, 1.0)
     begin = jnp.where(steepness > 0, weight / safe, jnp.nan)
-    position, found = newton(lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(begin))
-    position = jnp.where(found, position, 0.0)
+    position, ended = newton(lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(begin))
+    position = jnp.where(ended, position, 0.0)
     for _ in range(last_steps(contacts, law)):
         excess, slope = sums(contacts, applied, position)
         # without a closed contact nothing is carried, and the first contact just touches
         position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)
-    return jnp.where(found, position, jnp.nan), jnp.where(found, forces, 0.0), found
+    return jnp.where(ended, position, jnp.nan), jnp.where(ended, forces, 0.0), ended
 
 
 def closed_side(
@@ -160,8 +160,8 @@ def hard_balance(
     begin = jax.lax.cond(
         slight.any(), lambda: jnp.where(slight, closed_side(lever, gap, applied), start), lambda: jnp.asarray(start)
     )
-    position, found = newton(move, jnp.where(steepness > 0, begin, jnp.nan), travel)
-    return jnp.where(found, position, jnp.nan)
+    position, ended = newton(move, jnp.where(steepness > 0, begin, jnp.nan), travel)
+    return jnp.where(ended, position, jnp.nan)
 
 
 @hard_balance.defjvp

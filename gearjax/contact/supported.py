@@ -146,10 +146,10 @@ def _excess(
 
 def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float[Array, "coordinate coordinate"]:
     """Slope of `_excess` along the coordinates."""
-    found = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
+    matrix = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
     if contacts.supports is None:
-        return found
-    return found.at[contacts.free :, contacts.free :].add(contacts.supports)
+        return matrix
+    return matrix.at[contacts.free :, contacts.free :].add(contacts.supports)
 
 
 def _solve(matrix: Array, right: Array, scale: Array) -> Array:

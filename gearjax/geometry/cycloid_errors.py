@@ -89,8 +89,8 @@ def coefficients(disc: Cycloid) -> dict[str, Scalar]:
 
 def sensitivity_indices(disc: Cycloid) -> dict[str, Scalar]:
     """Coefficients over that of the pin circle's radius (Hu et al. 2020, eq. 22) [-]."""
-    found = coefficients(disc)
-    return {name: value / found["pin_circle"] for name, value in found.items()}
+    by_error = coefficients(disc)
+    return {name: value / by_error["pin_circle"] for name, value in by_error.items()}
 
 
 def mean_and_tolerance(

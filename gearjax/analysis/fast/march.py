@@ -134,13 +134,13 @@ def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing
         carry: scaled position and its last change there, as by `begin`.
         spacing: of samples and steps.
     """
-    _, found = run_blocks(forcing, start, carry, spacing, nodes_of(forcing, start, spacing))
-    return _joined(found, jnp.zeros((), start.dtype))
+    _, measured = run_blocks(forcing, start, carry, spacing, nodes_of(forcing, start, spacing))
+    return _joined(measured, jnp.zeros((), start.dtype))
 
 
-def _joined(found: tuple, defect: Scalar) -> March:
+def _joined(measured: tuple, defect: Scalar) -> March:
     """The samples of a record from what was found at each and up to the next one."""
-    x, speeds, forces, highest, lowest = found
+    x, speeds, forces, highest, lowest = measured
     high, low = (jnp.concatenate([x[:1], part[:-1]]) for part in (highest, lowest))
     return March(x, speeds, forces, high, low, defect)
 
@@ -184,8 +184,8 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
         return ended, _measured(forcing.oscillator, step_forcing, rows.every, path, every)
 
     turned = jax.vmap(lambda time: forcing.turned(time)[1:])(origins)  # but the mean, which stays
-    ended, found = jax.lax.scan(block, carry, (nodes, turned, origins))
-    x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), found)
+    ended, measured = jax.lax.scan(block, carry, (nodes, turned, origins))
+    x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), measured)
     kept = slice(0, spacing.samples * pieces, pieces)
     highest, lowest = (part.reshape(-1, pieces)[: spacing.samples] for part in extremes)
     return ended, (x[kept], speeds[kept], forces[kept], top(highest), -top(-lowest))
@@ -221,14 +221,14 @@ def begin(
     both = jax.lax.map(slow_at, instants) if signals is Signals.BATCH else jax.vmap(slow_at)(instants)
     every = *both, jax.vmap(fast_at)(times)
     (gaps, *now), (_, *later) = (jax.tree.map(lambda leaf, i=i: leaf[i], every) for i in range(2))
-    found = jnp.asarray(True)
+    there = jnp.asarray(True)
     if state is None:
         _, fast = now
         stiffness = equation.layout.per_contact(fast.stiffness)
         state = equation.following(gaps, stiffness, fast.torque) * equation.per_step(oscillator.step)
-        found, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
+        there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     first, second = (oscillator.state(slow, fast, state[0]) for slow, fast in (now, later))
-    return (state[0], change_before(state[1], first, second.push - first.push)), found
+    return (state[0], change_before(state[1], first, second.push - first.push)), there
 
 
 def warm_start(forcing: Forcing, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
@@ -354,10 +354,10 @@ def march_windows(
         return own_start, *run_blocks(forcing, begun, own_start, own, here[warm.blocks :])
 
     numbers = jnp.arange(groups * lanes).reshape(groups, lanes)
-    begun, ended, found = jax.tree.map(
+    begun, ended, measured = jax.tree.map(
         lambda part: part.reshape(groups * lanes, *part.shape[2:]), jax.lax.map(jax.vmap(window), numbers)
     )
     apart, faster = (jnp.abs(end[:-1] - own[1:]).max() for end, own in zip(ended, begun, strict=True))
     defect = jnp.maximum(apart, faster / (forcing.oscillator.step * forcing.oscillator.equation.frequency))
-    found = (part.reshape(-1, *part.shape[2:])[: spacing.samples] for part in found)
-    return _joined(tuple(found), defect)
+    measured = (part.reshape(-1, *part.shape[2:])[: spacing.samples] for part in measured)
+    return _joined(tuple(measured), defect)

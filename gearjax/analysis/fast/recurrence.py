@@ -157,8 +157,8 @@ def _along(function: Callable, given: tuple, tangents: tuple) -> tuple[Any, list
     def at(parts: dict) -> Any:
         return function(*jax.tree.unflatten(tree, [parts.get(i, value) for i, value in enumerate(values)]))
 
-    found, along = jax.jvp(at, (start,), (moved,))
-    return found, [
+    outcome, along = jax.jvp(at, (start,), (moved,))
+    return outcome, [
         way if moves else None for way, moves in zip(jax.tree.leaves(along), depends(at, start), strict=True)
     ]
 

@@ -75,12 +75,12 @@ class Forcing(eqx.Module):
             columns: what changes, shape (column,); a list of numbers for signals of numbers apart.
         """
         apart = not isinstance(columns, jax.Array)
-        taken, found = 0, []
+        taken, leaves = 0, []
         for leaf, new in zip(jax.tree.leaves(self.held), self.changing, strict=True):
             part = columns[taken : taken + leaf.size] if new else _numbers(leaf.ravel()) if apart else leaf.ravel()
             taken += leaf.size if new else 0
-            found.append(part[0] if leaf.ndim == 0 else tuple(part) if apart else part)
-        return jax.tree.unflatten(jax.tree.structure(self.held), found)
+            leaves.append(part[0] if leaf.ndim == 0 else tuple(part) if apart else part)
+        return jax.tree.unflatten(jax.tree.structure(self.held), leaves)
 
     def turned(self, time: Scalar) -> Harmonics:
         """Stiffness harmonics counted from a time [s]."""
@@ -161,13 +161,13 @@ def at_nodes(
     def together_at(time: Scalar) -> Float[Array, " column"]:
         return jnp.hstack([nothing, *forcing.columns(forcing.oscillator.equation.instant(time))])
 
-    found = jax.vmap(jax.vmap(together_at))(times)
+    columns = jax.vmap(jax.vmap(together_at))(times)
     if together > 1:
         fine = (steps * np.arange(together)[:, None] + chebyshev.nodes(steps, number)[None, :]).ravel()
         weights = jnp.asarray(chebyshev.weights(together * steps, coarse, fine), start.dtype)
-        found = jax.vmap(_spread, in_axes=(None, 0))(weights, found)
-        found = found.reshape(pieces * together, number, found.shape[-1])[:blocks]
-    return found.swapaxes(1, 2)
+        columns = jax.vmap(_spread, in_axes=(None, 0))(weights, columns)
+        columns = columns.reshape(pieces * together, number, columns.shape[-1])[:blocks]
+    return columns.swapaxes(1, 2)
 
 
 class Rows(NamedTuple):

@@ -128,9 +128,9 @@ class StructureEquation(eqx.Module):
         """Contacts and load at a time [s]; rates where dampers count them or ``moving`` asks for them."""
 
         def contacts(time: Scalar) -> tuple[Array, Array, Array]:
-            found = self.scene.contacts(self.scene.system.input_speed * time, "varying")
-            assert found.linear is not None
-            return found.jacobian, found.gap, found.linear
+            candidates = self.scene.contacts(self.scene.system.input_speed * time, "varying")
+            assert candidates.linear is not None
+            return candidates.jacobian, candidates.gap, candidates.linear
 
         if self.coefficient is None and not moving:
             jacobian, gap, stiffness = contacts(time)
@@ -181,10 +181,10 @@ class StructureEquation(eqx.Module):
 
     def on_coordinates(self, now: Excitation, elastic: Array, damping: Array | None) -> Float[Array, " coordinate"]:
         """What forces of the contacts pull the coordinates back by, ``J^T f`` [N m, N]."""
-        found = now.jacobian.T @ elastic
+        pull = now.jacobian.T @ elastic
         if damping is None:
-            return found
-        return found + now.jacobian[self.layout.flanks[0]].T @ damping
+            return pull
+        return pull + now.jacobian[self.layout.flanks[0]].T @ damping
 
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
         """Forces on the coordinates that do not depend on them [N m, N]."""
@@ -227,10 +227,10 @@ class StructureEquation(eqx.Module):
             supports = self.structure.stiffness[free:, free:]
             pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
         contacts = ContactSet(jacobian, gap - jacobian @ pushed, springs, self.layout, supports, self.holds)
-        found = equilibrium(contacts, -torque, self.scene.contact)
-        assert found.moved is not None
-        place = jnp.concatenate([found.position[None], found.moved]) + pushed
-        return jnp.where(found.result == 0, place, jnp.nan), found.forces
+        rest = equilibrium(contacts, -torque, self.scene.contact)
+        assert rest.moved is not None
+        place = jnp.concatenate([rest.position[None], rest.moved]) + pushed
+        return jnp.where(rest.result == 0, place, jnp.nan), rest.forces
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2 coordinate"]:
         """Scaled positions and velocities to start from."""

@@ -195,7 +195,7 @@ class Lines(eqx.Module):
 
 def total(columns: Float[Array, "column ..."], numbers: Float[Array, "column ..."]) -> Float[Array, "..."]:
     """A product that fuses with what is around it, written out: a sum of vectors."""
-    found = columns[0] * numbers[0]
+    product = columns[0] * numbers[0]
     for column in range(1, len(columns)):
-        found = found + columns[column] * numbers[column]
-    return found
+        product = product + columns[column] * numbers[column]
+    return product

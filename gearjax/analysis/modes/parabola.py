@@ -59,9 +59,9 @@ def weights(matrix: Float[Array, "state state"], inputs: Float[Array, "state inp
     wide = jnp.zeros((states + 3 * number,) * 2, matrix.dtype)
     wide = wide.at[:states, :states].set(matrix).at[:states, states : states + number].set(inputs / size)
     wide = wide.at[states : states + 2 * number, states + number :].set(jnp.eye(2 * number, dtype=matrix.dtype))
-    found = exponential(wide)[:states]
-    one, two, three = (size * found[:, states + k * number : states + (k + 1) * number] for k in range(3))
-    return Weights(found[:, :states], 0.5 * two + three, one - 2 * three, three - 0.5 * two)
+    rows = exponential(wide)[:states]
+    one, two, three = (size * rows[:, states + k * number : states + (k + 1) * number] for k in range(3))
+    return Weights(rows[:, :states], 0.5 * two + three, one - 2 * three, three - 0.5 * two)
 
 
 def exponential(matrix: Float[Array, "state state"]) -> Float[Array, "state state"]:
@@ -72,14 +72,14 @@ def exponential(matrix: Float[Array, "state state"]) -> Float[Array, "state stat
     size = jax.lax.stop_gradient(jnp.abs(matrix).sum(axis=0).max())
     squarings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(size, SMALL) / SMALL)), 0, MOST_SQUARINGS)
     small, unit = matrix * 2.0**-squarings, jnp.eye(len(matrix), dtype=matrix.dtype)
-    found = unit
+    series = unit
     for term in range(TERMS, 0, -1):
-        found = unit + (small @ found) / term
+        series = unit + (small @ series) / term
 
-    def square(found: Array, number: Array) -> tuple[Array, None]:
-        return jax.lax.cond(number < squarings, lambda part: part @ part, lambda part: part, found), None
+    def square(power: Array, number: Array) -> tuple[Array, None]:
+        return jax.lax.cond(number < squarings, lambda part: part @ part, lambda part: part, power), None
 
-    return jax.lax.scan(square, found, jnp.arange(MOST_SQUARINGS).astype(size.dtype))[0]
+    return jax.lax.scan(square, series, jnp.arange(MOST_SQUARINGS).astype(size.dtype))[0]
 
 
 class Scaled(NamedTuple):

@@ -42,8 +42,8 @@ class Products(NamedTuple):
         """Those of a step; known inputs where they stand still."""
         number, sight = lines.seen.shape[0], lines.sights(scaled.place, scaled.speed)
 
-        def rows(expected: Array, found: Array) -> Array:
-            return jnp.concatenate([sight @ expected, sight @ found, found])
+        def rows(expected: Array, corrected: Array) -> Array:
+            return jnp.concatenate([sight @ expected, sight @ corrected, corrected])
 
         kept, after, now, before = part
         own = rows(now + 2 * after, now)[:, :number], rows(before - after, before)[:, :number]

@@ -114,12 +114,12 @@ def _advance(lines: Lines, products: Products, carry: tuple, now: Driving) -> tu
     else:
         coming = sum((part @ one for part, one in zip(products.known, (new, *known), strict=True)), coming)
     after = lines.inputs(now, coming[:sights])
-    found = coming[sights:] + products.after @ after
+    corrected = coming[sights:] + products.after @ after
     if _kinks(lines):
-        missed = lines.missed(now, overlap, found[:sights])
-        found = found + products.kink @ missed
-        overlap = lines.overlap(now, found[:sights])
-    whole = jnp.concatenate([found[sights:], after, whole[states : states + number]])
+        missed = lines.missed(now, overlap, corrected[:sights])
+        corrected = corrected + products.kink @ missed
+        overlap = lines.overlap(now, corrected[:sights])
+    whole = jnp.concatenate([corrected[sights:], after, whole[states : states + number]])
     return (whole, (new, known[0]), overlap), whole[: states + number]
 
 
@@ -183,15 +183,15 @@ class Path(NamedTuple):
     Args:
         whole: state and inputs that it began from, shape (step, state + 2 line).
         overlap: there, shape (step, contact) [m].
-        expected, found, ended: sights at its end: if inputs go on, without what is missed, and with it, shape (step,
-            sight).
+        expected, corrected, ended: sights at its end: if inputs go on, without what is missed, and with it, shape
+            (step, sight).
         inputs, missed: inputs at its end, and what a parabola missed, shape (step, line).
     """
 
     whole: Array
     overlap: Array
     expected: Array
-    found: Array
+    corrected: Array
     ended: Array
     inputs: Array
     missed: Array | None
@@ -208,13 +208,13 @@ class Linear(NamedTuple):
 
     def coming(self, rows: Driving, whole: Array) -> Array:
         """Sights and states without the inputs at the ends of the steps."""
-        found, products = whole @ self.products.free.T, self.products
+        coming, products = whole @ self.products.free.T, self.products
         if products.given is not None:
-            return found + products.given[None]
+            return coming + products.given[None]
         new = jax.vmap(self.lines.known)(rows)
         now = _before(self.lines.known(self.begun.now), new)
         parts = zip(products.known, (new, now, _before(self.begun.known, now)), strict=True)
-        return sum((one @ part.T for part, one in parts), found)
+        return sum((one @ part.T for part, one in parts), coming)
 
     def path(self, record: Array) -> Path:
         """What was known at each step, from states and inputs after it."""
@@ -223,11 +223,11 @@ class Linear(NamedTuple):
         now = _before(begun[: states + number], record)
         whole = jnp.concatenate([now, _before(begun[states + number :], now[:, states:])], axis=1)
         coming, inputs = self.coming(rows, whole), record[:, states:]
-        found = coming[:, sights : 2 * sights] + inputs @ self.products.after[:sights].T
+        corrected = coming[:, sights : 2 * sights] + inputs @ self.products.after[:sights].T
         ended = record[:, :states] @ self.products.sight.T
         overlap = _before(self.begun.overlap, jax.vmap(lines.overlap)(rows, ended))
-        missed = jax.vmap(lines.missed)(rows, overlap, found) if _kinks(lines) else None
-        return Path(whole, overlap, coming[:, :sights], found, ended, inputs, missed)
+        missed = jax.vmap(lines.missed)(rows, overlap, corrected) if _kinks(lines) else None
+        return Path(whole, overlap, coming[:, :sights], corrected, ended, inputs, missed)
 
     def pushes(self, path: Path) -> tuple[Array, Array, tuple[Array, Array] | None]:
         """What a step makes besides what it began from and looks at, which are held: sights and states; inputs; what is
@@ -241,7 +241,7 @@ class Linear(NamedTuple):
         whole = whole.at[:, 2 * sights :].add(path.missed @ products.kink[sights:].T)
         overlap = jax.vmap(lines.overlap)(rows, path.ended)
         overlap = overlap + path.missed @ products.kink[: overlap.shape[1]].T
-        return whole, inputs, (jax.vmap(lines.missed)(rows, path.overlap, path.found), overlap)
+        return whole, inputs, (jax.vmap(lines.missed)(rows, path.overlap, path.corrected), overlap)
 
     def slopes(self, path: Path) -> tuple[Array, tuple[Array, Array] | None]:
         """Of the inputs by the sights that they are taken at, shape (step, line, sight), and of what is missed by the
@@ -263,7 +263,7 @@ class Linear(NamedTuple):
             begun = _slope(lambda before: lines.missed(row, before, at), before, pair, seen)
             return begun, _slope(lambda at: lines.missed(row, before, at), at, pair, heard)
 
-        return of_inputs, jax.vmap(of_missed)(rows, path.overlap, path.found)
+        return of_inputs, jax.vmap(of_missed)(rows, path.overlap, path.corrected)
 
     def moved(self, slopes: tuple, driven: tuple, start: tuple[Array, Array]) -> Array:
         """How states and inputs after each step move, from how the beginning does."""
@@ -274,13 +274,13 @@ class Linear(NamedTuple):
             whole, overlap = carry
             coming = _product(products.free, whole) + push
             after = _product(of_inputs, coming[:sights]) + push_inputs
-            found = coming[sights:] + _product(products.after, after)
+            corrected = coming[sights:] + _product(products.after, after)
             if of_missed is not None:
                 begun, ended = of_missed
-                missed = _product(begun, overlap) + _product(ended, found[:sights]) + push_missed[0]
-                found = found + _product(products.kink, missed)
-                overlap = found[: len(overlap)] + push_missed[1]
-            whole = jnp.concatenate([found[sights:], after, whole[states : states + number]])
+                missed = _product(begun, overlap) + _product(ended, corrected[:sights]) + push_missed[0]
+                corrected = corrected + _product(products.kink, missed)
+                overlap = corrected[: len(overlap)] + push_missed[1]
+            whole = jnp.concatenate([corrected[sights:], after, whole[states : states + number]])
             return (whole, overlap), whole[: states + number]
 
         return jax.lax.scan(step, start, (slopes, driven), unroll=UNROLL)[1]
