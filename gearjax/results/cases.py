@@ -99,11 +99,11 @@ def required_run(scene: Scene) -> Run:
 def remarks(scene: Scene) -> list[str]:
     """What a reader of the metrics should know about the record that the run section asks for."""
     run, speed = required_run(scene), float(scene.system.input_speed)
-    found = []
+    lines = []
     words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
     if words is not None:
-        found.append(f"{words}: raise run.samples")
-    return found
+        lines.append(f"{words}: raise run.samples")
+    return lines
 
 
 def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
@@ -112,9 +112,9 @@ def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
     if not scene.has_back:
         return None
     for case in cases:
-        found = None if isinstance(case.result, Motion) else case.result.interference
-        if found is not None:
-            return found
+        clash = None if isinstance(case.result, Motion) else case.result.interference
+        if clash is not None:
+            return clash
     return interference(scene, scene.system.input_speed * jnp.asarray(required_run(scene).times))
 
 

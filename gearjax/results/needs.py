@@ -108,37 +108,37 @@ def affordable(section: ToleranceSection, devices: int, folder: Path | None) -> 
     Raises:
         ParameterError: there is too little memory or disk, with what would fit.
     """
-    found, available = needs(section, devices), free_memory()
-    total = sum(found.memory.values())
+    needed, available = needs(section, devices), free_memory()
+    total = sum(needed.memory.values())
     if available is not None and total > available:
-        key = max((key for key in found.memory if key), key=found.memory.__getitem__)
-        share = (available - (total - found.memory[key])) / found.memory[key]
+        key = max((key for key in needed.memory if key), key=needed.memory.__getitem__)
+        share = (available - (total - needed.memory[key])) / needed.memory[key]
         words = f"needs about {size_words(total)} of memory, {size_words(available)} are free"
         raise ParameterError(key, _given(section, key), f"{words}; {_fitting(_given(section, key), share, key)}")
     if folder is not None:
-        _check_disk(section, found, folder)
-    return found
+        _check_disk(section, needed, folder)
+    return needed
 
 
-def _check_disk(section: ToleranceSection, found: Needs, folder: Path) -> None:
+def _check_disk(section: ToleranceSection, needed: Needs, folder: Path) -> None:
     level = next(level for level in (folder, *folder.absolute().parents) if level.exists())
     marks = folder / NAME / "done" / "c"
     chunks = math.ceil(section.samples / min(section.chunk, section.samples))
     left = max(0.0, 1 - (len(os.listdir(marks)) if marks.is_dir() else 0) / chunks)
     free = shutil.disk_usage(level).free
-    if found.disk * left > free:
-        share = free / (found.disk * left)
+    if needed.disk * left > free:
+        share = free / (needed.disk * left)
         words = (
-            f"its samples take {size_words(found.disk * left)} on disk, {size_words(free)} are free in {place(level)}"
+            f"its samples take {size_words(needed.disk * left)} on disk, {size_words(free)} are free in {place(level)}"
         )
         fits = _fitting(section.samples, share, "tolerance.samples")
         raise ParameterError("tolerance.samples", section.samples, f"{words}; {fits}, or leave --out out with --json")
     if not hasattr(os, "statvfs"):
         return
     disk = os.statvfs(level)
-    if disk.f_files and found.files * left > disk.f_favail:  # 0 where there are as many as one likes
-        least = math.ceil(section.chunk * found.files * left / max(disk.f_favail, 1))
-        words = f"its samples take {found.files} files, {disk.f_favail} more can be made in {place(level)}"
+    if disk.f_files and needed.files * left > disk.f_favail:  # 0 where there are as many as one likes
+        least = math.ceil(section.chunk * needed.files * left / max(disk.f_favail, 1))
+        words = f"its samples take {needed.files} files, {disk.f_favail} more can be made in {place(level)}"
         raise ParameterError("tolerance.chunk", section.chunk, f"{words}; raise it to {least} or more")
 
 
@@ -161,24 +161,24 @@ def _fitting(given: int, share: float, key: str) -> str:
 
 def _contacts(scene: Scene) -> int:
     """Candidate contacts of a gear set, both flanks."""
-    found = jax.eval_shape(scene.contacts, jax.ShapeDtypeStruct((), scene.dtype))
-    return found.gap.shape[0]
+    contacts = jax.eval_shape(scene.contacts, jax.ShapeDtypeStruct((), scene.dtype))
+    return contacts.gap.shape[0]
 
 
 def _kinds(section: ToleranceSection) -> set[str]:
     """How the curves of the measures come, as `gearjax.tolerance.measures` chooses."""
     scene, paths = section.tolerances.scene, section.tolerances.paths
-    found = {"dynamic"} if any(measure.analysis == "dynamic" for measure in section.measures) else set()
+    kinds = {"dynamic"} if any(measure.analysis == "dynamic" for measure in section.measures) else set()
     still = [measure for measure in section.measures if measure.analysis != "dynamic"]
     if not still:
-        return found
+        return kinds
     varies = any(path.startswith("system.") for path in paths)
     if not isinstance(scene.contact, HardContact) or varies:
-        return found | {"other"}
+        return kinds | {"other"}
     linear = all(m.analysis != "static" for m in still) or scene.springs_apart
     if not scene.layout.sides_turn:
-        return found | {"quick" if linear and not scene.is_train else "other"}
-    return found | {"balances" if linear and _places(section) is not None else "other"}
+        return kinds | {"quick" if linear and not scene.is_train else "other"}
+    return kinds | {"balances" if linear and _places(section) is not None else "other"}
 
 
 def _places(section: ToleranceSection) -> int | None:

@@ -58,7 +58,7 @@ class Optimisation:
     def as_json(self) -> dict:
         """The object that ``gearjax optimise --json`` prints."""
         gradient = self.gradient
-        found = {
+        entries = {
             "objective": self.section.objective.name,
             "window_s": self.section.window,
             "objective_before_arcmin": self.before / arcmin,
@@ -79,7 +79,7 @@ class Optimisation:
             "sensitivity": self._sensitivity(),
         }
         if self.grid is not None:
-            found["grid"] = {
+            entries["grid"] = {
                 **self._point(self.grid.objective, self.grid.best),
                 "combinations": self.grid.combinations,
                 "evaluated": self.grid.evaluated,
@@ -87,14 +87,14 @@ class Optimisation:
                 "compile_seconds": self.grid.compile_seconds,
                 "metrics": _metrics(self.cases["grid"]),
             }
-        return found
+        return entries
 
     def _point(self, objective: float, point: np.ndarray) -> dict:
         periodic = {path: parameter.periodic for path, parameter in self.parameters.items()}
         shown = {
             path: float(f"{self.shown(path, float(value)):.12g}") for path, value in zip(periodic, point, strict=True)
         }
-        found: dict = {
+        entry: dict = {
             "objective_arcmin": objective / arcmin,
             "phases_deg": {path: value for path, value in shown.items() if periodic[path]},
         }
@@ -103,7 +103,7 @@ class Optimisation:
             for path, value in shown.items()
             if not periodic[path]
         }
-        return found | ({"values": others} if others else {})
+        return entry | ({"values": others} if others else {})
 
     def _sensitivity(self) -> dict:
         around = self.sensitivity
@@ -136,10 +136,10 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
     if section.grid_step:
         grid = grid_search(section.objective, scene, step=section.grid_step, **asked)
         progress(f"grid: {grid.seconds:.2f} s, compiled in {grid.compile_seconds:.1f} s")
-    found = minimise(section.objective, scene, starts=section.starts, key=jax.random.key(section.seed), **asked)
-    progress(f"gradients: {found.seconds:.2f} s, compiled in {found.compile_seconds:.1f} s")
+    gradient = minimise(section.objective, scene, starts=section.starts, key=jax.random.key(section.seed), **asked)
+    progress(f"gradients: {gradient.seconds:.2f} s, compiled in {gradient.compile_seconds:.1f} s")
     free = pick(scene, section.where, section.bounds)
-    best = grid.best if grid is not None and grid.objective < found.objective else found.best
+    best = grid.best if grid is not None and grid.objective < gradient.objective else gradient.best
     points = {"after": best} if grid is None else {"grid": grid.best, "after": best}
     moved = {stage: free.set(scene, jnp.asarray(point, scene.dtype)) for stage, point in points.items()}
     around = local_sensitivity(section.objective, scene, where=section.where, at=best, bounds=section.bounds)
@@ -151,34 +151,34 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
             cases[stage].append(case)
     point = np.asarray(free.get(scene), dtype=float)
     before = float(values(section.objective, scene, free)(point[None])[0])
-    return Optimisation(section, scene, before, grid, found, best, around, cases)
+    return Optimisation(section, scene, before, grid, gradient, best, around, cases)
 
 
-def save_optimisation(found: Optimisation, config: str, folder: Path) -> list[Path]:
+def save_optimisation(optimisation: Optimisation, config: str, folder: Path) -> list[Path]:
     """Write ``starts.csv`` (every start's end), ``metrics.csv`` (before, grid, after), and ``optimised.toml``.
 
     Args:
-        found: the optimisation.
+        optimisation: the optimisation.
         config: text of the configuration that it started from.
         folder: where to.
 
     Raises:
         GearjaxError: the folder cannot be written.
     """
-    search = found.gradient
-    parameters = found.parameters
+    search = optimisation.gradient
+    parameters = optimisation.parameters
     header = [f"{path} [{p.dimension.shown if p.dimension else '-'}]" for path, p in parameters.items()]
     lines = [",".join(["start", *header, "objective [arcmin]", "valley", "result"])]
     for index, end in enumerate(search.ends):
-        shown = [f"{found.shown(path, value):.9g}" for path, value in zip(parameters, end, strict=True)]
+        shown = [f"{optimisation.shown(path, value):.9g}" for path, value in zip(parameters, end, strict=True)]
         last = [f"{search.objectives[index] / arcmin:.9g}", str(search.valley[index]), str(search.result[index])]
         lines.append(",".join([str(index), *shown, *last]))
     rows = [",".join(["stage", "analysis", "torque [N m]", "window [s]", *(f"{name} [arcmin]" for name in METRICS)])]
-    for stage, cases in found.cases.items():
+    for stage, cases in optimisation.cases.items():
         for case in cases:
             numbers = [f"{case.metrics[name] / arcmin:.9g}" for name in METRICS]
             rows.append(",".join([stage, case.analysis, f"{case.torque:g}", f"{case.window:g}", *numbers]))
-    best = dict(zip(search.paths, found.best.tolist(), strict=True))
+    best = dict(zip(search.paths, optimisation.best.tolist(), strict=True))
     texts = {
         "starts.csv": "\n".join(lines) + "\n",
         "metrics.csv": "\n".join(rows) + "\n",

@@ -50,8 +50,8 @@ def order_lines(scene: Scene, case: Case) -> OrderLines | None:
         record = case.record[counted], run.times[counted] * speed
         if len(record[0]) < FEWEST_SAMPLES:
             return None
-    found = order_spectrum(*record, turn=turn, window="none" if whole else "hann")
-    return OrderLines(np.asarray(found.order), np.asarray(found.amplitude), whole)
+    spectrum = order_spectrum(*record, turn=turn, window="none" if whole else "hann")
+    return OrderLines(np.asarray(spectrum.order), np.asarray(spectrum.amplitude), whole)
 
 
 def _whole_cycles(scene: Scene, case: Case) -> tuple[np.ndarray, np.ndarray] | None:

@@ -84,22 +84,22 @@ class Store:
     @property
     def remarks(self) -> list[str]:
         """What of the stored samples was damaged, in words."""
-        found = [f"{self.path}: its metadata were damaged and are written again"] if self.healed else []
+        lines = [f"{self.path}: its metadata were damaged and are written again"] if self.healed else []
         if len(self.damaged):
             chunks = self.work.chunks
             samples = sum(chunks[index][1] - chunks[index][0] for index in self.damaged)
-            found.append(
+            lines.append(
                 f"{self.path}: {len(self.damaged)} of {len(chunks)} chunks are damaged or missing: "
                 f"{samples} samples are worked out again"
             )
-        return found
+        return lines
 
-    def put(self, chunk: tuple[int, int], found: Evaluated) -> None:
+    def put(self, chunk: tuple[int, int], evaluated: Evaluated) -> None:
         """Write a chunk; a chunk that is there already stays as it is."""
         index = chunk[0] // self.work.chunk
         if self.done[index]:
             return
-        values, codes = found
+        values, codes = evaluated
         filled = np.full((self.work.chunk, len(self.work.names)), np.nan)
         filled[: len(values)] = values
         told = np.full(self.work.chunk, -1)
@@ -124,8 +124,8 @@ class Store:
             if columns is None:
                 words = f"samples {begin} to {end - 1} were damaged during this run: start it again"
                 raise GearjaxError(f"{place(self.path)}: {words}")
-            for column, found in enumerate(columns[:-1]):
-                values[begin:end, column] = found[: end - begin]
+            for column, stored in enumerate(columns[:-1]):
+                values[begin:end, column] = stored[: end - begin]
             codes[begin:end] = columns[-1][: end - begin]
         return values, codes
 
@@ -141,10 +141,10 @@ class Store:
 
     def _mark(self, index: int, contents: list[bytes]) -> bytes:
         """What tells that these are the files of this chunk of this study."""
-        found = hashlib.blake2b(f"{self._study}\0{index}\0".encode(), digest_size=_MARK_BYTES)
+        mark = hashlib.blake2b(f"{self._study}\0{index}\0".encode(), digest_size=_MARK_BYTES)
         for content in contents:
-            found.update(content)
-        return found.digest()
+            mark.update(content)
+        return mark.digest()
 
     def _marked(self, index: int) -> bool:
         """Whether the chunk was there once, as far as its mark tells."""
@@ -167,9 +167,9 @@ class Store:
         import zarr
         from zarr.storage import MemoryStore
 
-        found: dict[str, Any] = {}
+        files: dict[str, Any] = {}
         attributes: dict[str, Any] = {"config": config, "definition": self._study}
-        group = zarr.create_group(MemoryStore(store_dict=found), attributes=attributes)
+        group = zarr.create_group(MemoryStore(store_dict=files), attributes=attributes)
         plain: dict[str, Any] = {"compressors": None, "filters": None}
         sample: dict[str, Any] = {
             "shape": (self.work.number,),
@@ -184,7 +184,7 @@ class Store:
         chunk: dict[str, Any] = {"shape": (len(self.work.chunks),), "chunks": (1,), "dimension_names": ("chunk",)}
         about = {"long_name": "hash of the study, of the chunk's index and of its files; 0 not yet done"}
         group.create_array(_MARKS, dtype="<u8", fill_value=0, attributes=about, **chunk, **plain)
-        return {name: content.to_bytes() for name, content in found.items()}
+        return {name: content.to_bytes() for name, content in files.items()}
 
     def _create(self, about: dict[str, bytes]) -> None:
         import shutil
@@ -262,10 +262,10 @@ def held(folder: Path) -> Iterator[None]:
 def _object(path: Path) -> dict[str, Any] | None:
     """The JSON object in a file; ``None`` where there is none."""
     try:
-        found = json.loads(path.read_bytes())
+        parsed = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return parsed if isinstance(parsed, dict) else None
 
 
 def _definition(path: Path) -> dict[str, Any]:
@@ -273,10 +273,10 @@ def _definition(path: Path) -> dict[str, Any]:
     attributes = (_object(path / _ABOUT) or {}).get("attributes")
     text = attributes.get("definition") if isinstance(attributes, dict) else None
     try:
-        found = json.loads(text) if isinstance(text, str) else {}
+        definition = json.loads(text) if isinstance(text, str) else {}
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return definition if isinstance(definition, dict) else {}
 
 
 def _shown(table: dict[str, Any], key: str) -> str:

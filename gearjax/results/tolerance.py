@@ -65,7 +65,7 @@ class ToleranceResults:
     def as_json(self) -> dict[str, Any]:
         """The object that ``gearjax tolerance --json`` prints."""
         study, section = self.study, self.section
-        found: dict[str, Any] = {
+        entries: dict[str, Any] = {
             "samples": study.samples,
             "failed": len(study.failed),
             "failures": {"by_reason": study.faults, "first": study.failed[:LISTED].tolist()},
@@ -81,27 +81,27 @@ class ToleranceResults:
             "computed": self.computed,
         }
         if self.clashes is not None and self.clashes.interfering:
-            found["interference"] = self.clashes.as_json()
+            entries["interference"] = self.clashes.as_json()
         if self.problems:
-            found["problems"] = list(self.problems)
+            entries["problems"] = list(self.problems)
         if self.missed:
-            found["missed_between_samples_arcmin"] = {n: _finite(value / arcmin) for n, value in self.missed.items()}
+            entries["missed_between_samples_arcmin"] = {n: _finite(value / arcmin) for n, value in self.missed.items()}
         if self.tightened:
-            found["halved_tolerance_yield"] = {
+            entries["halved_tolerance_yield"] = {
                 name: {path: {"before": list(pair[0]), "after": list(pair[1])} for path, pair in rows.items()}
                 for name, rows in self.tightened.items()
             }
         if self.allocation is not None:
-            found["allocation"] = _allocation(self.allocation)
+            entries["allocation"] = _allocation(self.allocation)
         if self.assembly is not None:
-            found["assembly"] = _assembly(self.assembly)
-        return found
+            entries["assembly"] = _assembly(self.assembly)
+        return entries
 
     def _measure(self, name: str) -> dict[str, Any]:
         study = self.study
         measure = next(m for m in study.measures if m.name == name)
         levels = {f"{level:g}": [_finite(x / arcmin) for x in study.quantile(name, level)] for level in QUANTILES}
-        found: dict[str, Any] = {
+        entry: dict[str, Any] = {
             "unit": "arcmin",
             "mean": _finite(study.mean(name) / arcmin),
             "std": _finite(study.std(name) / arcmin),
@@ -110,52 +110,52 @@ class ToleranceResults:
         }
         for word, limit in (("limit", measure.limit), ("at_least", measure.at_least)):
             if limit is not None:
-                found[word] = float(f"{limit / arcmin:.12g}")
+                entry[word] = float(f"{limit / arcmin:.12g}")
         if measure.is_limited:
-            found["yield"] = list(study.share_within(name))
-        return found
+            entry["yield"] = list(study.share_within(name))
+        return entry
 
-    def _sensitivity(self, found: Sensitivities) -> dict[str, Any]:
+    def _sensitivity(self, shares: Sensitivities) -> dict[str, Any]:
         columns = ("linear", "first", "first_error", "total", "total_error", "one_at_a_time")
         rows = {
-            path: {column: _finite(float(getattr(found, column)[i])) for column in columns}
-            for i, path in enumerate(found.paths)
+            path: {column: _finite(float(getattr(shares, column)[i])) for column in columns}
+            for i, path in enumerate(shares.paths)
         }
-        about = {"samples": found.samples, "failed": found.failed, "correlations_left_out": found.correlated}
-        return {"numbers": rows, **about, "linear_fails": found.linear_fails or None}
+        about = {"samples": shares.samples, "failed": shares.failed, "correlations_left_out": shares.correlated}
+        return {"numbers": rows, **about, "linear_fails": shares.linear_fails or None}
 
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _allocation(found: AllocatedTolerances) -> dict[str, Any]:
+def _allocation(allocation: AllocatedTolerances) -> dict[str, Any]:
     return {
-        "measure": found.measure,
-        "required": found.required,
-        "met": found.met,
-        "factors": dict(zip(found.paths, found.factors.tolist(), strict=True)),
-        "cost": float(found.cost),
-        "cost_before": float(found.cost_before),
-        "yield_before": list(found.before),
-        "yield": list(found.after),
+        "measure": allocation.measure,
+        "required": allocation.required,
+        "met": allocation.met,
+        "factors": dict(zip(allocation.paths, allocation.factors.tolist(), strict=True)),
+        "cost": float(allocation.cost),
+        "cost_before": float(allocation.cost_before),
+        "yield_before": list(allocation.before),
+        "yield": list(allocation.after),
     }
 
 
-def _assembly(found: MatchedAssembly) -> dict[str, Any]:
-    entry: dict[str, Any] = {"measure": found.measure.name, "units": len(found.random), "failed": found.failed}
-    entry["where"] = list(found.where)
+def _assembly(assembly: MatchedAssembly) -> dict[str, Any]:
+    entry: dict[str, Any] = {"measure": assembly.measure.name, "units": len(assembly.random), "failed": assembly.failed}
+    entry["where"] = list(assembly.where)
     for place, name in enumerate(("random", "matched")):
-        values = (found.random, found.matched)[place]
+        values = (assembly.random, assembly.matched)[place]
         entry[name] = {
             "mean": _finite(float(np.nanmean(values)) / arcmin),
             "std": _finite(float(np.nanstd(values)) / arcmin),
             "quantiles": {
-                f"{level:g}": [_finite(x / arcmin) for x in found.quantiles(level)[place]] for level in QUANTILES
+                f"{level:g}": [_finite(x / arcmin) for x in assembly.quantiles(level)[place]] for level in QUANTILES
             },
         }
-        if found.measure.is_limited:
-            entry[name]["yield"] = list(found.shares()[place])
+        if assembly.measure.is_limited:
+            entry[name]["yield"] = list(assembly.shares()[place])
     return entry
 
 
@@ -208,9 +208,11 @@ def finished(
     bought, matched = tried(_allocated, None), tried(_matched, None)
     missed = _missed(section, work) if section.extremes == "samples" else {}
     number = min(CHECKED, section.samples)
-    found = clashes(_in_precision(section)[0], work.inputs(0, number))
+    interference = clashes(_in_precision(section)[0], work.inputs(0, number))
     told = tuple(problems)
-    return ToleranceResults(section, study, missed, shares, narrowed, bought, matched, seconds, computed, told, found)
+    return ToleranceResults(
+        section, study, missed, shares, narrowed, bought, matched, seconds, computed, told, interference
+    )
 
 
 def _sensitivities(section: ToleranceSection, progress: Progress) -> tuple[list[Sensitivities], dict]:
@@ -219,12 +221,12 @@ def _sensitivities(section: ToleranceSection, progress: Progress) -> tuple[list[
         return [], {}
     tolerances, options = _in_precision(section)
     progress("sensitivities: by derivatives, Sobol indices, one at a time")
-    found = sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
+    shares = sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
     if not any(measure.is_limited for measure in measures):
-        return found, {}
+        return shares, {}
     progress("each tolerance halved")
     number = min(TIGHTENED_SAMPLES, section.samples)
-    return found, tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
+    return shares, tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
 
 
 def _allocated(section: ToleranceSection, progress: Progress) -> AllocatedTolerances | None:
@@ -275,7 +277,7 @@ def shifts(section: ToleranceSection) -> list[PrecisionShift]:
     return precision_shifts(section.tolerances, section.measures, n=number, key=section.seed, **options)
 
 
-def shifts_as_json(found: list[PrecisionShift]) -> list[dict[str, Any]]:
+def shifts_as_json(shifted: list[PrecisionShift]) -> list[dict[str, Any]]:
     """The entry of ``gearjax tradeoff --json`` for a tolerance study."""
     return [
         {
@@ -285,7 +287,7 @@ def shifts_as_json(found: list[PrecisionShift]) -> list[dict[str, Any]]:
             "float32_arcmin": shift.single / arcmin,
             "relative_shift": shift.relative,
         }
-        for shift in found
+        for shift in shifted
     ]
 
 
@@ -308,7 +310,7 @@ def _missed(section: ToleranceSection, work: Work) -> dict[str, float]:
     return dict(zip(closer.names, np.nanmean(exact - known, axis=0).tolist(), strict=True))
 
 
-def save_tolerance(found: ToleranceResults, work: Work, config: str, folder: Path) -> list[Path]:
+def save_tolerance(results: ToleranceResults, work: Work, config: str, folder: Path) -> list[Path]:
     """Write ``tolerance.json``, and the worst sample of each measure as ``worst_MEASURE.toml``.
 
     Raises:
@@ -316,10 +318,10 @@ def save_tolerance(found: ToleranceResults, work: Work, config: str, folder: Pat
     """
     import json
 
-    texts = {"tolerance.json": json.dumps(found.as_json(), allow_nan=False, indent=1) + "\n"}
-    parameters = numbers(found.section.tolerances.scene)
-    for name in found.study.names:
-        index = found.study.worst(name)
+    texts = {"tolerance.json": json.dumps(results.as_json(), allow_nan=False, indent=1) + "\n"}
+    parameters = numbers(results.section.tolerances.scene)
+    for name in results.study.names:
+        index = results.study.worst(name)
         if index >= 0:
             row = work.inputs(index, index + 1)[0].tolist()
             values = dict(zip(work.sample.paths, row, strict=True))

@@ -7,12 +7,12 @@ from gearjax.studies.tradeoff import Measured, Tradeoff
 from gearjax.units import arcmin
 
 
-def as_json(config: str, found: Tradeoff) -> dict:
+def as_json(config: str, tradeoff: Tradeoff) -> dict:
     """The object that ``gearjax tradeoff --json`` prints."""
     return {
         "config": config,
-        "error_arcmin": found.error / arcmin,
-        "truth": {"metrics": _metrics(found.truth), "seconds": found.truth_seconds},
+        "error_arcmin": tradeoff.error / arcmin,
+        "truth": {"metrics": _metrics(tradeoff.truth), "seconds": tradeoff.truth_seconds},
         "settings": [
             {
                 "group": row.group,
@@ -23,7 +23,7 @@ def as_json(config: str, found: Tradeoff) -> dict:
                 "compile_seconds": row.compile_seconds,
                 "metrics": _metrics(row.metrics),
             }
-            for row in found.rows
+            for row in tradeoff.rows
         ],
         "static_choices": [
             {
@@ -33,9 +33,9 @@ def as_json(config: str, found: Tradeoff) -> dict:
                 "seconds": choice.seconds,
                 "compile_seconds": choice.compile_seconds,
             }
-            for choice in found.statics
+            for choice in tradeoff.statics
         ],
-        "recommended": None if found.best is None else f"{found.best.group}: {found.best.name}",
+        "recommended": None if tradeoff.best is None else f"{tradeoff.best.group}: {tradeoff.best.name}",
     }
 
 
@@ -46,14 +46,14 @@ def _metrics(metrics: dict[float, dict[str, float]]) -> list[dict]:
     ]
 
 
-def save_tradeoff(found: Tradeoff, folder: Path) -> list[Path]:
+def save_tradeoff(tradeoff: Tradeoff, folder: Path) -> list[Path]:
     """Write ``tradeoff.csv``.
 
     Raises:
         GearjaxError: the folder cannot be written.
     """
     lines = ["group,setting,error [arcmin],run [s],gradient [s],compile [s]"]
-    lines += [f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))}" for row in found.rows]
+    lines += [f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))}" for row in tradeoff.rows]
     return [write_file(folder / "tradeoff.csv", "\n".join(lines) + "\n")]
 
 

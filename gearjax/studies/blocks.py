@@ -17,10 +17,10 @@ def in_blocks(evaluate: Callable[..., Any], size: int, *arrays: np.ndarray, done
         done: told how many rows are finished after each block.
     """
     number = len(arrays[0])
-    found = []
+    results = []
     for begin in range(0, number, size):
         rows = np.minimum(np.arange(begin, begin + size), number - 1)
-        found.append(jax.tree.map(np.asarray, evaluate(*(array[rows] for array in arrays))))
+        results.append(jax.tree.map(np.asarray, evaluate(*(array[rows] for array in arrays))))
         if done is not None:
             done(min(begin + size, number))
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *found)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)

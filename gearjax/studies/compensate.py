@@ -165,11 +165,11 @@ def compensate(
         >>> import gearjax as gj, jax.numpy as jnp
         >>> scene = gj.load("configs/rv_cycloidal/hu_2020.toml")
         >>> names = ["system.isometric_modification", "system.shifting_modification"]
-        >>> found = gj.compensate(
+        >>> compensation = gj.compensate(
         ...     scene, jnp.linspace(0.0, 6.2, 40), 784.0, names, bounds=dict.fromkeys(names, (-60e-6, 20e-6)),
         ...     minimum_backlash=0.1 * gj.units.arcmin, require_positive=[lambda s: s.system.tip_clearance - 10e-6],
         ... )
-        >>> found.holds, found.lag_reduction > 0.1
+        >>> compensation.holds, compensation.lag_reduction > 0.1
         (True, True)
     """
     if objective not in OBJECTIVES:
@@ -195,11 +195,11 @@ def compensate(
         if short <= 0:
             break
         margin, begins = margin + 1.05 * short, [values]
-    found = free.set(scene, jnp.asarray(values, scene.dtype))
-    complaints = limits.complaints(found, after)
+    design = free.set(scene, jnp.asarray(values, scene.dtype))
+    complaints = limits.complaints(design, after)
     named = dict(zip(free.paths, (float(v) for v in values), strict=True))
     interferes = before.clash(scene) is not None
-    return Compensation(found, named, before, after, not complaints, complaints, interferes)
+    return Compensation(design, named, before, after, not complaints, complaints, interferes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,43 +216,45 @@ class _Limits:
 
         The samples keep a margin from the minimum backlash [rad].
         """
-        found = [-top(-backlash) - self.minimum_backlash - margin, radial - RADIAL]
+        slacks = [-top(-backlash) - self.minimum_backlash - margin, radial - RADIAL]
         if self.maximum_backlash is not None:
-            found.append(self.maximum_backlash - backlash.mean(axis=1))
+            slacks.append(self.maximum_backlash - backlash.mean(axis=1))
         if self.maximum_pressure is not None and pressure is not None:
-            found.append(1e-3 * (1 - pressure / self.maximum_pressure))
-        found += [jnp.asarray(requirement(scene), backlash.dtype)[None] for requirement in self.positive]
-        return jnp.concatenate(found)
+            slacks.append(1e-3 * (1 - pressure / self.maximum_pressure))
+        slacks += [jnp.asarray(requirement(scene), backlash.dtype)[None] for requirement in self.positive]
+        return jnp.concatenate(slacks)
 
     def complaints(self, scene: Scene, judged: Judged) -> tuple[str, ...]:
         """What does not hold."""
-        found = []
+        complaints = []
         sets = len(judged.mean_lag)
         short = judged.minimum_backlash < self.minimum_backlash
         if bool(short.any()):
             low = float(judged.minimum_backlash.min())
-            found.append(
+            complaints.append(
                 f"backlash below {self.minimum_backlash:g} rad under {int(short.sum())} of {sets} sets: {low:g}"
             )
         if self.maximum_backlash is not None and bool(
             (judged.mean_backlash > self.maximum_backlash * (1 + 1e-6)).any()
         ):
-            found.append(f"mean backlash above {self.maximum_backlash:g} rad: {float(judged.mean_backlash.max()):g}")
+            complaints.append(
+                f"mean backlash above {self.maximum_backlash:g} rad: {float(judged.mean_backlash.max()):g}"
+            )
         if self.maximum_pressure is not None and judged.largest_pressure is not None:
             high = float(judged.largest_pressure.max())
             if high > self.maximum_pressure * (1 + 1e-6):
-                found.append(f"pressure above {self.maximum_pressure:g} Pa: {high:g}")
+                complaints.append(f"pressure above {self.maximum_pressure:g} Pa: {high:g}")
         clash = judged.clash(scene)
         if clash is not None:
-            found.append(clash)
+            complaints.append(clash)
         low = float(judged.radial_clearance.min())
         if low < 0:
-            found.append(f"tips or roots touch: radial clearance {low:g} m")
+            complaints.append(f"tips or roots touch: radial clearance {low:g} m")
         for index, requirement in enumerate(self.positive):
             value = float(requirement(scene))
             if value < -1e-12:
-                found.append(f"require_positive[{index}]: {value:g}")
-        return tuple(found)
+                complaints.append(f"require_positive[{index}]: {value:g}")
+        return tuple(complaints)
 
 
 class _Task(eqx.Module):
@@ -307,8 +309,8 @@ class _Task(eqx.Module):
         def both(values: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
             te, backlash, radial, pressure = self.curves(values)
             goal = -te.mean() if objective == "mean_lag" else (top(te) + top(-te)).mean()
-            found = goal, limits.slack(self.free.set(self.physics, values), backlash, radial, pressure, margin)
-            return found, found
+            goal_and_slack = goal, limits.slack(self.free.set(self.physics, values), backlash, radial, pressure, margin)
+            return goal_and_slack, goal_and_slack
 
         return jax.jacfwd(both, has_aux=True)(values)
 
@@ -318,9 +320,9 @@ class _Task(eqx.Module):
 
         def one(errors: Any) -> tuple:
             scene, rests, backlash, pressure = self._under(values, errors)
-            te, found = rests.position, extremes(play, scene, self.theta, backlash)
+            te, extreme = rests.position, extremes(play, scene, self.theta, backlash)
             highest = None if pressure is None else pressure.max()
-            sizes = found.minimum, backlash.mean(), rests.forces.max(), highest, self._radial(scene)[0]
+            sizes = extreme.minimum, backlash.mean(), rests.forces.max(), highest, self._radial(scene)[0]
             overlap = jax.vmap(lambda angle: clash(scene, angle))(self.theta)
             worst = jnp.argmax(overlap.overlap)
             sizes = *sizes, overlap.overlap[worst], overlap.contact[worst], self.theta[worst]
@@ -352,8 +354,8 @@ def _descend(
 
     def at(place: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         values, kept = (jnp.asarray(part, task.physics.dtype) for part in (place, margin))
-        found = task.at(values, kept, objective, limits)
-        (slope, slopes), (goal, slack) = jax.tree.map(lambda part: np.asarray(part, float), found)
+        linearised = task.at(values, kept, objective, limits)
+        (slope, slopes), (goal, slack) = jax.tree.map(lambda part: np.asarray(part, float), linearised)
         return float(goal), slope * scale, slack, slopes * scale
 
     def merit(goal: float, slack: np.ndarray) -> float:

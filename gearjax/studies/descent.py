@@ -90,11 +90,11 @@ def _levels(loss, start, optimiser, steps, temperatures):
     each = max(1, steps // LEVELS)
 
     def level(numbers, temperature):
-        found = optimistix.minimise(
+        solution = optimistix.minimise(
             lambda numbers, _: loss(numbers, temperature), optimiser, numbers, max_steps=each, throw=False
         )
-        ended = jnp.where(jnp.isfinite(found.value), found.value, numbers)
-        return ended, (loss(ended, temperature), found.stats["num_steps"] + 1)
+        ended = jnp.where(jnp.isfinite(solution.value), solution.value, numbers)
+        return ended, (loss(ended, temperature), solution.stats["num_steps"] + 1)
 
     first, last = temperatures
     fall = first * (last / first) ** jnp.linspace(0.0, 1.0, LEVELS, dtype=start.dtype)

@@ -114,8 +114,8 @@ def grid_search(
             )
         progress = progress or silent
         progress(f"grid of {combinations} combinations, {8e-6 * combinations:.3g} MB of objectives")
-        found = _structured if _is_structured(objective, scene, free) else _exhaustive
-        best, evaluated = found(objective, scene, free, levels, keep, progress)
+        search = _structured if _is_structured(objective, scene, free) else _exhaustive
+        best, evaluated = search(objective, scene, free, levels, keep, progress)
     return GridSearch(
         paths=free.paths,
         combinations=combinations,
@@ -179,13 +179,13 @@ def _structured(
         contributions, plan, spread=spread, keep=keep, reach=lambda flat: judge(numbers(flat)) / weight
     )
     progress(f"{best.evaluated} combinations may be among the {keep} best: evaluated on all times")
-    found: list[tuple[float, np.ndarray]] = []
+    kept: list[tuple[float, np.ndarray]] = []
     for begin in range(0, len(best.flat), JUDGED):
-        if len(found) == keep and weight * best.scores[begin] > found[-1][0]:
+        if len(kept) == keep and weight * best.scores[begin] > kept[-1][0]:
             break  # the samples bound the objective from below
         part = numbers(best.flat[begin : begin + JUDGED])
-        found = sorted([*found, *zip(judge(part).tolist(), part, strict=True)], key=lambda item: item[0])[:keep]
-    return found, best.evaluated
+        kept = sorted([*kept, *zip(judge(part).tolist(), part, strict=True)], key=lambda item: item[0])[:keep]
+    return kept, best.evaluated
 
 
 def _require_contributions(
@@ -216,12 +216,12 @@ def _exhaustive(
         return np.stack([axis[level] for axis, level in zip(levels, chosen, strict=True)], axis=1)
 
     def each(evaluate: Values, words: str) -> np.ndarray:
-        found = np.empty(total)
+        objectives = np.empty(total)
         for start in range(0, total, CHUNK):
             flat = np.arange(start, min(start + CHUNK, total))
-            found[flat] = evaluate(numbers(flat))
+            objectives[flat] = evaluate(numbers(flat))
             progress(f"{flat[-1] + 1} of {total} combinations {words}")
-        return found
+        return objectives
 
     evaluate = values(objective, scene, free)
     if objective.is_bounded:
@@ -251,18 +251,18 @@ def _best_of(
     """The best combinations from lower bounds of all: judged from the lowest bound on, until no other can be better by
     more than rounding, relative and in rad."""
     order = np.argsort(np.where(np.isfinite(bounds), bounds, np.inf), kind="stable")
-    found: list[tuple[float, int]] = []
+    kept: list[tuple[float, int]] = []
     evaluated = 0
     while evaluated < len(order):
         part = order[evaluated : evaluated + JUDGED]
-        if len(found) == keep and bounds[part[0]] > found[-1][0] * (1 + slack[0]) + slack[1]:
+        if len(kept) == keep and bounds[part[0]] > kept[-1][0] * (1 + slack[0]) + slack[1]:
             break
         objectives = judge(part)
         evaluated += len(part)
         finite = np.isfinite(objectives)
-        found = sorted([*found, *zip(objectives[finite].tolist(), part[finite].tolist(), strict=True)])[:keep]
+        kept = sorted([*kept, *zip(objectives[finite].tolist(), part[finite].tolist(), strict=True)])[:keep]
         progress(f"{evaluated} combinations evaluated on all times")
-    if not found:
+    if not kept:
         raise ParameterError("objective", "not finite", "is finite for no combination of the grid")
-    points = numbers(np.array([index for _, index in found]))
-    return [(value, point) for (value, _), point in zip(found, points, strict=True)], evaluated
+    points = numbers(np.array([index for _, index in kept]))
+    return [(value, point) for (value, _), point in zip(kept, points, strict=True)], evaluated

@@ -103,9 +103,9 @@ def linearised(
     """Values, their slopes, the weights of the largest ones, and their weighted sum; ``group`` from `groups`."""
 
     def both(numbers):
-        found = pieces(numbers)
-        values = jnp.concatenate([piece.values for piece in found])
-        return values, (values, jnp.stack([jnp.asarray(piece.weight, numbers.dtype) for piece in found]))
+        parts = pieces(numbers)
+        values = jnp.concatenate([piece.values for piece in parts])
+        return values, (values, jnp.stack([jnp.asarray(piece.weight, numbers.dtype) for piece in parts]))
 
     slopes, (values, weights) = jax.jacfwd(both, has_aux=True)(numbers)
     tops = [values[group == k].max() for k in range(weights.shape[0])]  # never differentiated

@@ -149,8 +149,8 @@ def minimise(
     Example:
         >>> import gearjax as gj
         >>> scene = gj.load("configs/two_kv/wang_2020.toml")
-        >>> found = gj.minimise("no_load_amplitude", scene, where=["errors.planet_1.phase"], starts=4)
-        >>> found.ends.shape, found.failed
+        >>> minimum = gj.minimise("no_load_amplitude", scene, where=["errors.planet_1.phase"], starts=4)
+        >>> minimum.ends.shape, minimum.failed
         ((4, 1), 0)
     """
     with Stopwatch() as watch:
@@ -172,12 +172,12 @@ def minimise(
             (steps, polish_steps),
             jnp.array(temperatures),
         )
-        found = _in_chunks(search, objective.physics(scene, free), points, begun, optimiser, progress or silent)
-        result = np.asarray(found.result)
+        descents = _in_chunks(search, objective.physics(scene, free), points, begun, optimiser, progress or silent)
+        result = np.asarray(descents.result)
         if (result == 2).all():
             raise GearjaxError(f"minimise {objective.name}: no start has a finite objective ({len(points)} dropped)")
-        ends = np.where(result[:, None] == 2, np.nan, free.wrapped(np.asarray(found.ends)))
-        objectives = np.where(result == 2, np.inf, found.value if polish_steps else sampled(ends))
+        ends = np.where(result[:, None] == 2, np.nan, free.wrapped(np.asarray(descents.ends)))
+        objectives = np.where(result == 2, np.inf, descents.value if polish_steps else sampled(ends))
         back = (begun < objectives) & (result != 2)  # a start that lost is its own end
         ends[back], objectives[back] = points[back], begun[back]
         result = np.where(back, 3, result)
@@ -194,8 +194,8 @@ def minimise(
         objectives=objectives,
         valley=labels,
         result=result,
-        history=np.concatenate([begun[:, None], np.asarray(found.history)], axis=1),
-        evaluations=int(np.asarray(found.evaluations).sum()),
+        history=np.concatenate([begun[:, None], np.asarray(descents.history)], axis=1),
+        evaluations=int(np.asarray(descents.evaluations).sum()),
         seconds=watch.seconds,
         compile_seconds=watch.compile_seconds,
     )

@@ -125,14 +125,14 @@ class Objective(eqx.Module):
             require(scene, term.name, *NEEDS[term.analysis])
             if term.metric == "order":
                 term.require_resolved(scene, angles)
-        found = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms)
-        if found.is_dynamic:
+        objective = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms)
+        if objective.is_dynamic:
             ts = np.asarray(angles) / float(scene.system.input_speed)
             steps = suitable_step(scene, float(ts[-1] - ts[0])).steps(jnp.asarray(ts))
             run = scene.run
             words = {} if run is None else {"start": run.start, "settle": run.settle}
-            found = dataclasses.replace(found, stepper=FixedStep(per_sample=steps), **words)
-        return found
+            objective = dataclasses.replace(objective, stepper=FixedStep(per_sample=steps), **words)
+        return objective
 
     def physics(self, scene: Scene, free: Free) -> Scene:
         """What the objective depends on, and the parts that hold free numbers."""
@@ -192,30 +192,30 @@ class Objective(eqx.Module):
 
     def _sum(self, metric: Callable[[Term], Scalar]) -> Scalar:
         """The weighted sum of a metric of all terms."""
-        return jnp.concatenate([term.weight * found for term, found in self._each(metric)]).sum()
+        return jnp.concatenate([term.weight * values for term, values in self._each(metric)]).sum()
 
     def _each(self, measure: Callable[[Term], Any]) -> list[tuple[Term, Any]]:
         """Terms that differ in their torques alone as one batch, with their measures: they compile once."""
         batches: dict[tuple, list[Term]] = {}
         for term in self.terms:
             batches.setdefault((term.name, term.order), []).append(term)
-        found = []
+        measured = []
         for terms in batches.values():
             batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *terms)
             if len(terms) == 1:
-                found.append((batch, jax.tree.map(lambda part: part[None], measure(terms[0]))))
+                measured.append((batch, jax.tree.map(lambda part: part[None], measure(terms[0]))))
                 continue
-            found.append((batch, jax.vmap(measure)(batch)))
-        return found
+            measured.append((batch, jax.vmap(measure)(batch)))
+        return measured
 
     def _metric(self, scene: Scene, term: Term) -> Scalar:
         """A metric by the contact law of the scene, without its weight."""
         if term.name in SHARES:
             return top(self._shares(scene.anchored(), term))
-        found = self.result(scene, term)
+        result = self.result(scene, term)
         if term.metric != "order":
-            return getattr(found, term.metric)
-        record = found.backlash if isinstance(found, Backlash) else found.te
+            return getattr(result, term.metric)
+        record = result.backlash if isinstance(result, Backlash) else result.te
         settled = self.settle if term.analysis == "dynamic" else 0.0
         first = self.theta[0] + settled * jax.lax.stop_gradient(scene.system.input_speed)
         return order_amplitude(record, self.theta, term.per_turn(scene), first=first)

@@ -163,15 +163,15 @@ def _paths(scene: Scene, where: Where, known: Mapping[str, Parameter]) -> tuple[
     if not callable(where):
         return tuple(name for path in ([where] if isinstance(where, str) else where) for name in members(path, known))
     leaves = jax.tree.leaves(where(scene))
-    found = [path for leaf in leaves for path in known if _leaf(scene, _split(path)[0]) is leaf]
-    if len({_split(path)[0] for path in found}) < len(leaves):
+    paths = [path for leaf in leaves for path in known if _leaf(scene, _split(path)[0]) is leaf]
+    if len({_split(path)[0] for path in paths}) < len(leaves):
         raise ParameterError("where", where, "must return numbers of the scene that is passed to it")
-    return tuple(found)
+    return tuple(paths)
 
 
 def numbers(scene: Scene) -> dict[str, Parameter]:
     """Every single number of a scene with its declaration, by path."""
-    found: dict[str, Parameter] = {}
+    parameters: dict[str, Parameter] = {}
 
     def visit(path: str, part: Any) -> None:
         if isinstance(part, Mapping):
@@ -181,14 +181,14 @@ def numbers(scene: Scene) -> dict[str, Parameter]:
             for name, parameter in declared(part).items():
                 value = getattr(part, name)
                 if isinstance(value, jax.Array) and value.ndim == 0:
-                    found[f"{path}.{name}"] = parameter
+                    parameters[f"{path}.{name}"] = parameter
                 elif isinstance(value, jax.Array) and value.ndim == 1:
-                    found.update({f"{path}.{name}[{index}]": parameter for index in range(value.shape[0])})
+                    parameters.update({f"{path}.{name}[{index}]": parameter for index in range(value.shape[0])})
 
     for slot in PARTS:
         visit(slot, getattr(scene, slot))
         visit(slot, getattr(scene, OF_BODIES.get(slot, ""), None))
-    return found
+    return parameters
 
 
 def probed(scene: Scene, free: Free) -> Scene:
@@ -232,5 +232,5 @@ def _leaf(scene: Any, path: str) -> Any:
 
 def _number(scene: Any, path: str) -> Array:
     leaf, index = _split(path)
-    found = _leaf(scene, leaf)
-    return found if index is None else found[index]
+    value = _leaf(scene, leaf)
+    return value if index is None else value[index]

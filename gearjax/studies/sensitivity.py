@@ -121,8 +121,8 @@ def local_sensitivity(
     size, signs = len(point), _signs(len(point))
     for deviation in deviations:
         steps += [deviation * np.concatenate([np.eye(size), -np.eye(size)]), deviation * signs]
-    found = evaluate(free.wrapped(point + np.concatenate(steps) * free.scales))
-    along, rest = found[: 2 * size], found[2 * size :].reshape(len(deviations), -1)
+    objectives = evaluate(free.wrapped(point + np.concatenate(steps) * free.scales))
+    along, rest = objectives[: 2 * size], objectives[2 * size :].reshape(len(deviations), -1)
     single = rest[:, : 2 * size].reshape(-1, 2, size).swapaxes(1, 2)
     all_of_them = np.concatenate([rest, np.full((len(deviations), 1), here)], axis=1)
     return LocalSensitivity(
@@ -144,8 +144,8 @@ def local_sensitivity(
 def _signs(size: int) -> np.ndarray:
     """Combinations of plus, minus and none, but not none of all; random ones where there are too many."""
     if 3**size <= MOST_CORNERS:
-        found = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=size)))
-        return found[np.abs(found).sum(axis=1) > 0]
+        signs = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=size)))
+        return signs[np.abs(signs).sum(axis=1) > 0]
     return np.random.default_rng(0).choice([-1.0, 1.0], (MOST_CORNERS, size))
 
 

@@ -189,8 +189,8 @@ def sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Float[Array
             low, tops = walk(curves[0], shift[0])
             if highest is not None:
                 tops = walk(curves[1], shift[1])[1]
-            found = score(low, _largest(tops), spread)[tuple(slice(size) for size in sizes)]
-            return found, found.min()
+            inner = score(low, _largest(tops), spread)[tuple(slice(size) for size in sizes)]
+            return inner, inner.min()
 
         return jax.lax.map(one, shifts, batch_size=TOGETHER)
 
@@ -242,8 +242,8 @@ def _scores_at(contributions: Contributions, levels: tuple[Array, ...], spread: 
 
 def levels_of(flat: np.ndarray, plan: Plan, shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
     """Level of each axis from the number of a combination in the order of the walk."""
-    found = np.unravel_index(flat, tuple(shape[axis] for axis in plan.axes))
-    by_axis = dict(zip(plan.axes, found, strict=True))
+    levels = np.unravel_index(flat, tuple(shape[axis] for axis in plan.axes))
+    by_axis = dict(zip(plan.axes, levels, strict=True))
     return tuple(by_axis[axis] for axis in range(len(shape)))
 
 

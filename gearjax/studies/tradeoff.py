@@ -239,7 +239,7 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
     if run is None or "static" not in run.analyses or not choices:
         return []
     theta = scene.system.input_speed * jnp.asarray(run.times)
-    found, metrics, forces, times = [], {}, {}, {}
+    compared, metrics, forces, times = [], {}, {}, {}
     for name, system in choices.items():
         chosen = dataclasses.replace(scene, system=system)
         with Stopwatch() as watch, warnings.catch_warnings():
@@ -255,23 +255,23 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
     for name in choices:
         largest = float(forces[exact].max())
         off = float(np.abs(forces[name] - forces[exact]).max()) / largest if largest > 0 else 0.0
-        found.append(StaticChoice(name, _apart(metrics[name], metrics[exact]), off, *times[name]))
-    return found
+        compared.append(StaticChoice(name, _apart(metrics[name], metrics[exact]), off, *times[name]))
+    return compared
 
 
 def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[Setting]:
     """The settings to measure, for the longest step of the scene [s] and its usual steps."""
     alone, number, cut = FixedStep(usual.step), run.samples, usual.windows
-    found = [Setting("solver", f"fitted, {s:g} rad", scene, FixedStep(s * longest), number) for s in STEPS]
-    found += [
+    trials = [Setting("solver", f"fitted, {s:g} rad", scene, FixedStep(s * longest), number) for s in STEPS]
+    trials += [
         Setting("solver", f"fitted, {s:g} rad, windows", scene, FixedStep(s * longest, windows=cut), number)
         for s in (STEPS[:3] if cut is not None else ())
     ]
-    found += [
+    trials += [
         Setting("solver", f"Runge-Kutta, {s:g} rad", scene, FixedStep(s * longest, solver=RungeKutta4()), number)
         for s in STEPS[:3]
     ]
-    found += [
+    trials += [
         Setting("solver", f"{type(solver).__name__}, {tol:g}", scene, AdaptiveStep(tol, tol, solver), number, 400.0)
         for solver, tol in ((diffrax.Tsit5(), 1e-4), (diffrax.Dopri5(), 1e-4), (diffrax.Dopri8(), 1e-7))
     ]
@@ -279,7 +279,7 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
         ("quadratic", QuadraticContact),
         ("softplus", SoftplusContact),
     ]
-    found += [
+    trials += [
         Setting("contact", f"{name}, {1e6 * w:g} um", dataclasses.replace(scene, contact=law(w)), alone, number)
         for name, law in laws
         for w in WIDTHS
@@ -288,18 +288,18 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
     for per_mesh in (2, 6, 20):
         fewer = int(run.duration / mesh * per_mesh) + 1
         if 2 <= fewer < number:
-            found.append(Setting("samples", f"{per_mesh} per mesh period", scene, alone, fewer))
+            trials.append(Setting("samples", f"{per_mesh} per mesh period", scene, alone, fewer))
     if isinstance(scene.compliance, HarmonicStiffness):
         for kept in range(scene.compliance.harmonics):
             parts = scene.compliance.mean, scene.compliance.relative_amplitudes[:kept], scene.compliance.phases[:kept]
             fewer_waves = dataclasses.replace(scene, compliance=HarmonicStiffness(*parts))
-            found.append(Setting("harmonics", f"{kept} kept", fewer_waves, alone, number))
-    found += [
+            trials.append(Setting("harmonics", f"{kept} kept", fewer_waves, alone, number))
+    trials += [
         Setting("fidelity", name, scene, QuasiStatic(inertia), number)
         for name, inertia in (("quasi-static", False), ("quasi-static, inertia corrected", True))
     ]
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
-    return [*found, Setting("precision", "float32", single, alone, number)]
+    return [*trials, Setting("precision", "float32", single, alone, number)]
 
 
 def _measure(setting: Setting, truth: dict[float, dict[str, float]]) -> Measured:

@@ -36,9 +36,9 @@ def label(
     if len(pairs):
         stops = (np.arange(STOPS) + 1) / (STOPS + 1)
         between = points[pairs[:, 0], None, :] + stops[None, :, None] * ways[:, None, :]
-        found = evaluate(np.concatenate([points, between.reshape(-1, points.shape[1])]))
-        higher = found[: len(points)][pairs].max(axis=1)
-        highest = found[len(points) :].reshape(-1, STOPS).max(axis=1)
+        heights = evaluate(np.concatenate([points, between.reshape(-1, points.shape[1])]))
+        higher = heights[: len(points)][pairs].max(axis=1)
+        highest = heights[len(points) :].reshape(-1, STOPS).max(axis=1)
         pairs = pairs[highest - higher <= RISE * np.abs(higher)]
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, component = connected_components(links, directed=False)

@@ -91,8 +91,8 @@ def require_influence(
     for index in range(size):
         moved[index, :, index] = low[index] + rng.random(TRIED) * (high[index] - low[index])
     evaluate = values(objective, probed(scene, free), free, kind)
-    found = evaluate(np.concatenate([points, moved.reshape(-1, size)])).reshape(size + 1, TRIED)
+    objectives = evaluate(np.concatenate([points, moved.reshape(-1, size)])).reshape(size + 1, TRIED)
     for index, path in enumerate(free.paths):
-        same = (found[index + 1] == found[0]) | ~np.isfinite(found[index + 1] + found[0])
-        if high[index] > low[index] and np.isfinite(found).any() and same.all():
+        same = (objectives[index + 1] == objectives[0]) | ~np.isfinite(objectives[index + 1] + objectives[0])
+        if high[index] > low[index] and np.isfinite(objectives).any() and same.all():
             raise ParameterError("where", path, f"the objective {objective.name} does not depend on it")

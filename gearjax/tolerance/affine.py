@@ -55,8 +55,8 @@ class AffineGaps(eqx.Module):
         seeds = np.zeros((1 + len(groups), size))
         for row, members in enumerate(groups, start=1):
             seeds[row, members] = 1.0
-        found = np.asarray(everywhere(jnp.concatenate([jnp.asarray(seeds, dtype), examples]), poses))
-        nominal, shifted, actual = found[0], found[1 : len(seeds)], found[len(seeds) :]
+        gaps = np.asarray(everywhere(jnp.concatenate([jnp.asarray(seeds, dtype), examples]), poses))
+        nominal, shifted, actual = gaps[0], gaps[1 : len(seeds)], gaps[len(seeds) :]
         number = np.array([np.take(members, opened[members].argmax(axis=0)) for members in groups], dtype=int)
         number = number.reshape(len(groups), nominal.shape[1])
         influence = (shifted - nominal).swapaxes(0, 1)

@@ -131,7 +131,7 @@ def allocate(
     if not best[0][0]:
         best = ((False, before.value), before, ones)
     for turn in range(1, CORRECTIONS + 1):
-        found = optimize.minimize(
+        solution = optimize.minimize(
             lambda logs: tuple(part / scale for part in price(np.exp(logs))),
             start,
             jac=True,
@@ -144,7 +144,7 @@ def allocate(
             },
             options={"maxiter": 60, "ftol": SAME_COST},
         )
-        factors = np.exp(np.clip(found.x, *bounds.T))
+        factors = np.exp(np.clip(solution.x, *bounds.T))
         after = judge(factors, turn)
         cost = price(factors)[0]
         progress(f"allocation {turn}: cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]")

@@ -150,14 +150,14 @@ def matched_assembly(
             return work.evaluate(rows.reshape(-1, rows.shape[2]))[0][:, 0].reshape(phases.shape[:2])
 
         tried = inputs[:, None, places]  # nobody assembles worse than at random on purpose
-        found = random = judged(tried)
+        values = random = judged(tried)
         for search in searches:
             ended = search.of_all(inputs, begun, progress)
-            tried, found = np.concatenate([tried, ended], axis=1), np.concatenate([found, judged(ended)], axis=1)
-            best = np.argmin(np.where(np.isfinite(found), chosen.excess(found), np.inf), axis=1)
+            tried, values = np.concatenate([tried, ended], axis=1), np.concatenate([values, judged(ended)], axis=1)
+            best = np.argmin(np.where(np.isfinite(values), chosen.excess(values), np.inf), axis=1)
             begun = tried[np.arange(units), best][:, None]
     phases = np.mod(begun[:, 0] + np.pi, 2 * np.pi) - np.pi
-    matched = found[np.arange(units), best]
+    matched = values[np.arange(units), best]
     return MatchedAssembly(chosen, where, random[:, 0], matched, phases, watch.seconds, watch.compile_seconds)
 
 
@@ -196,8 +196,8 @@ class _Search:
         for first in range(0, units, BLOCK):
             part = slice(first, first + BLOCK)
             rows = np.repeat(inputs[part], number, axis=0), starts[part].reshape(-1, size)
-            found = self._program(*(row.astype(self.measures.theta.dtype) for row in rows))
-            ends[part] = found.reshape(-1, number, size)
+            reached = self._program(*(row.astype(self.measures.theta.dtype) for row in rows))
+            ends[part] = reached.reshape(-1, number, size)
             progress(f"matched assembly: {min(first + BLOCK, units)} of {units} units searched{self.way.words}")
         return ends
 
@@ -227,7 +227,7 @@ class _Search:
         def largest(curve: Array) -> Scalar:
             return temperature * jax.nn.logsumexp(curve / temperature)
 
-        found = {
+        value = {
             "mean": lambda: curve.mean(),
             "std": lambda: deviation(curve),
             "peak_to_peak": lambda: largest(curve) + largest(-curve),
@@ -235,4 +235,4 @@ class _Search:
             "maximum": lambda: largest(curve),
             "minimum": lambda: -largest(-curve),
         }[self.measure.metric]()
-        return self.measure.excess(found)
+        return self.measure.excess(value)

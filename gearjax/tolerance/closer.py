@@ -62,8 +62,8 @@ def is_followed(table: Float[Array, "m ..."]) -> bool:
     distances = np.arange(-2 * REACH + 1, 2 * REACH, 2)
     weights = [np.prod([-d / (c - d) for d in distances if d != c]) for c in distances]
     inner = np.arange(2 * REACH, len(values) - 2 * REACH)
-    found = sum(weight * values[inner + distance] for weight, distance in zip(weights, distances, strict=True))
-    return bool(np.abs(found - values[inner]).max(initial=0.0) <= FITTING * np.abs(values).max(initial=0.0))
+    fitted = sum(weight * values[inner + distance] for weight, distance in zip(weights, distances, strict=True))
+    return bool(np.abs(fitted - values[inner]).max(initial=0.0) <= FITTING * np.abs(values).max(initial=0.0))
 
 
 def ends(
@@ -102,27 +102,27 @@ def ends(
     def closer_by(state: tuple[Array, Array, Array], step: Array) -> tuple[tuple[Array, Array, Array], None]:
         middle, place, best = state
         tried = jnp.clip(middle + step, first, last)
-        found = at(tried, *fixed)
-        better = found > best
-        place, best = jnp.where(better, tried, place), jnp.where(better, found, best)
+        value = at(tried, *fixed)
+        better = value > best
+        place, best = jnp.where(better, tried, place), jnp.where(better, value, best)
         return (jnp.where(step > 0, place, middle), place, best), None  # both sides are tried from one middle
 
     start = (tops - centre).ravel().astype(values.dtype)
     steps = np.outer(0.5 ** np.arange(1, HALVINGS + 1), [-1.0, 1.0]).ravel()
     (_, place, _), _ = jax.lax.scan(closer_by, (start, start, sign * near), jnp.asarray(steps, values.dtype))
-    found = at(jax.lax.stop_gradient(place), lever, gap).reshape(2, half, rows)
-    best = jnp.argmax(jax.lax.stop_gradient(found), axis=1)[:, None]
-    high, low = jnp.take_along_axis(found, best, axis=1)[:, 0]
+    peaks = at(jax.lax.stop_gradient(place), lever, gap).reshape(2, half, rows)
+    best = jnp.argmax(jax.lax.stop_gradient(peaks), axis=1)[:, None]
+    high, low = jnp.take_along_axis(peaks, best, axis=1)[:, 0]
     return high, -low
 
 
 def _weights(place: Float[Array, " lane"]) -> Float[Array, "node lane"]:
     """Of the polynomial through the angles around a place, which counts from the middle one (Lagrange)."""
     nodes = np.arange(-REACH, REACH + 1)
-    found = []
+    weights = []
     for one in nodes:
         weight = jnp.ones_like(place)
         for other in nodes[nodes != one]:
             weight = weight * (place - float(other)) * (1.0 / float(one - other))
-        found.append(weight)
-    return jnp.stack(found)
+        weights.append(weight)
+    return jnp.stack(weights)

@@ -227,8 +227,8 @@ def _chosen(touch: np.ndarray, accuracy: float) -> np.ndarray | None:
     from scipy import linalg
 
     curves = touch.transpose(0, 2, 1)[: len(touch) // 2].reshape(-1, touch.shape[1])
-    found: Any = linalg.qr(curves, mode="economic", pivoting=True)
-    _, factor, order = found
+    decomposition: Any = linalg.qr(curves, mode="economic", pivoting=True)
+    _, factor, order = decomposition
     sizes = np.abs(np.diag(factor))
     rank = max(1, int((sizes > 0.1 * accuracy * sizes[0]).sum()))
     return None if rank > max(4, MOST * touch.shape[1]) or rank >= min(curves.shape) else order[:rank]
@@ -254,8 +254,8 @@ def _series(fine: np.ndarray, number: int) -> np.ndarray:
     centres = np.clip(np.arange(number), 1, number - 2)
     rows = fine[FINE * centres[:, None] + np.arange(-FINE, FINE + 1)]  # (number, step, angle)
     moved = np.arange(number) - centres
-    found = np.empty((number, TERMS, fine.shape[1]))
+    coefficients = np.empty((number, TERMS, fine.shape[1]))
     for move in (-1, 0, 1):
         fit = np.linalg.pinv(np.vander(steps - move, TERMS, increasing=True))
-        found[moved == move] = np.einsum("ts,nsa->nta", fit, rows[moved == move])
-    return found
+        coefficients[moved == move] = np.einsum("ts,nsa->nta", fit, rows[moved == move])
+    return coefficients

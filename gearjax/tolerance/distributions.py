@@ -165,8 +165,8 @@ class TruncatedNormal(AbstractDistribution):
         lower, upper = sorted(sign * np.array(ends))
         low, high = special.ndtr(lower), special.ndtr(upper)
         along = share if sign > 0 else 1 - share
-        found = self.mean + self.std * sign * special.ndtri(low + along * (high - low))
-        return np.clip(found, self.low, self.high)
+        value = self.mean + self.std * sign * special.ndtri(low + along * (high - low))
+        return np.clip(value, self.low, self.high)
 
     @property
     def _moments(self) -> tuple[float, float]:

@@ -71,9 +71,9 @@ def clashes(tolerances: Tolerances, rows: np.ndarray, theta: ArrayLike | None = 
 
     def worst(row: Array) -> tuple[Array, Array, Array]:
         one = free.set(physics, row).anchored()
-        found = jax.vmap(lambda angle: clash(one, angle))(places)
-        index = jnp.argmax(found.overlap)
-        return found.overlap[index], found.contact[index], places[index]
+        overlaps = jax.vmap(lambda angle: clash(one, angle))(places)
+        index = jnp.argmax(overlaps.overlap)
+        return overlaps.overlap[index], overlaps.contact[index], places[index]
 
     given = jnp.asarray(rows, scene.dtype)
     overlap, contact, theta_worst = jax.jit(lambda rows: jax.lax.map(worst, rows))(given)

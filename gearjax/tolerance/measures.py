@@ -113,11 +113,11 @@ class Measures:
         if self.extremes == "samples":
             return Balances.of(population, self.theta, varied)
         places = places_between(self.scene, self.theta)
-        found = None if places is None else Balances.of(population, closer(self.theta, places), varied)
-        if found is None or places is None or not found.is_followed:
+        balances = None if places is None else Balances.of(population, closer(self.theta, places), varied)
+        if balances is None or places is None or not balances.is_followed:
             return None
         self.places = places
-        return found
+        return balances
 
     @property
     def _system_varies(self) -> bool:
@@ -142,8 +142,8 @@ class Measures:
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
         if isinstance(self.curves, Balances) and self.extremes == "between":
-            found, codes = self.rows(values[None])
-            return found[0], codes[0]
+            measured, codes = self.rows(values[None])
+            return measured[0], codes[0]
         scene = self.free.set(self.physics, values)
         curves = self.curves
         touches = curves.touches(scene) if isinstance(curves, Curves) else None
@@ -259,10 +259,10 @@ def _told(
             moving = motion if measure.analysis == "dynamic" else None
             records[key] = record(*key) if moving is None else moving.record(scene, measure.torque)
     own = [records[measure.analysis, measure.torque] for measure in measures]
-    found = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, measures, strict=True)])
+    measured = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, measures, strict=True)])
     codes = jnp.stack([record.code for record in own])
-    codes = jnp.where((codes == 0) & ~jnp.isfinite(found), 2, codes)
-    return jnp.where(codes == 0, found, jnp.nan), codes.max()
+    codes = jnp.where((codes == 0) & ~jnp.isfinite(measured), 2, codes)
+    return jnp.where(codes == 0, measured, jnp.nan), codes.max()
 
 
 def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
@@ -309,17 +309,17 @@ def _of_curve(
 
 def _analysed(scene: Scene, theta: Float[Array, " n"], extremes: str, analysis: str, torque: float | None) -> Record:
     """Metrics of a quasi-static analysis."""
-    found = backlash(scene, theta) if analysis == "backlash" else transmission_error(scene, theta, torque)
-    values = found.backlash if isinstance(found, Backlash) else found.te
+    result = backlash(scene, theta) if analysis == "backlash" else transmission_error(scene, theta, torque)
+    values = result.backlash if isinstance(result, Backlash) else result.te
     if extremes == "samples":
         metrics = _of_curve(values, lambda: top(values), lambda: -top(-values))
     else:
-        metrics = _of_curve(values, lambda: found.extremes.maximum, lambda: found.extremes.minimum)
+        metrics = _of_curve(values, lambda: result.extremes.maximum, lambda: result.extremes.minimum)
     return Record(metrics, jnp.where(_lost(values, analysis), 3, 0))
 
 
-def _metrics(found: Any) -> dict[str, Callable[[], Scalar]]:
-    return {name: functools.partial(getattr, found, name) for name in METRICS}
+def _metrics(motion: Any) -> dict[str, Callable[[], Scalar]]:
+    return {name: functools.partial(getattr, motion, name) for name in METRICS}
 
 
 class _Motion(NamedTuple):

@@ -184,9 +184,9 @@ class Work:
                 return _coded(measure(free.set(scene, values)))
 
             return one, 16
-        found = Measures(listed(measure), tolerances, theta, extremes)
-        self.measures, self.names = found.measures, found.names
-        return found, found.together
+        measures = Measures(listed(measure), tolerances, theta, extremes)
+        self.measures, self.names = measures.measures, measures.names
+        return measures, measures.together
 
     def _of_functions(self, sample: Any, measure: Any, seed: Any, theta: ArrayLike | None, extremes: str):
         if self.sampler != "monte_carlo":
@@ -202,9 +202,9 @@ class Work:
             if not isinstance(example, Scene):
                 words = f"is of a scene, and sample returns a {type(example).__name__}: give a function of that"
                 raise ParameterError("measure", given[0].name, words)
-            found = SceneMeasures(given, example, theta, extremes)
-            self.measures, self.names = found.measures, found.names
-            return lambda index: found(draw(jax.random.fold_in(key, index[0])))
+            measures = SceneMeasures(given, example, theta, extremes)
+            self.measures, self.names = measures.measures, measures.names
+            return lambda index: measures(draw(jax.random.fold_in(key, index[0])))
         self.names = _names(lambda key: measure(sample(key)), key, named=measure)
 
         def one(index: Array) -> tuple[Array, Array]:
@@ -321,8 +321,8 @@ def monte_carlo(
         )
         _require_memory(work)
         values, result = np.full((work.number, len(work.names)), np.nan), np.zeros(work.number, np.int32)
-        for (begin, end), (found, codes) in work.each(work.chunks):
-            values[begin:end], result[begin:end] = found, codes
+        for (begin, end), (measured, codes) in work.each(work.chunks):
+            values[begin:end], result[begin:end] = measured, codes
             if progress is not None:
                 progress(end, work.number)
     return work.study(values, result, watch)
@@ -351,9 +351,9 @@ def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[
     return (getattr(named or function, "__name__", "measure"),)
 
 
-def _coded(found: Any) -> tuple[Array, Array]:
+def _coded(measured: Any) -> tuple[Array, Array]:
     """Numbers in the order of their names, and the code of a sample."""
-    parts = [found[name] for name in sorted(found)] if isinstance(found, dict) else [found]
+    parts = [measured[name] for name in sorted(measured)] if isinstance(measured, dict) else [measured]
     values = jnp.stack([jnp.asarray(part) for part in parts])
     if values.ndim != 1:
         raise ParameterError("measure", values.shape[1:], "must return numbers, not arrays")
@@ -375,8 +375,8 @@ def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Calla
 
     def part(*rows: Array) -> Any:
         blocks = jax.tree.map(lambda row: row.reshape(len(row) // together, together, *row.shape[1:]), rows)
-        found = jax.lax.map(lambda block: several(*block), blocks)
-        return jax.tree.map(lambda found: found.reshape(-1, *found.shape[2:]), found)
+        results = jax.lax.map(lambda block: several(*block), blocks)
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
     spread = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
     return cast(Callable, jax.jit(spread)), NamedSharding(mesh, spec)
@@ -390,7 +390,7 @@ def over_rows(one: Callable, devices: Sequence[Any], together: int) -> Callable[
     def evaluate(*arrays: np.ndarray) -> Any:
         number = len(arrays[0])
         rows = np.minimum(np.arange(-(-number // whole) * whole), number - 1)
-        found = program(*jax.device_put(tuple(array[rows] for array in arrays), sharding))
-        return jax.tree.map(lambda part: np.array(part)[:number], found)
+        results = program(*jax.device_put(tuple(array[rows] for array in arrays), sharding))
+        return jax.tree.map(lambda part: np.array(part)[:number], results)
 
     return evaluate

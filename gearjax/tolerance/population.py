@@ -50,14 +50,14 @@ def _check_distributions(given: Any) -> None:
 
 def _each(scene: Scene, given: Mapping[str, AbstractDistribution]) -> dict[str, AbstractDistribution]:
     """Distributions of single numbers."""
-    found: dict[str, AbstractDistribution] = {}
+    spreads: dict[str, AbstractDistribution] = {}
     known = numbers(scene)
     for path, spread in given.items():
         for name in members(path, known):
-            if name in found:
+            if name in spreads:
                 raise ParameterError(name, type(spread).__name__, f"is listed twice, once as {path}")
-            found[name] = spread
-    return found
+            spreads[name] = spread
+    return spreads
 
 
 def a_population(name: str, value: Any) -> None:

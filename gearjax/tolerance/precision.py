@@ -57,12 +57,12 @@ def precision_shifts(
         work = Work(population, measures, number=n, seed=key, **options)
         studies.append(work.study(*work.evaluate(work.inputs(0, n))))
     double, single = studies
-    found = []
+    shifts = []
     for name in double.names:
         values = [[study.quantile(name, level).value for level in QUANTILES] for study in (double, single)]
         spread = values[0][-1] - values[0][0]
-        found += [
+        shifts += [
             PrecisionShift(name, level, one, other, spread)
             for level, one, other in zip(QUANTILES, *values, strict=True)
         ]
-    return found
+    return shifts

@@ -110,5 +110,5 @@ def _sobol(seed: int, replicate: int, names: Sequence[str], size: int, begin: in
         engine.fast_forward(begin)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that lengths other than powers of two are not balanced
-        found = engine.random(end - begin)
-    return np.minimum(found + 2.0**-33, 1 - 2.0**-53)
+        drawn = engine.random(end - begin)
+    return np.minimum(drawn + 2.0**-33, 1 - 2.0**-53)

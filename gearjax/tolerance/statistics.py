@@ -69,11 +69,11 @@ def quantile(values: np.ndarray, level: float, sizes: np.ndarray) -> Estimate:
     if not len(values):
         return Estimate(math.nan, math.nan, math.nan)
     ordered = np.sort(values)
-    found = _interpolated(ordered, level)
-    below = values <= found
+    value = _interpolated(ordered, level)
+    below = values <= value
     number, multiple = _effective(below, sizes, float(np.mean(below)))
     low, high = wilson(level, number, multiple)
-    return Estimate(found, _end(ordered, low, -math.inf), _end(ordered, high, math.inf))
+    return Estimate(value, _end(ordered, low, -math.inf), _end(ordered, high, math.inf))
 
 
 def _end(ordered: np.ndarray, level: float, beyond: float) -> float:

@@ -93,12 +93,12 @@ def sensitivities(
     work = Work(independent, measure, number=max(n, 2), seed=key, **options)
     slopes, spread = _linear(work, min(n, DERIVATIVES))
     ranges = _one_at_a_time(work)
-    found, problem = _saltelli(work, n, key)
+    measured, problem = _saltelli(work, n, key)
     from SALib.analyze import sobol
 
     results = []
     for index, name in enumerate(work.names):
-        column, good = found[:, index], np.isfinite(found[:, index])
+        column, good = measured[:, index], np.isfinite(measured[:, index])
         if good.mean() < 0.5:
             raise GearjaxError(f"sensitivity of {name}: {(~good).sum()} of {good.size} gear sets failed")
         column = np.where(good, column, column[good].mean())  # a failure counts as nothing special
@@ -149,9 +149,9 @@ def _linear(work: Work, number: int) -> tuple[np.ndarray, np.ndarray]:
         return work.one(values)[0], jax.jacrev(lambda v: work.one(v)[0])(values)
 
     rows = inputs.astype(work.sample.scene.dtype)
-    found, slopes = (part.astype(float) for part in over_rows(both, work.devices, work.together)(rows))
-    good = np.isfinite(found).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
-    return (slopes[good] ** 2).mean(axis=0), found[good].var(axis=0, ddof=1)
+    measured, slopes = (part.astype(float) for part in over_rows(both, work.devices, work.together)(rows))
+    good = np.isfinite(measured).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+    return (slopes[good] ** 2).mean(axis=0), measured[good].var(axis=0, ddof=1)
 
 
 def _one_at_a_time(work: Work) -> np.ndarray:
@@ -161,8 +161,8 @@ def _one_at_a_time(work: Work) -> np.ndarray:
     rows = np.repeat(medians[None], len(spreads) * len(LEVELS), axis=0).reshape(len(spreads), len(LEVELS), -1)
     for index, spread in enumerate(spreads):
         rows[index, :, index] = spread.quantile(LEVELS)
-    found = work.evaluate(rows.reshape(-1, len(spreads)))[0].reshape(len(spreads), len(LEVELS), -1)
-    return np.nan_to_num(np.nanmax(found, axis=1) - np.nanmin(found, axis=1))
+    measured = work.evaluate(rows.reshape(-1, len(spreads)))[0].reshape(len(spreads), len(LEVELS), -1)
+    return np.nan_to_num(np.nanmax(measured, axis=1) - np.nanmin(measured, axis=1))
 
 
 def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
@@ -181,7 +181,7 @@ def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dic
     sizes = np.array([number])
     limited = [measure for measure in work.measures if measure.is_limited]
     before, _ = work.evaluate(inputs)
-    found: dict[str, dict[str, tuple[Estimate, Estimate]]] = {measure.name: {} for measure in limited}
+    yields: dict[str, dict[str, tuple[Estimate, Estimate]]] = {measure.name: {} for measure in limited}
     for path in work.sample.tolerated if limited else ():
         place = paths.index(path)
         moved = inputs.copy()
@@ -190,5 +190,5 @@ def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dic
         for measure in limited:
             column = work.names.index(measure.name)
             pair = (share(measure.holds(part[:, column]), sizes) for part in (before, after))
-            found[measure.name][path] = (next(pair), next(pair))
-    return found
+            yields[measure.name][path] = (next(pair), next(pair))
+    return yields
