@@ -1,7 +1,7 @@
 """What the mesh of the finite elements and the depth of the fixed rim do to the loads of an involute RV reducer.
 
-The reducer of Yang, Tang and Liang (2019) under 100 N m, its tooth 17 at the fitted place, nine candidates along each
-profile and fourteen across the face whatever the elements. Each mesh is compared with the finest one; rims are those of
+The reducer of Yang, Tang and Liang (2019) under 100 N m, its tooth 17 at the fitted place, six candidates along each
+profile and eight across the face whatever the elements. Each mesh is compared with the finest one; rims are those of
 the usual mesh. A table, and a figure beside this file.
 
     python experiments/influence_refinement.py [--quick]
@@ -30,14 +30,14 @@ CONFIG = HERE.parent / "configs" / "involute_rv" / "yang_2019.toml"
 TORQUE, PHASE, RIM = 100.0, 0.3417, 0.8 * mm
 STEEL = {"youngs_modulus": 206e9, "poissons_ratio": 0.3, "external_width": 6.5 * mm, "internal_width": 14 * mm}
 USUAL = (10, 13)  # elements along the profile, and across the face
-MESHES = ((5, 7), (7, 9), USUAL, (14, 18), (18, 24))
+MESHES = ((5, 7), (7, 9), USUAL, (14, 18))
 RIMS = (0.5, 0.6, 0.7, 0.8, 1.0, 1.4, 2.0)  # mm
 TEETH = range(14, 20)
 PUBLISHED = (58.6, 244.2, 379.7, 407.8, 315.1, 149.5)  # N, Table 5
 
 
 class Answer(NamedTuple):
-    """Loads of the teeth 14 to 19 [N], static TE [rad], and processor time of the elements [s]."""
+    """Loads of the teeth 14 to 19, which carry nearly all [N]; static TE [rad]; processor time of the elements [s]."""
 
     loads: np.ndarray
     te: float
@@ -47,7 +47,7 @@ class Answer(NamedTuple):
 def reducer() -> tuple[gj.Scene, float]:
     """The reducer without errors, and the input angle [rad]."""
     scene = gj.load(CONFIG)
-    own = dataclasses.replace(scene.system, pairs=9, profile_points=9, face_points=14)
+    own = dataclasses.replace(scene.system, pairs=9, profile_points=6, face_points=8)
     begin, end = own.pair.path
     space = float(own.pair.space_of_roll(begin + PHASE * (end - begin)))
     theta = (-space % (2 * np.pi / own.internal_teeth)) / own.orders["crank"]
@@ -63,8 +63,8 @@ def answer(scene: gj.Scene, theta: float, mesh: tuple[int, int], rim: float) -> 
     pairs = np.asarray(te.pair_forces[0])
     centre = scene.system.candidates(jnp.asarray(theta), False).tooth.ravel()
     loads = pairs[np.argsort(-centre)]  # the paper numbers its teeth against ours
-    (carrying,) = np.nonzero(loads > 0)
-    return Answer(loads[carrying], float(te.te[0]), seconds)
+    first = int(np.argmax(np.convolve(loads, np.ones(len(TEETH)), "valid")))
+    return Answer(loads[first : first + len(TEETH)], float(te.te[0]), seconds)
 
 
 def told(name: str, own: Answer, finest: Answer | None = None) -> str:
@@ -75,12 +75,12 @@ def told(name: str, own: Answer, finest: Answer | None = None) -> str:
 
 
 def rms(own: Answer) -> float:
-    return float(np.sqrt(np.mean((own.loads - np.array(PUBLISHED)) ** 2))) if len(own.loads) == 6 else float("nan")
+    return float(np.sqrt(np.mean((own.loads - np.array(PUBLISHED)) ** 2)))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="without the two finest meshes")
+    parser.add_argument("--quick", action="store_true", help="without the finest mesh")
     chosen = parser.parse_args()
     scene, theta = reducer()
     meshes = MESHES[:3] if chosen.quick else MESHES
