@@ -306,7 +306,7 @@ def _sharing_of(
 ) -> Float[Array, "... n"]:
     """Of the pairs inside one mesh of a train."""
     driving, back = (pairs[inside[pairs]] for pairs in layout.pairs_by_side)
-    able = len(driving) if len(driving) >= len(back) else len(back)
+    able = max(len(driving), len(back))
     if len(back) and len(back) != len(driving):
         within = inside[np.asarray(layout.pair)]
         pressed = [(forces * (within & (np.asarray(layout.side) == side))).sum(axis=-1) for side in (1, -1)]

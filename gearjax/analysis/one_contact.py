@@ -52,7 +52,7 @@ class Reduction(eqx.Module):
         """By how much its static TE under a positive torque [N m] differs at most from that of the whole scene [rad]:
         at its own torque what the harmonics leave out, at others also what the number of contacts changes."""
         torque = jnp.asarray(torque, self.theta.dtype)
-        return jnp.abs(self.static(torque) - _rest(self.whole, self.theta, torque)[0]).max()
+        return jnp.abs(self.static(torque) - _rest(self.whole, _with_end(self.theta), torque)[0][:-1]).max()
 
 
 @arguments.checked()
@@ -106,9 +106,10 @@ def one_contact(
     torque = jnp.asarray(torque, scene.dtype)
     theta = jnp.asarray(period / samples * np.arange(samples), scene.dtype)
     whole = scene.physics("backlash", "compliance")
-    place, stiffness, pairs, result = _rest(whole, theta, torque)
+    place, stiffness, pairs, result = _rest(whole, _with_end(theta), torque)
     if is_concrete(result):
         _check_rest(whole, place, result, torque, period)
+    place, stiffness, pairs = (each[:-1] for each in (place, stiffness, pairs))
     lever = jnp.abs(whole.contacts(theta[0]).output_levers).mean()
     waves = Waves.of(stiffness / lever**2, harmonics)
     compliance = WaveStiffness(waves)
@@ -116,7 +117,7 @@ def one_contact(
     pressed = torque / (lever * waves.at(phase))
     gaps = [-lever * place - pressed]
     if whole.has_back:
-        gaps.append(lever * _rest(whole, theta, -torque)[0] - pressed)
+        gaps.append(lever * _rest(whole, _with_end(theta), -torque)[0][:-1] - pressed)
     names = tuple((name, order) for name, order in system.orders.items() if name not in ("mesh", "waves"))
     reduced = OneContact(
         jnp.asarray(system.input_speed), lever, tuple(Waves.of(gap, harmonics) for gap in gaps), period, names
@@ -128,6 +129,11 @@ def one_contact(
         each = dataclasses.replace(scene.damping, ratio=scene.damping.ratio * jnp.sqrt(pairs.mean()))
         parts["damping"] = each
     return Reduction(Scene(reduced, compliance=compliance, **parts), whole, torque, theta)
+
+
+def _with_end(theta: Float[Array, " n"]) -> Float[Array, " m"]:
+    """Angles of a period with its end, which tells whether it repeats: all that looks at it is one program."""
+    return jnp.append(theta, theta[-1] + theta[1])
 
 
 @eqx.filter_jit
@@ -161,8 +167,7 @@ def _check(scene: Scene, torque: ArrayLike, period: float, mesh: float, samples:
 def _check_rest(scene: Scene, place: Array, result: Array, torque: Scalar, period: float) -> None:
     if (np.asarray(result) != 0).any():
         raise SceneError(f"one contact: there is no equilibrium under {float(torque):g} N*m at some angles")
-    later = _rest(scene, jnp.asarray([period], place.dtype), torque)[0][0]
-    off, lag = abs(float(later - place[0])), abs(float(place.mean()))
+    off, lag = abs(float(place[-1] - place[0])), abs(float(place.mean()))
     if off > max(REPEATS, 100 * float(jnp.finfo(place.dtype).eps)) * lag:
         words = f"the static TE differs by {off:.2g} rad after a period of {period:g} rad"
         raise SceneError(f"one contact: {words}: errors repeat after scene.system.cycle = {scene.system.cycle:.6g} rad")

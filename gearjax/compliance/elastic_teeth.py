@@ -65,14 +65,8 @@ class ElasticTeeth(AbstractToothCompliance):
         check_parameters(self)
 
     @property
-    def plane_modulus(self) -> Scalar:
-        """``E' = E / (1 - nu^2)`` of teeth that are wide beside their height [Pa]."""
-        return self.youngs_modulus / (1 - self.poissons_ratio**2)
-
-    @property
     def line_contact(self) -> HertzLineContact:
-        width = jnp.minimum(self.external_width, self.internal_width)
-        return HertzLineContact(self.youngs_modulus, self.poissons_ratio, width)
+        return HertzLineContact.of_teeth(self)
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         return block_diagonal(self.blocks(places))
@@ -114,7 +108,7 @@ class ElasticTeeth(AbstractToothCompliance):
             for side in (lambda each: each[:, None], lambda each: each[None, :])
         ]
         shear, press = across[:, None] * across[None, :], along[:, None] * along[None, :]
-        modulus, rigidity = self.plane_modulus, self.youngs_modulus / (2 * (1 + self.poissons_ratio))
+        modulus, rigidity = self.line_contact.plane_modulus, self.youngs_modulus / (2 * (1 + self.poissons_ratio))
         bent = moment[0] * moment[1] * 12 / thick**3 / modulus
         beam = ((bent + (SHEAR * shear / rigidity + press / modulus)[..., None] / thick) * step).sum(axis=-1)
         # of the foundation the lever counts to where the force crosses the middle of the tooth
@@ -138,7 +132,7 @@ class ElasticTeeth(AbstractToothCompliance):
         near = jnp.where(jnp.eye(points, dtype=bool), itself[:, None], jnp.maximum(apart, SHORTEST))
         kernel = jnp.log(jnp.sqrt(thick[:, None] * thick[None, :]) / near)
         # convex and falling to zero, its matrix is positive definite (Polya 1949)
-        return 2 / (math.pi * self.plane_modulus) * jnp.maximum(kernel, 0.0)
+        return 2 / (math.pi * self.line_contact.plane_modulus) * jnp.maximum(kernel, 0.0)
 
 
 def _across(place: Float[Array, " face"], loaded: Scalar, width: Scalar, reach: Scalar) -> Float[Array, "face face"]:

@@ -97,8 +97,7 @@ class InfluenceMatrix(AbstractToothCompliance):
 
     @property
     def line_contact(self) -> HertzLineContact:
-        width = jnp.minimum(self.external_width, self.internal_width)
-        return HertzLineContact(self.youngs_modulus, self.poissons_ratio, width)
+        return HertzLineContact.of_teeth(self)
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         if self.tables is None:

@@ -1,7 +1,7 @@
 """Elastic line contact of pins on flanks: the force does not grow in proportion to the approach."""
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -96,6 +96,16 @@ class HertzLineContact(AbstractLineContact):
 
     def __check_init__(self):
         check_parameters(self)
+
+    @classmethod
+    def of_teeth(cls, teeth: Any) -> "HertzLineContact":
+        """That of the flanks of elastic teeth, which meet over the narrower one's width.
+
+        Args:
+            teeth: a compliance with ``youngs_modulus``, ``poissons_ratio``, ``external_width`` and ``internal_width``.
+        """
+        width = jnp.minimum(teeth.external_width, teeth.internal_width)
+        return cls(teeth.youngs_modulus, teeth.poissons_ratio, width)
 
 
 class HuLineContact(AbstractLineContact):

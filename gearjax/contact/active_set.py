@@ -17,7 +17,7 @@ HALVINGS = 40  # of the length of a step
 CLOSED = 64.0  # roundings of the opening, within which an open contact may overlap
 GATHERED_FROM = 48  # contacts; of fewer a factorisation of all takes no longer
 PARTS = 4  # sizes that closed contacts are gathered into
-Found = tuple[Float[Array, " free"], Float[Array, " contact"], Bool[Array, " contact"], Bool[Array, ""]]
+Carried = tuple[Float[Array, " free"], Float[Array, " contact"], Bool[Array, " contact"], Bool[Array, ""]]
 
 
 def carrying(
@@ -27,7 +27,7 @@ def carrying(
     applied: Float[Array, " free"],
     loaded: Bool[Array, " contact"],
     start: Bool[Array, " contact"],
-) -> Found:
+) -> Carried:
     """Positions, forces, the contacts that carry, and whether they were found.
 
     Args:

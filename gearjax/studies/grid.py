@@ -154,12 +154,12 @@ def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]
     return low + spacing * np.arange(number)
 
 
-Found = tuple[list[tuple[float, np.ndarray]], int]  # the best, objective and numbers each, and how many evaluated
+Kept = tuple[list[tuple[float, np.ndarray]], int]  # the best, objective and numbers each, and how many evaluated
 
 
 def _structured(
     objective: Objective, scene: Scene, free: Free, levels: tuple[np.ndarray, ...], keep: int, progress: Progress
-) -> Found:
+) -> Kept:
     """Bound, prune, evaluate the survivors exactly; the best of them by the objective itself."""
     dtype = objective.theta.dtype
     axes = tuple(jnp.asarray(axis, dtype) for axis in levels)
@@ -201,7 +201,7 @@ def _require_contributions(
 
 def _exhaustive(
     objective: Objective, scene: Scene, free: Free, levels: tuple[np.ndarray, ...], keep: int, progress: Progress
-) -> Found:
+) -> Kept:
     """Every combination, in chunks.
 
     An objective made of largest values is bounded from below by a part of its samples: all combinations are bounded,
@@ -247,7 +247,7 @@ def _best_of(
     keep: int,
     slack: tuple[float, float],
     progress: Progress,
-) -> Found:
+) -> Kept:
     """The best combinations from lower bounds of all: judged from the lowest bound on, until no other can be better by
     more than rounding, relative and in rad."""
     order = np.argsort(np.where(np.isfinite(bounds), bounds, np.inf), kind="stable")

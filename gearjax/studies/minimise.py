@@ -225,7 +225,7 @@ def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | None) -
     return points
 
 
-class _Found(NamedTuple):
+class _Descents(NamedTuple):
     """The end of one start, or of many."""
 
     ends: Any
@@ -244,7 +244,7 @@ class _Search(eqx.Module):
     steps: tuple[int, int] = eqx.field(static=True)
     temperatures: Float[Array, "2"]
 
-    def __call__(self, physics: Scene, start: Float[Array, " free"], begun: Scalar, optimiser: Optimiser) -> _Found:
+    def __call__(self, physics: Scene, start: Float[Array, " free"], begun: Scalar, optimiser: Optimiser) -> _Descents:
         """From a start and the objective there."""
         dtype = start.dtype
         size = jnp.maximum(jnp.abs(begun), SMALLEST)
@@ -264,7 +264,7 @@ class _Search(eqx.Module):
         finite &= jnp.isfinite(ended.value) if self.steps[1] else True
         result = jnp.where(finite, jnp.where(ended.promise > SETTLED, 1, 0), 2)
         history = jnp.concatenate([losses * size, ended.history])
-        return _Found(ended.numbers, ended.value, result, history, evaluations + self.steps[1])
+        return _Descents(ended.numbers, ended.value, result, history, evaluations + self.steps[1])
 
     def _loss(self, physics: Scene, numbers: Float[Array, " free"], share: Scalar, size: Scalar) -> Scalar:
         """The smoothed objective over its value at the start; the temperature is a share of that."""
@@ -297,13 +297,13 @@ class _Search(eqx.Module):
 
 
 @eqx.filter_jit
-def _run(search: _Search, physics: Scene, starts: Array, begun: Array, optimiser: Optimiser) -> _Found:
+def _run(search: _Search, physics: Scene, starts: Array, begun: Array, optimiser: Optimiser) -> _Descents:
     return jax.vmap(lambda start, value: search(physics, start, value, optimiser))(starts, begun)
 
 
 def _in_chunks(
     search: _Search, physics: Scene, points: np.ndarray, begun: np.ndarray, optimiser: Optimiser, progress: Progress
-) -> _Found:
+) -> _Descents:
     """All starts, so many at once that they fit into memory."""
     dtype = search.descent.theta.dtype
     most = max(1, min(MOST_STARTS, MOST_NUMBERS // search.polishing.theta.shape[0]))
@@ -313,7 +313,7 @@ def _in_chunks(
     size = -(-len(points) // chunks)
     progress(f"{len(points)} starts, {size} at once")
 
-    def run(points: np.ndarray, begun: np.ndarray) -> _Found:
+    def run(points: np.ndarray, begun: np.ndarray) -> _Descents:
         return _run(search, physics, jnp.asarray(points, dtype), jnp.asarray(begun, dtype), optimiser)
 
     def done(number: int) -> None:

@@ -42,11 +42,11 @@ class Pressed(eqx.Module):
 
     def curve(self, scene: Scene, torque: float) -> Float[Array, " n"]:
         """Static TE of one gear set under a torque [N m] at all angles, nan where there is none [rad]."""
-        anchored, load = scene.anchored(), -jnp.asarray(torque, scene.dtype)
+        anchored, applied = scene.anchored(), -jnp.asarray(torque, scene.dtype)
 
         def at(pose: Pose, springs: CoupledSprings) -> Scalar:
             contacts = dataclasses.replace(anchored.contacts(pose), springs=springs)
-            return equilibrium(contacts, load, anchored.contact).position
+            return equilibrium(contacts, applied, anchored.contact).position
 
         return jax.vmap(at)(self.poses, self.springs)
 
