@@ -109,6 +109,7 @@ LONGEST = (  # files, of both runs of CI
     "test_matrix.py",
     "test_tradeoff.py",
     "test_involute_rv.py",
+    "test_involute_loads.py",
     "test_spectra.py",
     "test_periodic_modes.py",
     "test_trains.py",

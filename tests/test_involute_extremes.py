@@ -8,7 +8,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.units import deg, mm, um
-from tests.test_involute_rv import STEEL, angle_of, system
+from tests.involute import STEEL, angle_of, system
 
 ELASTIC = gj.ElasticTeeth(**STEEL)
 

@@ -13,7 +13,7 @@ from gearjax.studies.select import pick
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.measures import Measures
 from gearjax.units import mm, um
-from tests.test_involute_rv import STEEL, angle_of, system
+from tests.involute import STEEL, angle_of, system
 
 TEETH = gj.ElasticTeeth(**STEEL, rim=0.8 * mm)
 

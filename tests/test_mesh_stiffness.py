@@ -12,7 +12,7 @@ import gearjax as gj
 from gearjax.plot import stiffness_figure
 from gearjax.units import mm, um
 from tests import rv
-from tests.test_involute_rv import system
+from tests.involute import system
 from tests.test_supports import Bearings, pair, planets, reducer
 from tests.trains import on_bearings, train
 

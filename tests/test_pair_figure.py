@@ -10,7 +10,7 @@ from gearjax.plot import pair_figure, save_figures, save_pair_figure
 from gearjax.plot.involute import _factor, _zones
 from gearjax.results import run_cases
 from gearjax.units import mm, um
-from tests.test_involute_rv import curves_of, system
+from tests.involute import curves_of, system
 
 TORQUE, THETA = 40.0, np.array([0.3, 0.31])
 

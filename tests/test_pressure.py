@@ -11,7 +11,7 @@ import pytest
 import gearjax as gj
 from gearjax.contact import Places, even_parts
 from gearjax.units import mm, um
-from tests.test_involute_rv import curves_of, system
+from tests.involute import curves_of, system
 
 TORQUE, THETA = 40.0, np.linspace(0.2, 1.1, 6)
 WIDTH = 6.5 * mm
