@@ -22,10 +22,12 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         table.add_column(column, justify="left" if column in ("setting", "") else "right")
     for row in comparison.rows:
         gradient = "" if row.gradient_seconds is None else f"{1e3 * row.gradient_seconds:.1f}"
+        gradient = gradient if row.gradient_measured or not gradient else f"~{gradient}"
         error = f"{row.error / arcmin:.2g}"
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
     console.print(table)
+    console.print("~: not measured, in proportion to the run of another step length of that scheme", soft_wrap=True)
     if comparison.statics:
         table = Table(title="Geometry under static torque, against the most exact choice")
         for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):
