@@ -102,7 +102,7 @@ from gearjax.studies import (
     local_sensitivity,
     minimise,
 )
-from gearjax.studies.compensate import Judged
+from gearjax.studies.compensation import Judged
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem, DiscProfile, InvoluteRV, RVCycloidal, TwoKV
 from gearjax.tolerance import (

@@ -157,8 +157,13 @@ def angle(**bounds: Any) -> Any:
 
 
 def series(dimension: units.Dimension, **bounds: Any) -> Any:
-    """A list of numbers of the given dimension, of any length."""
-    return _field(Parameter(dimension, "series", **bounds), converter=as_leaf)
+    """A list of numbers of the given dimension, of any length; one number is a list of it."""
+
+    def listed(given: Any) -> Any:
+        leaf = as_leaf(given)
+        return leaf.reshape(1) if isinstance(leaf, jax.Array) and not leaf.ndim else leaf
+
+    return _field(Parameter(dimension, "series", **bounds), converter=listed)
 
 
 def count(

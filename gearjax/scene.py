@@ -368,6 +368,10 @@ def _check_coupled(scene: Scene) -> None:
     if not is_concrete((compliance, scene.system)):
         return
     with jax.ensure_compile_time_eval():  # while something else is traced
+        if isinstance(compliance, AbstractToothCompliance):
+            places = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(places=True)).places
+            assert places is not None  # the system has them
+            compliance.check(places)
         number, influence = len(scene.layout.side), np.asarray(_influence(scene))
     if influence.shape != (number, number):
         raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")

@@ -47,6 +47,14 @@ def test_results_are_kept_and_found_again(gear, tmp_path, monkeypatch):
         table_of(gear, cache=tmp_path, rim=1.1 * mm)
 
 
+def test_a_damaged_result_is_worked_out_again(gear, table, tmp_path):
+    table_of(gear, cache=tmp_path)
+    (kept,) = tmp_path.glob("*.npz")
+    kept.write_bytes(kept.read_bytes()[:1000])
+    np.testing.assert_array_equal(table_of(gear, cache=tmp_path).matrix, table.matrix)
+    assert gj.read_influence(kept, gear).made_for == table.made_for  # and kept again
+
+
 def test_a_table_of_another_gear_is_refused(gear, table, tmp_path):
     path = gj.save_influence(tmp_path / "teeth.npz", table, gear)
     with pytest.raises(gj.GearjaxError, match=r"made for another gear, profile_shift 0.2 and not 0.21"):

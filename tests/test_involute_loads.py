@@ -8,6 +8,7 @@ import pytest
 import gearjax as gj
 from gearjax.contact import Request
 from gearjax.influence.table import gear_hash
+from gearjax.studies.select import pick
 from gearjax.systems import flank_radii
 from gearjax.units import mm, um
 from tests.conftest import ROOT
@@ -163,18 +164,70 @@ def test_a_single_candidate_is_too_few_for_finite_elements():
         gj.Scene(system(profile_points=3), compliance=matrix)
 
 
-def test_fewer_candidates_than_elements_are_told(monkeypatch):
-    """Read from files: four elements along the profile, and three candidates."""
-    own = system(profile_points=3)
-    gears, radii = flank_radii(own)
+def tables_of(own: gj.InvoluteRV, scale=1.0, face=6.5 * mm, nodes=5) -> list[gj.InfluenceTable]:
+    """Springs side by side at nodes over the flanks that may touch."""
     tables = []
-    for gear, radius in zip(gears, radii, strict=True):
-        nodes = np.linspace(float(radius.min()), float(radius.max()), 5)
-        tables.append(gj.InfluenceTable(nodes, np.array([0.0, 6.5 * mm]), 1e-9 * np.eye(10)[None], gear_hash(gear)))
-    matrix = gj.InfluenceMatrix(**STEEL, rim=0.8 * mm, external_file="one.npz", internal_file="other.npz")
-    monkeypatch.setattr("gearjax.compliance.influence_matrix.read_influence", lambda *_: tables.pop(0))
+    for gear, radius in zip(*flank_radii(own), strict=True):
+        radii = scale * np.linspace(float(radius.min()), float(radius.max()), nodes)
+        matrix = 1e-9 * np.eye(2 * nodes)[None]
+        tables.append(gj.InfluenceTable(radii, np.array([0.0, face]), matrix, gear_hash(gear)))
+    return tables
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Finite elements for a gear set, their tables as if read from files."""
+
+    def make(own: gj.InvoluteRV, tables: list[gj.InfluenceTable]) -> gj.InfluenceMatrix:
+        left = list(tables)
+        monkeypatch.setattr("gearjax.compliance.influence_matrix.read_influence", lambda *_: left.pop(0))
+        matrix = gj.InfluenceMatrix(**STEEL, rim=0.8 * mm, external_file="one.npz", internal_file="other.npz")
+        return matrix.made_for(*flank_radii(own))
+
+    return make
+
+
+def test_fewer_candidates_than_elements_are_told(made):
+    own = system(profile_points=3)
     with pytest.warns(gj.FewCandidates, match=r"3 candidates .* its 4 elements: give system.profile_points = 4"):
-        matrix.made_for(gears, radii)
+        made(own, tables_of(own))
+
+
+def test_elements_of_other_gears_are_refused(made):
+    """By the hash of each gear; a study may vary the numbers of the gears under the tables that it has."""
+    own = system(pairs=7, profile_points=4)
+    matrix = made(own, tables_of(own))
+    scene = gj.Scene(own, compliance=matrix)
+    for changes in ({"pressure_angle": 0.36}, {"external_teeth": 237, "centre_distance": 1.14 * mm}):
+        with pytest.raises(gj.GearjaxError, match="made for another gear") as caught:
+            gj.Scene(system(pairs=7, profile_points=4, **changes), compliance=matrix)
+        assert "\n" not in str(caught.value)
+    assert matrix.made_for(*flank_radii(own)) is matrix
+    free = pick(scene, ["system.external_shift"])
+    moved = free.set(scene, jnp.asarray([-0.39]))
+    assert bool(jnp.isfinite(gj.transmission_error(moved, jnp.asarray([0.0]), torque=1.0).te).all())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"scale": 1e3}, "nodes of the external gear reach from"),  # mm where m are said
+        ({"scale": 0.99}, "nodes of the external gear reach from"),
+        ({"face": 6.5}, "over 6500 mm of face, the gears share 6.5 mm"),
+    ],
+)
+def test_nodes_that_are_not_where_contacts_are_are_refused(made, changes, words):
+    own = system(profile_points=4)
+    with pytest.raises(gj.GearjaxError, match=words) as caught:
+        made(own, tables_of(own, **changes))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("changes", "words"), [({"profile_points": 6}, "5 nodes"), ({"face_points": 3}, "2 nodes")])
+def test_more_candidates_than_nodes_are_refused(made, changes, words):
+    own = system(**({"profile_points": 4} | changes))
+    with pytest.raises(gj.GearjaxError, match=f"{next(iter(changes))} = {next(iter(changes.values()))}.*{words}"):
+        gj.Scene(own, compliance=made(own, tables_of(own)))
 
 
 @pytest.mark.slow

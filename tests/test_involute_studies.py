@@ -4,13 +4,35 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import gearjax as gj
 from gearjax.studies.select import pick
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.measures import Measures
-from gearjax.units import um
+from gearjax.units import mm, um
 from tests.conftest import ROOT
+from tests.involute import system
+
+
+@pytest.mark.parametrize("sets", [None, 2])
+def test_compensation_moves_numbers_of_errors(sets):
+    """Tip relief that nothing asks for goes, under the scene's own errors and under given sets of them."""
+    springs = gj.HarmonicStiffness(mean=2e9, relative_amplitudes=[], phases=[])
+    errors = {"tip": gj.TipRelief("gear_1", 2 * um, 0.3 * mm)}
+    backlash = gj.InitialBacklash(initial=40 * um)
+    scene = gj.Scene(system(pairs=7, profile_points=3), errors, backlash=backlash, compliance=springs)
+    given = None if sets is None else [errors, {"tip": gj.TipRelief("gear_1", 1 * um, 0.3 * mm)}]
+    theta, path = np.linspace(0.0, 0.02, 4), "errors.tip.amount[0]"
+    design = gj.compensate(scene, theta, 50.0, [path], bounds={path: (0.0, 5 * um)}, error_sets=given)
+    assert design.values[path] == pytest.approx(0.0, abs=1e-3 * um)
+    known = -gj.transmission_error(design.scene, theta, torque=50.0).te.mean()
+    np.testing.assert_allclose(design.after.mean_lag, known, rtol=1e-9)
+    assert float(design.after.mean_lag.max()) < 0.99 * float(design.before.mean_lag.min())
+    calm = dataclasses.replace(scene, errors={"tip": gj.TipRelief("gear_1", 0.0, 0.3 * mm)})
+    path = "errors.tip.length"
+    with pytest.raises(gj.GearjaxError, match="does not depend on it"):  # there is no relief that it would bound
+        gj.compensate(calm, theta, 50.0, [path], bounds={path: (0.1 * mm, 0.4 * mm)})
 
 
 def test_a_population_is_measured_as_its_analyses_do(rng):

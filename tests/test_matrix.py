@@ -294,7 +294,7 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
     **{
         (name, kind, "element"): "does not depend on it"
-        for name in ("grid_search", "minimise", "optimise")
+        for name in ("compensate", "grid_search", "minimise", "optimise")
         for kind in ("two_kv", "involute_rv")
     },
 }

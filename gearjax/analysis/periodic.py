@@ -13,7 +13,7 @@ import optimistix
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
-from gearjax.analysis.return_map import Cut, OfOutput, OfStructure, Problem, eigenvalues, return_map
+from gearjax.analysis.return_map import OfOutput, OfStructure, Problem, eigenvalues, return_map
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -108,14 +108,14 @@ def shooting(
         if jnp.shape(guess) != wanted:
             raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {wanted}, {words} and the rate of each")
         guess = jnp.asarray(guess, scene.dtype).reshape(2, -1)
-    return shoot(problem, Cut.of(problem, steps), guess, settle, max_steps)
+    return shoot(problem, steps, guess, settle, max_steps)
 
 
 @eqx.filter_jit
-def shoot(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_steps: int) -> Periodic:
+def shoot(problem: Problem, steps: int, guess: Array | None, settle: int, max_steps: int) -> Periodic:
     """Newton's method on the start of a period; arguments as for `shooting`, the guess of shape (2, coordinate).
     Without steps the motion is as it is from there."""
-    motion = return_map(problem, cut)
+    motion = return_map(problem, steps)
     start = motion.resting() if guess is None else guess / motion.scale
     if settle:
         start = jax.lax.scan(lambda state, _: (motion.end(state), None), start, None, length=settle)[0]
@@ -134,7 +134,7 @@ def shoot(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_step
     states = course.states[:-1] * motion.scale[None]
     supported = not problem.scene.output_alone
     return Periodic(
-        problem.period / cut.steps * jnp.arange(cut.steps).astype(state.dtype),
+        problem.period / steps * jnp.arange(steps).astype(state.dtype),
         states[:, 0, 0],
         states[:, 1, 0],
         jax.lax.stop_gradient(eigenvalues(jax.lax.stop_gradient(slope))),
@@ -192,8 +192,7 @@ def speed_sweep(
         raise ParameterError("order", order, nearest(order, scene.system.orders))
     turns, physics = scene.system.orders[order], scene.physics(*MODELLED)
     torque = jnp.asarray(torque, scene.dtype)
-    cut = Cut.of(_at_speed(physics, torque, turns, speeds[0]), steps)
-    sweep = _speed_sweep(physics, torque, speeds, periods, cut, turns)
+    sweep = _speed_sweep(physics, torque, speeds, periods, steps, turns)
     return dataclasses.replace(sweep, ends=sweep.ends[..., 0]) if scene.output_alone else sweep
 
 
@@ -204,9 +203,9 @@ def _at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Prob
 
 
 @eqx.filter_jit
-def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, cut: Cut, turns: float) -> Sweep:
+def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, steps: int, turns: float) -> Sweep:
     def at(state: Array, speed: Scalar) -> tuple[Array, tuple[Array, Array, Array]]:
-        motion = return_map(_at_speed(scene, torque, turns, speed), cut)
+        motion = return_map(_at_speed(scene, torque, turns, speed), steps)
         state = jax.lax.scan(
             lambda state, _: (motion.end(state), None), state / motion.scale, None, length=periods - 1
         )[0]
@@ -216,6 +215,6 @@ def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, cut:
         state = course.states[-1] * motion.scale
         return state, (path.std() * output, spread * output, state)
 
-    first = return_map(_at_speed(scene, torque, turns, scene.system.input_speed), cut)
+    first = return_map(_at_speed(scene, torque, turns, scene.system.input_speed), steps)
     _, (std, spread, ends) = jax.lax.scan(at, first.resting() * first.scale, speeds)
     return Sweep(speeds, std, spread, ends)

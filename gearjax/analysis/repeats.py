@@ -13,7 +13,7 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.periodic import Periodic, shoot
-from gearjax.analysis.return_map import Cut, Problem, return_map
+from gearjax.analysis.return_map import Problem, return_map
 from gearjax.checks import SceneError, is_concrete
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike
@@ -70,19 +70,18 @@ def periodic_motion(
     problem = Problem.of(scene, torque, period)
     if not is_concrete(problem):
         raise SceneError("periodic_motion looks at its numbers as it goes: use shooting under jit, vmap and gradients")
-    cut = Cut.of(problem, steps)
-    state = _linear_start(problem, cut)
+    state = _linear_start(problem, steps)
     if not bool(jnp.isfinite(state).all()):
         raise SceneError(
             f"there is no equilibrium to start from: no flank holds torque = {float(problem.torque):g} N*m"
         )
     for _ in range(-(-settle // ROUND)):
-        state, ends = _some(problem, cut, state, max(ROUND, longest + 1))
+        state, ends = _some(problem, steps, state, max(ROUND, longest + 1))
         ends = np.asarray(ends)
         away = [_distance(ends[-1], ends[-1 - periods]) for periods in range(1, longest + 1)]
         for periods in (number for number, distance in enumerate(away, start=1) if distance < RETURNED):
             motion = _shot(problem, steps, state, periods)
-            begins = np.asarray(motion.start).reshape(2, -1) / np.asarray(_scale(problem, cut))
+            begins = np.asarray(motion.start).reshape(2, -1) / np.asarray(_scale(problem, steps))
             near = _distance(begins, ends[-1]) < max(SAME, 10 * away[periods - 1])
             stays = bool((jnp.abs(motion.multipliers) < 1 + NEUTRAL).all())  # undamped motions neither grow nor die out
             if int(motion.result) == 0 and stays and near:
@@ -99,20 +98,20 @@ def _distance(one: np.ndarray, other: np.ndarray) -> float:
 def _shot(problem: Problem, steps: int, state: Array, periods: int, search: int = 40) -> Periodic:
     """Newton's method from a state, over some periods."""
     several = problem._replace(period=problem.period * periods)
-    guess = state * _scale(problem, Cut.of(problem, steps))
-    motion = shoot(several, Cut.of(several, periods * steps), guess, 0, search)
+    guess = state * _scale(problem, steps)
+    motion = shoot(several, periods * steps, guess, 0, search)
     return dataclasses.replace(motion, periods=periods)
 
 
 @eqx.filter_jit
-def _scale(problem: Problem, cut: Cut) -> Array:
-    return return_map(problem, cut).scale
+def _scale(problem: Problem, steps: int) -> Array:
+    return return_map(problem, steps).scale
 
 
 @eqx.filter_jit
-def _linear_start(problem: Problem, cut: Cut) -> Array:
+def _linear_start(problem: Problem, steps: int) -> Array:
     """Where the motion would be periodic if what is closed at the start stayed so: one step of Newton's method."""
-    motion = return_map(problem, cut)
+    motion = return_map(problem, steps)
     begin = motion.resting()
 
     def end(flat: Array) -> tuple[Array, Array]:
@@ -126,9 +125,9 @@ def _linear_start(problem: Problem, cut: Cut) -> Array:
 
 
 @eqx.filter_jit
-def _some(problem: Problem, cut: Cut, state: Array, number: int) -> tuple[Array, Array]:
+def _some(problem: Problem, steps: int, state: Array, number: int) -> tuple[Array, Array]:
     """The state after some periods, and after each of them, the first one too."""
-    motion = return_map(problem, cut)
+    motion = return_map(problem, steps)
 
     def once(state: Array, _: None) -> tuple[Array, Array]:
         end = motion.end(state)

@@ -5,22 +5,22 @@ coordinates [rad, m] and velocities [rad/s, m/s] per scaled ones; ``resting`` is
 moving as the gaps move it, nan where there is none; ``course`` tells the motion in between.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from gearjax.analysis import modes
 from gearjax.analysis.chebyshev import MOST_NODES
-from gearjax.analysis.choice import MODELLED, phase_of
+from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.equation import Equation
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
 from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.modes import Steps, StructureEquation
-from gearjax.checks import is_concrete
+from gearjax.analysis.modes.lines import Driving
+from gearjax.analysis.modes.steps import AT_ONCE, divisor
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
@@ -38,27 +38,6 @@ class Problem(NamedTuple):
         require(scene, "dynamic", "compliance", "load", "inertia")
         physics, dtype = scene.physics(*MODELLED), scene.dtype
         return cls(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
-
-
-class Cut(NamedTuple):
-    """How a period is cut.
-
-    Args:
-        steps: of the period.
-        spacing: of the steps of bodies on supports; ``None`` where the output alone moves.
-    """
-
-    steps: int
-    spacing: modes.Spacing | None
-
-    @classmethod
-    def of(cls, problem: Problem, steps: int) -> "Cut":
-        """The cheapest cut."""
-        if problem.scene.output_alone:
-            return cls(steps, None)
-        ends = np.array([0.0, float(problem.period)]) if is_concrete(problem.period) else None
-        phase = None if ends is None else phase_of(problem.scene, ends, steps)
-        return cls(steps, modes.Spacing.of(2, steps, phase, problem.scene.dtype))
 
 
 class Course(NamedTuple):
@@ -79,18 +58,23 @@ class OfOutput(eqx.Module):
     """By the exponentially fitted scheme; velocities are per step.
 
     Args:
-        forcing: what drives the steps of a period.
-        steps: of the period.
+        forcing: what drives the steps.
+        nodes: what changes of it in the period.
+        spacing: of the steps.
     """
 
     forcing: Forcing
-    steps: int = eqx.field(static=True)
+    nodes: Any
+    spacing: march.Spacing = eqx.field(static=True)
 
     @classmethod
     def of(cls, problem: Problem, steps: int) -> "OfOutput":
-        equation = Equation.of(problem.scene, problem.torque)
-        oscillator = Oscillator(equation, problem.period / steps)
-        return cls(Forcing.of(oscillator, jnp.zeros_like(problem.period)), steps)
+        """Of a period that is cut into some steps."""
+        equation, start = Equation.of(problem.scene, problem.torque), jnp.zeros_like(problem.period)
+        forcing = Forcing.of(Oscillator(equation, problem.period / steps), start)
+        block = march.Block(max(steps // 8, 8), MOST_NODES)
+        spacing = march.Spacing(steps + 1, 1, block, march.Signals.TABLE)
+        return cls(forcing, march.nodes_of(forcing, start, spacing), spacing)
 
     @property
     def scale(self) -> Array:
@@ -113,10 +97,8 @@ class OfOutput(eqx.Module):
 
     def _march(self, state: Array) -> march.March:
         start = jnp.zeros_like(self.forcing.oscillator.step)
-        block = march.Block(max(self.steps // 8, 8), MOST_NODES)
-        spacing = march.Spacing(self.steps + 1, 1, block, march.Signals.TABLE)
-        carry, _ = march.begin(self.forcing, start, spacing.signals, state[:, 0])
-        return march.march(self.forcing, start, carry, spacing)
+        carry, _ = march.begin(self.forcing, start, self.spacing.signals, state[:, 0])
+        return march.march(self.forcing, start, carry, self.spacing, self.nodes)
 
 
 class OfStructure(eqx.Module):
@@ -124,16 +106,19 @@ class OfStructure(eqx.Module):
 
     Args:
         even: those of a period.
-        spacing: how they are cut.
+        table: what drives the motion at the end of each.
     """
 
     even: Steps
-    spacing: modes.Spacing = eqx.field(static=True)
+    table: Driving
 
     @classmethod
-    def of(cls, problem: Problem, steps: int, spacing: modes.Spacing) -> "OfStructure":
+    def of(cls, problem: Problem, steps: int) -> "OfStructure":
+        """Of a period that is cut into some steps."""
         equation = StructureEquation.of(problem.scene, problem.torque)
-        return cls(Steps.of(equation, jnp.zeros_like(problem.period), problem.period / steps), spacing)
+        even = Steps.of(equation, jnp.zeros_like(problem.period), problem.period / steps)
+        ends = jnp.arange(1, steps + 1).astype(even.step.dtype) * even.step
+        return cls(even, jax.vmap(even.lines.driving)(ends))
 
     @property
     def scale(self) -> Array:
@@ -144,24 +129,26 @@ class OfStructure(eqx.Module):
         return self.even.lines.equation.initial(jnp.zeros_like(self.even.step), "equilibrium")
 
     def end(self, state: Array) -> Array:
-        return self._march(state, self.spacing).states[-1]
+        steps = self._steps
+        return self._march(state, modes.Spacing(2, steps, divisor(steps, AT_ONCE), None)).states[-1]
 
     def course(self, state: Array) -> Course:
-        each = modes.Spacing(self.spacing.each + 1, 1, 1, None)
-        return self._march(state, each)
+        return self._march(state, modes.Spacing(self._steps + 1, 1, 1, None))
+
+    @property
+    def _steps(self) -> int:
+        return jax.tree.leaves(self.table)[0].shape[0]
 
     def _march(self, state: Array, spacing: modes.Spacing) -> Course:
         place, speed = state * self.scale
-        record = modes.march(self.even, place, speed, spacing)
+        record = modes.march(self.even, place, speed, spacing, self.table)
         output = self.even.lines.equation.scale[0]
         return Course(record.states / self.scale[None], record.highest / output, record.lowest / output)
 
 
-def return_map(problem: Problem, cut: Cut) -> OfOutput | OfStructure:
+def return_map(problem: Problem, steps: int) -> OfOutput | OfStructure:
     """The map that suits a scene, worked out once: it is part of a program several times."""
-    if cut.spacing is None:
-        return OfOutput.of(problem, cut.steps)
-    return OfStructure.of(problem, cut.steps, cut.spacing)
+    return (OfOutput if problem.scene.output_alone else OfStructure).of(problem, steps)
 
 
 def eigenvalues(matrix: Float[Array, "state state"]) -> Array:

@@ -80,6 +80,16 @@ class AbstractToothCompliance(eqx.Module):
         """
         return self
 
+    def check(self, places: Places) -> None:
+        """Refuse teeth that it was not made for.
+
+        Args:
+            places: of the contacts on them, numbers that are known.
+
+        Raises:
+            GearjaxError: naming what is wrong.
+        """
+
     @property
     def line_contact(self) -> AbstractLineContact | None:
         """Material and face width of the contacts, for the pressure in them; ``None`` where it has none."""

@@ -16,9 +16,12 @@ from gearjax.contact.springs import block_diagonal
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.influence import InfluenceTable, influence_of, read_influence, tooth_influence
 from gearjax.influence.interpolate import across_face, along_radius
+from gearjax.influence.table import gear_hash
 from gearjax.parameters import check_parameters, count, file_name, length, number
 from gearjax.typing import Array, Float, Number
+from gearjax.units import mm
 
+APART = 0.05  # of a span of nodes, that contacts may stand beyond
 FEWEST_POINTS = 3  # along the profile: single nodal forces would tell of the elements, not of the teeth
 MARGIN = 1e-6  # of a radius, that nodes stand beyond the contacts
 
@@ -33,8 +36,9 @@ class InfluenceMatrix(AbstractToothCompliance):
     the force of each spreads over it evenly.
 
     `made_for` finds the tables for a gear set: configurations do so as they are read. They stay what they are while
-    numbers of the gear set are varied. Where candidates along the profile are fewer than elements, it warns
-    (`gearjax.FewCandidates`): loads of single pairs are then off by some per cent.
+    numbers of the gear set are varied by a study; a scene of other gears refuses them. Where candidates along the
+    profile are fewer than elements, it warns (`gearjax.FewCandidates`): loads of single pairs are then off by some per
+    cent.
 
     Args:
         youngs_modulus, poissons_ratio: of both gears [Pa], [-].
@@ -66,12 +70,10 @@ class InfluenceMatrix(AbstractToothCompliance):
             raise ParameterError("external_file", self.external_file, "give external_file and internal_file, or none")
 
     def made_for(self, gears: tuple[InvoluteGear, InvoluteGear], radii: tuple[Array, Array]) -> "InfluenceMatrix":
-        if self.tables is not None:
-            return self
         points = radii[0].shape[-1]
-        if points < FEWEST_POINTS:
-            words = f"influence_matrix needs at least {FEWEST_POINTS} candidates along the profile of each pair"
-            raise ParameterError("system.profile_points", points, words)
+        self._check_points(points)
+        if self.tables is not None and [t.made_for for t in self.tables] == [gear_hash(gear) for gear in gears]:
+            return self
         if self.external_file:
             files = zip((self.external_file, self.internal_file), gears, strict=True)
             tables = tuple(read_influence(file, gear) for file, gear in files)
@@ -79,11 +81,56 @@ class InfluenceMatrix(AbstractToothCompliance):
             widths = float(self.external_width), float(self.internal_width)
             each = zip(gears, radii, widths, strict=True)
             tables = tuple(self._run(gear, radius, width, min(widths)) for gear, radius, width in each)
+        self._check_reach(tables, radii)
         elements = min(len(table.radius) for table in tables) - 1
         if points < elements:
             words = f"influence_matrix: {points} candidates along the profile are fewer than its {elements} elements"
             warnings.warn(f"{words}: give system.profile_points = {elements}", FewCandidates, stacklevel=2)
         return eqx.tree_at(lambda part: part.tables, self, tables, is_leaf=lambda part: part is None)
+
+    def check(self, places: Places) -> None:
+        tables = self._made
+        points, faces = places.radius[0].shape[-1], places.face.shape[0]
+        self._check_points(points)
+        for table, gear in zip(tables, places.gears, strict=True):
+            table.check_gear(gear)
+        self._check_reach(tables, places.radius)
+        for name, given, nodes in (
+            ("profile_points", points, max(len(table.radius) for table in tables)),
+            ("face_points", faces, max(len(table.face) for table in tables)),
+        ):
+            if given > nodes:
+                words = f"more than the {nodes} nodes of influence_matrix, whose influence would be singular"
+                raise ParameterError(f"system.{name}", given, words)
+
+    @property
+    def _made(self) -> tuple[InfluenceTable, InfluenceTable]:
+        if self.tables is None:
+            raise SceneError("influence_matrix has no tables: use compliance.made_for(...), as gj.load does")
+        return self.tables
+
+    def _check_points(self, points: int) -> None:
+        if points < FEWEST_POINTS:
+            words = f"influence_matrix needs at least {FEWEST_POINTS} candidates along the profile of each pair"
+            raise ParameterError("system.profile_points", points, words)
+
+    def _check_reach(self, tables: tuple[InfluenceTable, ...], radii: tuple[Array, Array]) -> None:
+        """Refuse nodes that are not where the contacts are: points beyond them would count as on their edge."""
+        shared = min(float(self.external_width), float(self.internal_width))
+        for side, table, own in zip(("external", "internal"), tables, radii, strict=True):
+            low, high, face = float(own.min()), float(own.max()), float(table.face[-1] - table.face[0])
+            begin, end = float(table.radius[0]), float(table.radius[-1])
+            room = APART * (high - low)
+            if not (begin <= low + room and end >= high - room):
+                raise SceneError(
+                    f"influence_matrix: nodes of the {side} gear reach from {begin / mm:.6g} to {end / mm:.6g} mm of "
+                    f"radius, its contacts from {low / mm:.6g} to {high / mm:.6g} mm"
+                )
+            if not abs(face - shared) <= APART * shared:
+                raise SceneError(
+                    f"influence_matrix: nodes of the {side} gear reach over {face / mm:.6g} mm of face, the gears "
+                    f"share {shared / mm:.6g} mm"
+                )
 
     def _run(self, gear: InvoluteGear, radius: Array, width: float, meets: float) -> InfluenceTable:
         low, high, tip = float(radius.min()), float(radius.max()), float(gear.tip_radius)
@@ -106,11 +153,10 @@ class InfluenceMatrix(AbstractToothCompliance):
         return HertzLineContact.of_teeth(self)
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
-        if self.tables is None:
-            raise SceneError("influence_matrix has no tables: use compliance.made_for(...), as gj.load does")
+        tables = self._made
         each = places.radius[0][0].size * places.face.shape[0]
         whole = jnp.zeros((places.pair.shape[0], each, each), places.pair.dtype)
-        for table, radius, gear in zip(self.tables, places.radius, places.gears, strict=True):
+        for table, radius, gear in zip(tables, places.radius, places.gears, strict=True):
             # driving flanks of the external gear face increasing angles, those of the ring that they press decreasing
             # ones; back flanks come as their mirror image
             facing = table.mirrored if gear.internal else table

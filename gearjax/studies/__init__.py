@@ -1,6 +1,7 @@
 """Studies of a scene: searches over its numbers."""
 
-from gearjax.studies.compensate import Compensation, compensate
+from gearjax.studies.compensate import compensate
+from gearjax.studies.compensation import Compensation
 from gearjax.studies.grid import GridSearch, grid_search
 from gearjax.studies.minimise import Minimisation, minimise
 from gearjax.studies.objective import Objective

@@ -6,7 +6,7 @@ tightened until it holds there.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,21 +17,20 @@ import numpy as np
 from gearjax import arguments
 from gearjax.analysis.metrics import extremes, top
 from gearjax.analysis.quasi_static import angles_of, play
-from gearjax.analysis.resting import clash, rest, tolerated
+from gearjax.analysis.resting import clash, rest
 from gearjax.analysis.torsion import pressures
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.compliance import AbstractLineContact
 from gearjax.contact import Equilibrium
 from gearjax.errors import AbstractError
 from gearjax.scene import Scene, require
+from gearjax.studies.compensation import Compensation, Judged, Limits, Requirement
 from gearjax.studies.select import Bounds, Free, Where, pick
-from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
-from gearjax.units import deg, um
+from gearjax.typing import Array, ArrayLike, Scalar
 
 OBJECTIVES = ("mean_lag", "peak_to_peak")
 ROUNDS = 4  # of tightening
 SHORT_LEVER = 0.1  # of the mean lever, below which a contact counts as radial
-RADIAL = 2e-6  # rad of the mean lever, that radial contacts stay clear by: 0.1 um at 50 mm
 CLEAR = 1e-2  # m, gap of contacts that are not radial
 MOST_STEPS = 100
 LONGEST_STEP, SHORTEST_STEP = 0.1, 1e-6  # of the span between the bounds
@@ -39,76 +38,6 @@ LEAST_GAIN = 1e-7  # of the objective, that a step must promise
 PENALTY = 30.0  # of a radian that is missed of what is required, in radians of the objective
 FEASIBLE = 1e-4  # of the objective, that may be missed at the samples
 Errors = Mapping[str, AbstractError]
-Requirement = Callable[[Scene], Scalar]
-
-
-class Judged(eqx.Module):
-    """A design under each set of errors, by the hard law.
-
-    Args:
-        mean_lag: mean of the loaded transmission error, positive where the output lags, shape (set,) [rad].
-        peak_to_peak: of the loaded transmission error at the samples, shape (set,) [rad].
-        minimum_backlash: smallest backlash over the angles, between samples too, shape (set,) [rad].
-        mean_backlash: mean over the angles, shape (set,) [rad].
-        largest_force: shape (set,) [N].
-        largest_pressure: by Hertz, shape (set,) [Pa]; ``None`` where no limit was given.
-        overlap: largest interference over the angles, negative where all contacts can be clear (`gj.interference`),
-            shape (set,) [m].
-        overlap_contact, overlap_theta: the contact and the input angle [rad] of it, shape (set,).
-        radial_clearance: smallest gap of contacts whose lever is less than a tenth of the mean, such as pins at tips
-            and roots, shape (set,) [m]; 10 mm where there are none.
-    """
-
-    mean_lag: Float[Array, " set"]
-    peak_to_peak: Float[Array, " set"]
-    minimum_backlash: Float[Array, " set"]
-    mean_backlash: Float[Array, " set"]
-    largest_force: Float[Array, " set"]
-    largest_pressure: Float[Array, " set"] | None
-    radial_clearance: Float[Array, " set"]
-    overlap: Float[Array, " set"]
-    overlap_contact: Int[Array, " set"]
-    overlap_theta: Float[Array, " set"]
-
-    def clash(self, scene: Scene) -> str | None:
-        """Interference in words, ``None`` where there is none under any set."""
-        worst = int(jnp.argmax(self.overlap))
-        interfering = self.overlap > tolerated(self.overlap.dtype)
-        if not bool(interfering[worst]):
-            return None
-        count, name = int(interfering.sum()), scene.system.contact_name(int(self.overlap_contact[worst]))
-        return (
-            f"interference under {count} of {len(self.overlap)} sets: rigid bodies overlap by up to "
-            f"{float(self.overlap[worst]) / um:.3g} um ({name}, input angle "
-            f"{float(self.overlap_theta[worst]) / deg:.5g} deg)"
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class Compensation:
-    """A compensated design next to the one it started from.
-
-    Args:
-        scene: the compensated scene.
-        values: its numbers by path, SI.
-        before, after: both designs judged.
-        holds: whether every requirement holds, judged hard under every set of errors.
-        complaints: what does not hold, one line each.
-        interferes: whether bodies of the start interfere under some set of errors (`Judged.clash` names them).
-    """
-
-    scene: Scene
-    values: dict[str, float]
-    before: Judged
-    after: Judged
-    holds: bool
-    complaints: tuple[str, ...]
-    interferes: bool
-
-    @property
-    def lag_reduction(self) -> float:
-        """Share of the mean lag over all sets that is gone [-]."""
-        return 1 - float(self.after.mean_lag.mean() / self.before.mean_lag.mean())
 
 
 @arguments.checked(
@@ -144,7 +73,7 @@ def compensate(
         scene: the design to start from, with a compliance and back flanks.
         theta: input angles, increasing, shape (n,) [rad].
         torque: load torque [N m].
-        where: the numbers to choose.
+        where: the numbers to choose. Those of errors, such as tip relief, are then the same in all sets of errors.
         bounds: lowest and highest value of each, by path, SI.
         objective: ``"mean_lag"``, or ``"peak_to_peak"``, which needs a maximum backlash: without, ever more backlash
             pays.
@@ -158,7 +87,7 @@ def compensate(
         starts: designs to descend from: the given one, and others spread between the bounds.
 
     Raises:
-        ParameterError: a value is wrong.
+        ParameterError: a value is wrong, or a number changes nothing.
         SceneError: the scene lacks what it needs.
 
     Example:
@@ -181,12 +110,15 @@ def compensate(
     free.require_bounds()
     physics = scene.physics("backlash", "compliance")
     sets, number = _stacked(scene, error_sets), 1 if error_sets is None else len(error_sets)
-    limits = _Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive))
+    for errors in error_sets or ():
+        pick(dataclasses.replace(scene, errors=dict(errors)), where)  # has all that is chosen
+    limits = Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive))
     theta, torque = angles_of(scene, theta), jnp.asarray(torque, scene.dtype)
     task = _Task(physics, sets, free, theta, torque, law, maximum_pressure is not None, number)
     start = np.asarray(free.get(scene), float)
     before = task.judged(jnp.asarray(start, scene.dtype))
-    begins, values, after, margin = [start, *_others(free, starts - 1)], start, before, 0.0
+    begins = _with_ends(task, [start, *_others(free, starts - 1)], objective, limits)
+    values, after, margin = start, before, 0.0
     for _ in range(ROUNDS):
         ends = [_descend(task, begin, objective, limits, margin) for begin in begins]
         values = min(ends, key=lambda end: end[1])[0]
@@ -200,61 +132,6 @@ def compensate(
     named = dict(zip(free.paths, (float(v) for v in values), strict=True))
     interferes = before.clash(scene) is not None
     return Compensation(design, named, before, after, not complaints, complaints, interferes)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Limits:
-    minimum_backlash: float
-    maximum_backlash: float | None
-    maximum_pressure: float | None
-    positive: tuple[Requirement, ...]
-
-    def slack(
-        self, scene: Scene, backlash: Array, radial: Array, pressure: Array | None, margin: Scalar
-    ) -> Float[Array, " requirement"]:
-        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure.
-
-        The samples keep a margin from the minimum backlash [rad].
-        """
-        slacks = [-top(-backlash) - self.minimum_backlash - margin, radial - RADIAL]
-        if self.maximum_backlash is not None:
-            slacks.append(self.maximum_backlash - backlash.mean(axis=1))
-        if self.maximum_pressure is not None and pressure is not None:
-            slacks.append(1e-3 * (1 - pressure / self.maximum_pressure))
-        slacks += [jnp.asarray(requirement(scene), backlash.dtype)[None] for requirement in self.positive]
-        return jnp.concatenate(slacks)
-
-    def complaints(self, scene: Scene, judged: Judged) -> tuple[str, ...]:
-        """What does not hold."""
-        complaints = []
-        sets = len(judged.mean_lag)
-        short = judged.minimum_backlash < self.minimum_backlash
-        if bool(short.any()):
-            low = float(judged.minimum_backlash.min())
-            complaints.append(
-                f"backlash below {self.minimum_backlash:g} rad under {int(short.sum())} of {sets} sets: {low:g}"
-            )
-        if self.maximum_backlash is not None and bool(
-            (judged.mean_backlash > self.maximum_backlash * (1 + 1e-6)).any()
-        ):
-            complaints.append(
-                f"mean backlash above {self.maximum_backlash:g} rad: {float(judged.mean_backlash.max()):g}"
-            )
-        if self.maximum_pressure is not None and judged.largest_pressure is not None:
-            high = float(judged.largest_pressure.max())
-            if high > self.maximum_pressure * (1 + 1e-6):
-                complaints.append(f"pressure above {self.maximum_pressure:g} Pa: {high:g}")
-        clash = judged.clash(scene)
-        if clash is not None:
-            complaints.append(clash)
-        low = float(judged.radial_clearance.min())
-        if low < 0:
-            complaints.append(f"tips or roots touch: radial clearance {low:g} m")
-        for index, requirement in enumerate(self.positive):
-            value = float(requirement(scene))
-            if value < -1e-12:
-                complaints.append(f"require_positive[{index}]: {value:g}")
-        return tuple(complaints)
 
 
 class _Task(eqx.Module):
@@ -271,7 +148,7 @@ class _Task(eqx.Module):
 
     def _under(self, values: Array, errors: Any) -> tuple[Scene, Equilibrium, Array, Array | None]:
         """The scene under one set of errors, its rests and backlash at every angle, and pressures there."""
-        scene = dataclasses.replace(self.free.set(self.physics, values), errors=errors).anchored()
+        scene = self.free.set(dataclasses.replace(self.physics, errors=errors), values).anchored()
         rests = jax.vmap(lambda angle: rest(scene, angle, self.torque))(self.theta)
         backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
         pressure = pressures(scene, self.law, self.theta, rests.forces) if self.pressed else None
@@ -302,7 +179,7 @@ class _Task(eqx.Module):
 
     @eqx.filter_jit
     def at(
-        self, values: Array, margin: Scalar, objective: str, limits: "_Limits"
+        self, values: Array, margin: Scalar, objective: str, limits: Limits
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Derivatives of the objective and of what must not be negative; and these themselves."""
 
@@ -332,6 +209,31 @@ class _Task(eqx.Module):
         return Judged(*each)
 
 
+def _with_ends(task: _Task, begins: list[np.ndarray], objective: str, limits: Limits) -> list[np.ndarray]:
+    """The starts, and where a number changes nothing nearby, those with it at either bound: it would stay as it was.
+
+    Raises:
+        ParameterError: a number changes neither the objective nor what is required there either.
+    """
+
+    def at(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Objective and what is required, and how much each number moves them."""
+        values, margin = (jnp.asarray(part, task.physics.dtype) for part in (place, 0.0))
+        slopes, sizes = task.at(values, margin, objective, limits)
+        slope, size = (np.concatenate([np.asarray(part[0])[None], np.asarray(part[1])]) for part in (slopes, sizes))
+        return size, np.abs(slope).sum(axis=0)
+
+    sizes, moves = zip(*map(at, begins), strict=True)
+    low, high = task.free.box
+    for column in np.flatnonzero(sum(moves) == 0):
+        ends = [np.where(np.arange(len(low)) == column, end, begins[0]) for end in (low, high)]
+        if all(np.array_equal(at(end)[0], sizes[0]) for end in ends):
+            words = f"{objective} does not depend on it, nor what is required"
+            raise ParameterError("where", task.free.paths[column], words)
+        begins = [*begins, *ends]
+    return begins
+
+
 def _others(free: Free, number: int) -> list[np.ndarray]:
     """Designs spread between the bounds."""
     from scipy.stats import qmc
@@ -341,7 +243,7 @@ def _others(free: Free, number: int) -> list[np.ndarray]:
 
 
 def _descend(
-    task: _Task, start: np.ndarray, objective: str, limits: _Limits, margin: float
+    task: _Task, start: np.ndarray, objective: str, limits: Limits, margin: float
 ) -> tuple[np.ndarray, tuple[float, float]]:
     """The best values nearby, and how far they are from what is required, then how good.
 

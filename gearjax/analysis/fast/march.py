@@ -125,7 +125,7 @@ class March(NamedTuple):
     defect: Scalar
 
 
-def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: Spacing) -> March:
+def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: Spacing, nodes: Any = None) -> March:
     """All steps one after the other.
 
     Args:
@@ -133,8 +133,10 @@ def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing
         start: time of the first sample [s].
         carry: scaled position and its last change there, as by `begin`.
         spacing: of samples and steps.
+        nodes: as by `nodes_of`, where they are known.
     """
-    _, measured = run_blocks(forcing, start, carry, spacing, nodes_of(forcing, start, spacing))
+    nodes = nodes_of(forcing, start, spacing) if nodes is None else nodes
+    _, measured = run_blocks(forcing, start, carry, spacing, nodes)
     return _joined(measured, jnp.zeros((), start.dtype))
 
 

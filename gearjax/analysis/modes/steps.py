@@ -141,42 +141,54 @@ class Spacing(NamedTuple):
         return best
 
 
-def march(steps: Steps, place: Array, speed: Array, spacing: Spacing) -> March:
-    """Motion from coordinates and velocities over samples with some steps between them."""
+def march(steps: Steps, place: Array, speed: Array, spacing: Spacing, table: Driving | None = None) -> March:
+    """Motion from coordinates and velocities over samples with some steps between them.
+
+    Args:
+        steps: even ones.
+        place, speed: coordinates and velocities at their start.
+        spacing: how the record is cut.
+        table: what drives the motion at the ends of the steps, where it is known; first axis of each leaf the steps.
+    """
     seconds = steps.step * spacing.each
 
-    def driven(begun: Begun, origin: Array) -> tuple[Begun, Array]:
+    def driven(begun: Begun, given: Any) -> tuple[Begun, Array]:
         """The steps of a span: where they end, and their states."""
         ends, lines = np.arange(1, spacing.span + 1, dtype=float), steps.lines
+        if table is not None:
+            begun, record = recur(lines, steps.products, begun, given, None)
+            return begun, record[:, : steps.products.sizes[2]]
         if spacing.nodes is None:
             places, shares = ends, None
         else:
             block = divisor(spacing.span, OF_FEW if lines.apart else AT_ONCE)
             places = chebyshev.nodes(spacing.span, spacing.nodes)
             shares = chebyshev.weights(spacing.span, spacing.nodes, ends).reshape(-1, block, spacing.nodes)
-        table = jax.vmap(lines.driving)(origin + jnp.asarray(places, origin.dtype) * steps.step)
-        begun, record = recur(lines, steps.products, begun, table, shares)
+        known = jax.vmap(lines.driving)(given + jnp.asarray(places, given.dtype) * steps.step)
+        begun, record = recur(lines, steps.products, begun, known, shares)
         return begun, record[:, : steps.products.sizes[2]]
 
     # worked out again where a derivative runs backwards: its memory grows with spans, not with steps
     @functools.partial(jax.checkpoint, prevent_cse=False)
-    def span(inner: tuple, origin: Array) -> tuple[tuple, None]:
+    def span(inner: tuple, given: Any) -> tuple[tuple, None]:
         carry, last, highest, lowest = inner
-        carry, states = driven(carry, origin)
+        carry, states = driven(carry, given)
         position, slope = steps.output(jnp.concatenate([last[None], states]))
         highest, lowest = jnp.maximum(highest, peak(position, slope)), jnp.minimum(lowest, -peak(-position, -slope))
         return (carry, states[-1], highest, lowest), None
 
-    def interval(carry: Begun, number: Array) -> tuple[Begun, tuple]:
-        parts = jnp.arange(spacing.each // spacing.span).astype(seconds.dtype)
-        origins = steps.begin + number.astype(seconds.dtype) * seconds + parts * (spacing.span * steps.step)
+    def interval(carry: Begun, given: Any) -> tuple[Begun, tuple]:
+        if table is None:
+            parts = jnp.arange(spacing.each // spacing.span).astype(seconds.dtype)
+            given = steps.begin + given.astype(seconds.dtype) * seconds + parts * (spacing.span * steps.step)
         last = carry.whole[: steps.scaled.place.shape[1]]
         now = last[0] * steps.scaled.place[0, 0]
-        (carry, _, highest, lowest), _ = jax.lax.scan(span, (carry, last, now, now), origins)
+        (carry, _, highest, lowest), _ = jax.lax.scan(span, (carry, last, now, now), given)
         return carry, (steps.coordinates(carry.whole), highest, lowest)
 
-    numbers = jnp.arange(spacing.samples - 1)
-    _, (states, highest, lowest) = jax.lax.scan(interval, steps.start(place, speed), numbers)
+    cut = spacing.samples - 1, spacing.each // spacing.span, spacing.span
+    rows = jnp.arange(cut[0]) if table is None else jax.tree.map(lambda c: c.reshape(*cut, *c.shape[1:]), table)
+    _, (states, highest, lowest) = jax.lax.scan(interval, steps.start(place, speed), rows)
     parts = (jnp.stack([place, speed]), states), (place[0], highest), (place[0], lowest)
     return March(*(jnp.concatenate([first[None], rest]) for first, rest in parts))
 
