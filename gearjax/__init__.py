@@ -53,6 +53,8 @@ from gearjax.compliance import (
     HertzLineContact,
     HuLineContact,
     InfluenceMatrix,
+    Iso6336Stiffness,
+    iso6336_stiffness,
 )
 from gearjax.config import load, loads
 from gearjax.contact import (
@@ -76,6 +78,7 @@ from gearjax.errors import (
     Sizes,
     TipRelief,
 )
+from gearjax.geometry import BasicRack
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.influence import (
     InfluenceTable,
@@ -149,6 +152,7 @@ __all__ = [
     "AdaptiveStep",
     "AllocatedTolerances",
     "Backlash",
+    "BasicRack",
     "BodyInertia",
     "BodyView",
     "ChosenSteps",
@@ -183,6 +187,7 @@ __all__ = [
     "InvoluteRV",
     "Iso286",
     "Iso1328RunOut",
+    "Iso6336Stiffness",
     "Judged",
     "Layout",
     "LocalSensitivity",
@@ -246,6 +251,7 @@ __all__ = [
     "influence_between",
     "influence_on_grid",
     "interference",
+    "iso6336_stiffness",
     "it_tolerance",
     "load",
     "loads",
