@@ -8,7 +8,6 @@ from gearjax.analysis import (
     ExponentialFit,
     ExponentialParabola,
     FewAngles,
-    FewCandidates,
     FixedStep,
     Interference,
     LostMotion,
@@ -41,7 +40,7 @@ from gearjax.analysis import (
     transmission_error,
 )
 from gearjax.analysis.metrics import Extremes
-from gearjax.checks import GearjaxError, ParameterError, SceneError
+from gearjax.checks import FewCandidates, GearjaxError, ParameterError, SceneError
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
     AbstractCompliance,

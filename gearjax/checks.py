@@ -42,6 +42,10 @@ class MissingExtraError(GearjaxError):
     """What was asked for needs a package that comes with an extra of gearjax."""
 
 
+class FewCandidates(UserWarning):
+    """Candidates are too few: more teeth would carry, or forces on single nodes tell of finite elements."""
+
+
 class SceneError(GearjaxError):
     """An analysis was asked for that the scene, as listed, does not allow."""
 

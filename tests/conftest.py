@@ -12,6 +12,9 @@ import shutil
 import tempfile
 from pathlib import Path
 
+# Before numpy loads: workers share the cores, where threads of linear algebra that wait for each other cost a quarter.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jax
 import numpy as np
 import pytest

@@ -35,6 +35,19 @@ def test_lanes_of_one_matrix_are_single_problems(family, rng):
             assert missed(*given, position[lane], np.asarray(forces[lane])) < 1e-12
 
 
+def test_lanes_in_float32_follow_those_in_float64(rng):
+    """Slices of teeth, whose matrix has a condition of 15: forces to 2e-5 of the largest."""
+    number, many = 99, 200
+    place = np.arange(number)
+    matrix = 0.2 * np.eye(number) + np.exp(-np.abs(place[:, None] - place) / 3) * (1 + 0.02 * rng.normal(size=number))
+    matrix = 0.5 * (matrix + matrix.T)
+    given = matrix, np.ones((many, number)), rng.exponential(size=(many, number)), np.geomspace(3, 300, many)
+    doubles, singles = ([jnp.asarray(part, dtype) for part in given] for dtype in (jnp.float64, jnp.float32))
+    known, near = (np.asarray(jax.jit(over)(*parts)[1]) for parts in (doubles, singles))
+    assert near.dtype == np.float32
+    assert (np.abs(near - known).max(axis=1) / known.max(axis=1)).max() < 2e-5
+
+
 def test_gradients_of_lanes_are_those_of_single_problems(rng):
     matrix, levers, gaps, loads = lanes("kernel", rng)
     weights = jnp.asarray(rng.normal(size=NUMBER))

@@ -7,6 +7,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.contact import Request
+from gearjax.influence.table import gear_hash
 from gearjax.systems import flank_radii
 from gearjax.units import mm, um
 from tests.conftest import ROOT
@@ -162,7 +163,22 @@ def test_a_single_candidate_is_too_few_for_finite_elements():
         gj.Scene(system(profile_points=3), compliance=matrix)
 
 
+def test_fewer_candidates_than_elements_are_told(monkeypatch):
+    """Read from files: four elements along the profile, and three candidates."""
+    own = system(profile_points=3)
+    gears, radii = flank_radii(own)
+    tables = []
+    for gear, radius in zip(gears, radii, strict=True):
+        nodes = np.linspace(float(radius.min()), float(radius.max()), 5)
+        tables.append(gj.InfluenceTable(nodes, np.array([0.0, 6.5 * mm]), 1e-9 * np.eye(10)[None], gear_hash(gear)))
+    matrix = gj.InfluenceMatrix(**STEEL, rim=0.8 * mm, external_file="one.npz", internal_file="other.npz")
+    monkeypatch.setattr("gearjax.compliance.influence_matrix.read_influence", lambda *_: tables.pop(0))
+    with pytest.warns(gj.FewCandidates, match=r"3 candidates .* its 4 elements: give system.profile_points = 4"):
+        matrix.made_for(gears, radii)
+
+
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::gearjax.FewCandidates")  # nine candidates of ten elements
 def test_published_loads_by_finite_elements():
     """Table 5 of the paper within 1 N rms, the phase and the rim fitted; six pairs of teeth, none on the others."""
     published = [58.6, 244.2, 379.7, 407.8, 315.1, 149.5]

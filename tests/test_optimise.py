@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import tomli_w
 
 import gearjax as gj
 from gearjax.config import loads_optimise, with_numbers
@@ -12,6 +13,7 @@ from gearjax.studies.select import numbers, pick
 from gearjax.units import arcmin, deg, um
 from tests.conftest import ROOT
 from tests.test_cli import command
+from tests.test_matrix import GEAR_SETS
 
 CONFIG = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
 TEXT = CONFIG.read_text(encoding="utf-8")
@@ -82,6 +84,36 @@ def test_tables_without_a_grid(capsys, tmp_path):
     assert "grid" not in out
 
 
+@pytest.mark.slow
+def test_an_even_load_has_no_unit(capsys, tmp_path):
+    """Load sharing of an involute reducer by its flanks: no angle in any table, file or figure."""
+    path, folder = tmp_path / "even.toml", tmp_path / "out"
+    errors = {
+        "tip": {"kind": "tip_relief", "body": "gear_1", "amount": ["0.5 um"], "length": "0.3 mm"},
+        "slope": {"kind": "profile_slope", "body": "gear_1", "slope": ["0 um"]},
+    }
+    asked = {
+        "objective": "static_load_sharing",
+        "torque": "100 N*m",
+        "where": ["errors.tip.amount[0]", "errors.slope.slope[0]"],
+        "bounds": {"errors.tip.amount[0]": ["0 um", "3 um"], "errors.slope.slope[0]": ["-2 um", "2 um"]},
+        "starts": 4,
+    }
+    run = {"duration": "0.02 s", "samples": 61, "analyses": ["static"], "torques": ["100 N*m"]}
+    tables = GEAR_SETS["involute_rv"].tables | {"errors": errors, "run": run, "optimise": asked}
+    tables["compliance"] = tables["compliance"] | {"mean": "2e9 N/m"}  # the seven candidates are enough
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    code, out, err = command(capsys, "optimise", path, "--json", "--out", folder)
+    assert code == 0, err
+    report = json.loads(out)
+    assert not any("objective" in key and "arcmin" in key for part in (report, report["gradient"]) for key in part)
+    assert 1 < report["gradient"]["objective"] < report["objective_before"]
+    best = gj.load(folder / "optimised.toml")
+    known = gj.transmission_error(best, best.system.input_speed * best.run.times, torque=100.0).load_sharing.max()
+    assert report["gradient"]["objective"] == pytest.approx(float(known), rel=1e-9)
+    assert "objective [-]" in (folder / "starts.csv").read_text(encoding="utf-8").splitlines()[0]
+
+
 def test_the_section():
     _, section = loads_optimise(TEXT)
     assert section.where == tuple(PHASES)
@@ -121,6 +153,11 @@ def test_the_section():
         ('objective = "no_load_amplitude"\n', "", "optimise.objective"),
         ('objective = "no_load_amplitude"\n', 'objective = [{ name = "no_load_std", weight = -1 }]\n', "above 0"),
         ('objective = "no_load_amplitude"\n', 'objective = "no_load_order"\norder = "crnk"\n', '"crank"'),
+        (
+            'objective = "no_load_amplitude"\n',
+            'objective = [{ name = "no_load_std" }, { name = "static_load_sharing", torque = "9 N*m" }]\n',
+            "adds angles to load sharing",
+        ),
         ("starts = 300", 'starts = 300\nwindow = "3 m"', "is a length; needs a time"),
         ("starts = 300", "starts = 300\nseed = -1", "must be a whole number from 0"),
         ("starts = 300", 'starts = 300\n[optimise.bounds]\n"errors.planet_1.phase" = ["1 deg"]', "must be a pair"),

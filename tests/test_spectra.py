@@ -1,6 +1,7 @@
 """Spectra of a run are of whole cycles, so that lines are lines; shipped configurations run without a warning."""
 
 import dataclasses
+import json
 import os
 import re
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 
 import gearjax as gj
 from gearjax import results
+from gearjax.results.store import NAME
 from gearjax.units import arcmin
 from tests.conftest import ROOT
 
@@ -98,6 +100,15 @@ COMMANDS = [
 WRITTEN = {
     ("run", "rv_cycloidal/hu_2020.toml"): {"stage.png", "contact_forces.png", "disc.csv", "disc.dxf", "results.nc"},
     ("run", "involute_rv/yang_2019.toml"): {"pair.png", "contact_forces.png", "results.nc"},
+    ("tolerance", "two_kv/wang_2020_tolerance.toml"): {
+        "histograms.png",
+        "convergence.png",
+        "sensitivity.png",
+        "allocation.png",
+        "assembly.png",
+        "tolerance.json",
+        NAME,
+    },
 }
 
 
@@ -118,3 +129,15 @@ def test_shipped_configurations_run_without_a_warning(tmp_path, word, name):
     assert told == []
     written = {path.name for path in (tmp_path / "out").rglob("*")}
     assert WRITTEN.get((word, name), set()) <= written  # the examples draw the stage, or the pair, and write the disc
+    if (word, name) == ("tolerance", "two_kv/wang_2020_tolerance.toml"):
+        answers_everything(done.stdout, json.loads((tmp_path / "out" / "tolerance.json").read_text(encoding="utf-8")))
+
+
+def answers_everything(printed: str, report: dict) -> None:
+    """The example of a study asks for all that there is."""
+    for words in ("20000 gear sets", "Sobol first", "mislead", "halved", "Cheapest tolerances", "matched", "at random"):
+        assert words in printed
+    numbers = report["sensitivity"]["no_load.peak_to_peak"]["numbers"]["errors.revolution.phase"]
+    assert set(numbers) == {"linear", "first", "first_error", "total", "total_error", "one_at_a_time"}
+    assert report["assembly"]["matched"]["mean"] < report["assembly"]["random"]["mean"]
+    assert set(report["allocation"]) >= {"factors", "cost", "cost_before", "yield", "met"}

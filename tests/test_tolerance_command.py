@@ -69,26 +69,6 @@ def test_json_is_what_it_promises(config, capsys):
     assert entry["quantiles"]["0.5"][1] == pytest.approx(study.quantile(name, 0.5).low / gj.units.arcmin, rel=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.runs_long
-def test_the_example_answers_everything(tmp_path, capsys):
-    text = CONFIG.read_text(encoding="utf-8").replace("samples = 20000", "samples = 500").replace("= 1024 ", "= 64 ")
-    config = tmp_path / "whole.toml"
-    config.write_text(text.replace("units = 1000", "units = 16").replace("samples = 1581", "samples = 401"))
-    assert command(str(config), "--out", str(tmp_path / "out")) == 0
-    printed = capsys.readouterr().out
-    for words in ("500 gear sets", "Sobol first", "mislead", "halved", "Cheapest tolerances", "matched", "at random"):
-        assert words in printed
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    pictures = {"histograms.png", "convergence.png", "sensitivity.png", "allocation.png", "assembly.png"}
-    assert pictures | {"tolerance.json", NAME} <= names
-    found = json.loads((tmp_path / "out" / "tolerance.json").read_text())
-    one = found["sensitivity"]["no_load.peak_to_peak"]["numbers"]["errors.revolution.phase"]
-    assert set(one) == {"linear", "first", "first_error", "total", "total_error", "one_at_a_time"}
-    assert found["assembly"]["matched"]["mean"] < found["assembly"]["random"]["mean"]
-    assert set(found["allocation"]) >= {"factors", "cost", "cost_before", "yield", "met"}
-
-
 def test_the_worst_sample_is_a_configuration(config, tmp_path, capsys):
     out = tmp_path / "out"
     assert command(str(config), "--out", str(out), "--json") == 0

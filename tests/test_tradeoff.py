@@ -3,6 +3,7 @@
 import json
 
 import diffrax
+import numpy as np
 import pytest
 import tomli_w
 
@@ -42,6 +43,9 @@ def test_tradeoff(short, tmp_path, capsys):
     assert errors[2] < errors[1] < errors[0]
     assert rows["contact: softplus, 1 um"]["error_arcmin"] > rows["contact: softplus, 0.01 um"]["error_arcmin"]
     assert rows["fidelity: quasi-static"]["gradient_seconds"] > 0
+    fitted = [row for name, row in rows.items() if name.startswith("solver: fitted")]
+    assert sum(row["gradient_measured"] for row in fitted) == 1  # the others by its multiple of a run
+    assert np.ptp([row["gradient_seconds"] / row["seconds"] for row in fitted]) < 1e-9
     best = rows[found["recommended"]]
     good = [row for row in found["settings"] if row["error_arcmin"] <= 0.01]
     assert best["seconds"] == min(row["seconds"] for row in good)

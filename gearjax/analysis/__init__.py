@@ -12,7 +12,6 @@ from gearjax.analysis.one_contact import Reduction, one_contact
 from gearjax.analysis.periodic import Periodic, Sweep, shooting, speed_sweep
 from gearjax.analysis.quasi_static import (
     Backlash,
-    FewCandidates,
     TransmissionError,
     backlash,
     interference,
@@ -32,7 +31,6 @@ __all__ = [
     "ExponentialFit",
     "ExponentialParabola",
     "FewAngles",
-    "FewCandidates",
     "FixedStep",
     "Interference",
     "LostMotion",

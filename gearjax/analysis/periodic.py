@@ -13,7 +13,7 @@ import optimistix
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
-from gearjax.analysis.return_map import Cut, Problem, eigenvalues, return_map
+from gearjax.analysis.return_map import Cut, OfOutput, OfStructure, Problem, eigenvalues, return_map
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -120,12 +120,12 @@ def shoot(problem: Problem, cut: Cut, guess: Array | None, settle: int, max_step
     if settle:
         start = jax.lax.scan(lambda state, _: (motion.end(state), None), start, None, length=settle)[0]
 
-    def lacking(state: Array, problem: Problem) -> Array:
-        return return_map(problem, cut).end(state) - state
+    def lacking(state: Array, motion: OfOutput | OfStructure) -> Array:
+        return motion.end(state) - state
 
     state, solver = start, optimistix.Newton(rtol=1e-10, atol=1e-10)
     if max_steps:
-        state = optimistix.root_find(lacking, solver, start, problem, max_steps=max_steps, throw=False).value
+        state = optimistix.root_find(lacking, solver, start, motion, max_steps=max_steps, throw=False).value
     course = motion.course(state)
     left = jnp.abs(course.states[-1] - state).max()
     size = jnp.abs(course.states[:, 0]).max()

@@ -17,7 +17,7 @@ from gearjax.analysis.metrics import (
     warn_of_few_angles,
 )
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
-from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
+from gearjax.checks import FewCandidates, ParameterError, SceneError, is_concrete, nearest
 from gearjax.compliance import COUPLED
 from gearjax.contact import Equilibrium, Layout, Pose, Request
 from gearjax.scene import Scene, require
@@ -222,10 +222,6 @@ def transmission_error(
     te = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
     _warn_of_few_candidates(scene, te)
     return te
-
-
-class FewCandidates(UserWarning):
-    """More teeth would carry than are looked at."""
 
 
 def _warn_of_few_candidates(scene: Scene, te: TransmissionError) -> None:

@@ -114,8 +114,13 @@ def _linear_start(problem: Problem, cut: Cut) -> Array:
     """Where the motion would be periodic if what is closed at the start stayed so: one step of Newton's method."""
     motion = return_map(problem, cut)
     begin = motion.resting()
-    slope = jax.jacfwd(lambda flat: motion.end(flat.reshape(begin.shape)).ravel())(begin.ravel())
-    lacking = (motion.end(begin) - begin).ravel()
+
+    def end(flat: Array) -> tuple[Array, Array]:
+        ended = motion.end(flat.reshape(begin.shape)).ravel()
+        return ended, ended
+
+    slope, ended = jax.jacfwd(end, has_aux=True)(begin.ravel())
+    lacking = ended - begin.ravel()
     start = begin + jnp.linalg.solve(jnp.eye(len(lacking), dtype=begin.dtype) - slope, lacking).reshape(begin.shape)
     return jnp.where(jnp.isfinite(start).all(), start, begin)
 

@@ -7,6 +7,7 @@ moving as the gaps move it, nan where there is none; ``course`` tells the motion
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from gearjax.analysis.choice import MODELLED, phase_of
 from gearjax.analysis.equation import Equation
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
+from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.checks import is_concrete
 from gearjax.scene import Scene, require
@@ -73,21 +75,33 @@ class Course(NamedTuple):
     lowest: Array
 
 
-class OfOutput(NamedTuple):
-    """By the exponentially fitted scheme; velocities are per step."""
+class OfOutput(eqx.Module):
+    """By the exponentially fitted scheme; velocities are per step.
 
-    equation: Equation
-    period: Scalar
-    steps: int
+    Args:
+        forcing: what drives the steps of a period.
+        steps: of the period.
+    """
+
+    forcing: Forcing
+    steps: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, problem: Problem, steps: int) -> "OfOutput":
+        equation = Equation.of(problem.scene, problem.torque)
+        oscillator = Oscillator(equation, problem.period / steps)
+        return cls(Forcing.of(oscillator, jnp.zeros_like(problem.period)), steps)
 
     @property
     def scale(self) -> Array:
-        step = self.period / self.steps
-        return (self.equation.scale * jnp.stack([jnp.ones_like(step), 1 / step]))[:, None]
+        oscillator = self.forcing.oscillator
+        step = oscillator.step
+        return (oscillator.equation.scale * jnp.stack([jnp.ones_like(step), 1 / step]))[:, None]
 
     def resting(self) -> Array:
-        first = self.equation.initial(jnp.zeros_like(self.period), "equilibrium")
-        return (first * self.equation.per_step(self.period / self.steps))[:, None]
+        oscillator = self.forcing.oscillator
+        first = oscillator.equation.initial(jnp.zeros_like(oscillator.step), "equilibrium")
+        return (first * oscillator.equation.per_step(oscillator.step))[:, None]
 
     def end(self, state: Array) -> Array:
         record = self._march(state)
@@ -98,50 +112,56 @@ class OfOutput(NamedTuple):
         return Course(jnp.stack([record.positions, record.speeds], axis=1)[:, :, None], record.highest, record.lowest)
 
     def _march(self, state: Array) -> march.March:
-        start = jnp.zeros_like(self.period)
-        forcing = march.Forcing.of(Oscillator(self.equation, self.period / self.steps), start)
+        start = jnp.zeros_like(self.forcing.oscillator.step)
         block = march.Block(max(self.steps // 8, 8), MOST_NODES)
         spacing = march.Spacing(self.steps + 1, 1, block, march.Signals.TABLE)
-        carry, _ = march.begin(forcing, start, spacing.signals, state[:, 0])
-        return march.march(forcing, start, carry, spacing)
+        carry, _ = march.begin(self.forcing, start, spacing.signals, state[:, 0])
+        return march.march(self.forcing, start, carry, spacing)
 
 
-class OfStructure(NamedTuple):
-    """By steps of constant modes."""
+class OfStructure(eqx.Module):
+    """By steps of constant modes.
 
-    equation: StructureEquation
-    period: Scalar
-    steps: int
-    spacing: modes.Spacing
+    Args:
+        even: those of a period.
+        spacing: how they are cut.
+    """
+
+    even: Steps
+    spacing: modes.Spacing = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, problem: Problem, steps: int, spacing: modes.Spacing) -> "OfStructure":
+        equation = StructureEquation.of(problem.scene, problem.torque)
+        return cls(Steps.of(equation, jnp.zeros_like(problem.period), problem.period / steps), spacing)
 
     @property
     def scale(self) -> Array:
-        return jnp.outer(jnp.stack([jnp.ones_like(self.period), self.equation.frequency]), self.equation.scale)
+        equation = self.even.lines.equation
+        return jnp.outer(jnp.stack([jnp.ones_like(self.even.step), equation.frequency]), equation.scale)
 
     def resting(self) -> Array:
-        return self.equation.initial(jnp.zeros_like(self.period), "equilibrium")
+        return self.even.lines.equation.initial(jnp.zeros_like(self.even.step), "equilibrium")
 
     def end(self, state: Array) -> Array:
         return self._march(state, self.spacing).states[-1]
 
     def course(self, state: Array) -> Course:
-        each = modes.Spacing(self.steps + 1, 1, 1, None)
+        each = modes.Spacing(self.spacing.each + 1, 1, 1, None)
         return self._march(state, each)
 
     def _march(self, state: Array, spacing: modes.Spacing) -> Course:
         place, speed = state * self.scale
-        steps = Steps.of(self.equation, jnp.zeros_like(self.period), self.period / self.steps)
-        record = modes.march(steps, place, speed, spacing)
-        output = self.equation.scale[0]
+        record = modes.march(self.even, place, speed, spacing)
+        output = self.even.lines.equation.scale[0]
         return Course(record.states / self.scale[None], record.highest / output, record.lowest / output)
 
 
 def return_map(problem: Problem, cut: Cut) -> OfOutput | OfStructure:
-    """The map that suits a scene."""
-    scene, torque, period = problem
+    """The map that suits a scene, worked out once: it is part of a program several times."""
     if cut.spacing is None:
-        return OfOutput(Equation.of(scene, torque), period, cut.steps)
-    return OfStructure(StructureEquation.of(scene, torque), period, cut.steps, cut.spacing)
+        return OfOutput.of(problem, cut.steps)
+    return OfStructure.of(problem, cut.steps, cut.spacing)
 
 
 def eigenvalues(matrix: Float[Array, "state state"]) -> Array:

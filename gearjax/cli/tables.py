@@ -22,10 +22,12 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         table.add_column(column, justify="left" if column in ("setting", "") else "right")
     for row in comparison.rows:
         gradient = "" if row.gradient_seconds is None else f"{1e3 * row.gradient_seconds:.1f}"
+        gradient = gradient if row.gradient_measured or not gradient else f"~{gradient}"
         error = f"{row.error / arcmin:.2g}"
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
     console.print(table)
+    console.print("~: not measured, in proportion to the run of another step length of that scheme", soft_wrap=True)
     if comparison.statics:
         table = Table(title="Geometry under static torque, against the most exact choice")
         for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):
@@ -46,13 +48,14 @@ def print_optimisation(optimisation: Optimisation) -> None:
     table = Table(title=f"{optimisation.section.objective.name}, {optimisation.section.window:g} s")
     parameters = optimisation.parameters
     units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
-    columns = ["", "arcmin", *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
+    unit = optimisation.unit
+    columns = ["", unit.name, *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
     for column in (*columns, "evaluations", "run [s]", "compile [s]"):
         table.add_column(column, justify="right" if column else "left", overflow="fold")
 
     def row(title: str, objective: float, point, *rest: str) -> None:
         shown = [f"{optimisation.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
-        table.add_row(title, f"{objective / arcmin:.5f}", *shown, *rest)
+        table.add_row(title, f"{objective / unit.size:.5f}", *shown, *rest)
 
     row(
         "before",
@@ -83,8 +86,8 @@ def print_optimisation(optimisation: Optimisation) -> None:
             console.print(f"flat: 10 deg along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
     for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
         console.print(
-            f"assembled with errors of up to {deviation / deg:g} deg: {mean / arcmin:.4f} arcmin on average, "
-            f"{worst / arcmin:.4f} at worst",
+            f"assembled with errors of up to {deviation / deg:g} deg: {mean / unit.size:.4f} {unit.name} on average, "
+            f"{worst / unit.size:.4f} at worst",
             soft_wrap=True,
         )
     _print_stages(console, optimisation)

@@ -1,5 +1,6 @@
 """Compliance of teeth by finite elements: tables of both gears, between whose nodes the contacts stand."""
 
+import warnings
 from typing import ClassVar
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from gearjax import units
-from gearjax.checks import ParameterError, SceneError
+from gearjax.checks import FewCandidates, ParameterError, SceneError
 from gearjax.compliance.base import AbstractToothCompliance
 from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import Places
@@ -32,7 +33,8 @@ class InfluenceMatrix(AbstractToothCompliance):
     the force of each spreads over it evenly.
 
     `made_for` finds the tables for a gear set: configurations do so as they are read. They stay what they are while
-    numbers of the gear set are varied.
+    numbers of the gear set are varied. Where candidates along the profile are fewer than elements, it warns
+    (`gearjax.FewCandidates`): loads of single pairs are then off by some per cent.
 
     Args:
         youngs_modulus, poissons_ratio: of both gears [Pa], [-].
@@ -77,6 +79,10 @@ class InfluenceMatrix(AbstractToothCompliance):
             widths = float(self.external_width), float(self.internal_width)
             each = zip(gears, radii, widths, strict=True)
             tables = tuple(self._run(gear, radius, width, min(widths)) for gear, radius, width in each)
+        elements = min(len(table.radius) for table in tables) - 1
+        if points < elements:
+            words = f"influence_matrix: {points} candidates along the profile are fewer than its {elements} elements"
+            warnings.warn(f"{words}: give system.profile_points = {elements}", FewCandidates, stacklevel=2)
         return eqx.tree_at(lambda part: part.tables, self, tables, is_leaf=lambda part: part is None)
 
     def _run(self, gear: InvoluteGear, radius: Array, width: float, meets: float) -> InfluenceTable:

@@ -13,7 +13,7 @@ from gearjax.parameters import Parameter
 from gearjax.scene import Scene
 from gearjax.studies import Objective, Term
 from gearjax.studies.select import numbers, pick
-from gearjax.studies.terms import NAMES
+from gearjax.studies.terms import NAMES, SHARES
 
 MOST_STARTS = 1_000_000
 OPTIMISE_KEYS = {
@@ -125,6 +125,8 @@ def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
         terms = tuple(_term(f"optimise.objective[{i}]", term) for i, term in enumerate(given))
         if not terms or "torque" in table or "order" in table:
             raise ParameterError("optimise.objective", given, "needs terms, each with its own torque and order")
+        if len({term.unit for term in terms}) > 1:
+            raise ParameterError("optimise.objective", given, "adds angles to load sharing, which has no unit")
     else:
         term = {"name": given} | {key: table[key] for key in ("torque", "order") if key in table}
         terms = (_term("optimise.objective", term),)
@@ -151,8 +153,8 @@ def _term(path: str, given: Any) -> Term:
         raise ParameterError(path, given, 'must be a name, or tables such as { name = "no_load_std", weight = 2.0 }')
     known_keys(path, given, _TERM_KEYS)
     name = given.get("name", MISSING)
-    if name not in NAMES:
-        raise ParameterError(path, name, nearest(name, NAMES))
+    if name not in (*NAMES, *SHARES):
+        raise ParameterError(path, name, nearest(name, (*NAMES, *SHARES)))
     weight = read_plain(f"{path}.weight", given.get("weight", 1.0))
     torque = read_quantity(f"{path}.torque", given["torque"], units.TORQUE) if "torque" in given else None
     order = given.get("order")

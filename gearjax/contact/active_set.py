@@ -42,11 +42,24 @@ def carrying(
     few = levers.shape[0] < GATHERED_FROM
     own = _own(influence) if few else jnp.ones((), gap.dtype)
 
+    root = jnp.sqrt(jnp.maximum(jnp.diagonal(influence), 0.0))
+
+    def reached(position: Array, forces: Array, beyond: Array, closed: Array) -> Array:
+        """What an open contact may overlap by, for rounding."""
+        known = jnp.abs(gap) + jnp.abs(levers @ position)
+        if few:
+            return rounding * (jnp.abs(influence) @ jnp.abs(forces) + known)
+        # a bound of that product, by the inequality of Cauchy and Schwarz, tells of nearly all contacts as much
+        most = root * (root @ jnp.abs(forces))
+        doubtful = ~closed & (beyond > rounding * known) & (beyond <= rounding * (most + known))
+        own = jax.lax.cond(doubtful.any(), lambda: jnp.abs(influence) @ jnp.abs(forces), lambda: most)
+        return rounding * (own + known)
+
     def tried(closed: Array) -> tuple[tuple, Array, Array]:
         """Position, forces and overlaps with a set of closed contacts, whether it is right, and the next set."""
         position, forces = solved(influence, levers, gap, applied, closed)
         beyond = levers @ position - gap - influence @ forces
-        reach = rounding * (jnp.abs(influence) @ jnp.abs(forces) + jnp.abs(gap) + jnp.abs(levers @ position))
+        reach = reached(position, forces, beyond, closed)
         right = jnp.where(closed, forces >= 0, beyond <= reach).all()
         # a contact that overlaps by rounding alone is left out: it would come and go
         return (position, forces, beyond), right, held(jnp.where(closed, forces > 0, beyond > reach))

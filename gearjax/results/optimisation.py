@@ -16,6 +16,7 @@ from gearjax.run import METRICS
 from gearjax.scene import Scene
 from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
 from gearjax.studies.select import numbers, pick
+from gearjax.studies.terms import SHARE, Unit
 from gearjax.studies.values import values
 from gearjax.units import arcmin
 
@@ -27,7 +28,7 @@ class Optimisation:
     Args:
         section: what was asked for.
         scene: the scene before.
-        before: the objective of the scene as it was [rad].
+        before: the objective of the scene as it was [rad, or - for load sharing].
         grid: the grid search, ``None`` where no step was given.
         gradient: the search by gradients.
         best: the better point of both searches, shape (free,), SI.
@@ -61,7 +62,7 @@ class Optimisation:
         entries = {
             "objective": self.section.objective.name,
             "window_s": self.section.window,
-            "objective_before_arcmin": self.before / arcmin,
+            self._key("objective_before"): self.before / self.unit.size,
             "grid": None,
             "gradient": {
                 **self._point(gradient.objective, gradient.best),
@@ -89,13 +90,22 @@ class Optimisation:
             }
         return entries
 
+    @property
+    def unit(self) -> Unit:
+        """What the objective is shown in."""
+        return self.section.objective.unit
+
+    def _key(self, name: str) -> str:
+        """With the unit of the objective, where it has one."""
+        return name if self.unit is SHARE else f"{name}_{self.unit.name}"
+
     def _point(self, objective: float, point: np.ndarray) -> dict:
         periodic = {path: parameter.periodic for path, parameter in self.parameters.items()}
         shown = {
             path: float(f"{self.shown(path, float(value)):.12g}") for path, value in zip(periodic, point, strict=True)
         }
         entry: dict = {
-            "objective_arcmin": objective / arcmin,
+            self._key("objective"): objective / self.unit.size,
             "phases_deg": {path: value for path, value in shown.items() if periodic[path]},
         }
         others = {
@@ -106,15 +116,15 @@ class Optimisation:
         return entry | ({"values": others} if others else {})
 
     def _sensitivity(self) -> dict:
-        around = self.sensitivity
+        around, size = self.sensitivity, self.unit.size
         return {
-            "gradient_arcmin": dict(zip(around.paths, (around.gradient / arcmin).tolist(), strict=True)),
-            "hessian_eigenvalues_arcmin": (around.eigenvalues / arcmin).tolist(),
+            self._key("gradient"): dict(zip(around.paths, (around.gradient / size).tolist(), strict=True)),
+            self._key("hessian_eigenvalues"): (around.eigenvalues / size).tolist(),
             "directions": around.directions.tolist(),
             "flat": around.flat.tolist(),
             "deviations_deg": np.rad2deg(around.deviations).tolist(),
-            "worst_arcmin": (around.worst / arcmin).tolist(),
-            "mean_arcmin": (around.mean / arcmin).tolist(),
+            self._key("worst"): (around.worst / size).tolist(),
+            self._key("mean"): (around.mean / size).tolist(),
         }
 
 
@@ -168,10 +178,11 @@ def save_optimisation(optimisation: Optimisation, config: str, folder: Path) -> 
     search = optimisation.gradient
     parameters = optimisation.parameters
     header = [f"{path} [{p.dimension.shown if p.dimension else '-'}]" for path, p in parameters.items()]
-    lines = [",".join(["start", *header, "objective [arcmin]", "valley", "result"])]
+    unit = optimisation.unit
+    lines = [",".join(["start", *header, f"objective [{unit.name}]", "valley", "result"])]
     for index, end in enumerate(search.ends):
         shown = [f"{optimisation.shown(path, value):.9g}" for path, value in zip(parameters, end, strict=True)]
-        last = [f"{search.objectives[index] / arcmin:.9g}", str(search.valley[index]), str(search.result[index])]
+        last = [f"{search.objectives[index] / unit.size:.9g}", str(search.valley[index]), str(search.result[index])]
         lines.append(",".join([str(index), *shown, *last]))
     rows = [",".join(["stage", "analysis", "torque [N m]", "window [s]", *(f"{name} [arcmin]" for name in METRICS)])]
     for stage, cases in optimisation.cases.items():

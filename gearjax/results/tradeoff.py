@@ -20,6 +20,7 @@ def as_json(config: str, tradeoff: Tradeoff) -> dict:
                 "error_arcmin": row.error / arcmin,
                 "seconds": row.seconds,
                 "gradient_seconds": row.gradient_seconds,
+                "gradient_measured": row.gradient_measured,
                 "compile_seconds": row.compile_seconds,
                 "metrics": _metrics(row.metrics),
             }
@@ -52,9 +53,15 @@ def save_tradeoff(tradeoff: Tradeoff, folder: Path) -> list[Path]:
     Raises:
         GearjaxError: the folder cannot be written.
     """
-    lines = ["group,setting,error [arcmin],run [s],gradient [s],compile [s]"]
-    lines += [f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))}" for row in tradeoff.rows]
+    lines = ["group,setting,error [arcmin],run [s],gradient [s],compile [s],gradient measured"]
+    lines += [
+        f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))},{_how(row)}" for row in tradeoff.rows
+    ]
     return [write_file(folder / "tradeoff.csv", "\n".join(lines) + "\n")]
+
+
+def _how(row: Measured) -> str:
+    return "" if row.gradient_seconds is None else "yes" if row.gradient_measured else "no"
 
 
 def _numbers(row: Measured) -> list[str]:

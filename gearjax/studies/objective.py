@@ -35,7 +35,7 @@ from gearjax.contact import Pose, QuadraticContact
 from gearjax.run import NEEDS
 from gearjax.scene import Scene, require
 from gearjax.studies.select import Free
-from gearjax.studies.terms import SHARES, SLOTS, Term
+from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term, Unit
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 SAMPLES = 8001  # of one cycle, where nothing else is said
@@ -295,6 +295,11 @@ class Objective(eqx.Module):
             for index in range(batch.weight.shape[0])
             for values in sides
         ]
+
+    @property
+    def unit(self) -> Unit:
+        """What it is shown in: load sharing alone has no dimension."""
+        return SHARE if self.terms and all(term.unit is SHARE for term in self.terms) else ANGLE
 
     @property
     def is_dynamic(self) -> bool:

@@ -1,7 +1,7 @@
 """Terms of an objective: one metric of one analysis each, by name."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -13,7 +13,17 @@ from gearjax.parameters import as_leaf
 from gearjax.run import ANALYSES
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Float, Scalar
+from gearjax.units import arcmin
 
+
+class Unit(NamedTuple):
+    """What an objective is shown in, and how much of its SI unit one of it is."""
+
+    name: str
+    size: float
+
+
+ANGLE, SHARE = Unit("arcmin", arcmin), Unit("-", 1.0)
 METRICS = ("amplitude", "peak_to_peak", "std", "order")
 NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
 SHARES = ("static_load_sharing",)
@@ -73,6 +83,11 @@ class Term(eqx.Module):
     def metric(self) -> str:
         """Its metric; the range of the backlash is its peak-to-peak."""
         return self.name.removeprefix(f"{self.analysis}_").replace("range", "peak_to_peak")
+
+    @property
+    def unit(self) -> Unit:
+        """What it is shown in."""
+        return SHARE if self.name in SHARES else ANGLE
 
     def per_turn(self, scene: Scene) -> float:
         """Its order in cycles per turn of the input."""

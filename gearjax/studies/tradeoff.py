@@ -50,6 +50,7 @@ class Setting:
         stepper: of `gearjax.simulate`.
         samples: of the record.
         gradient: how many runs its gradient may take, to leave out those that take too long.
+        scheme: what settings share whose gradients take the same multiple of a run; its own name without.
     """
 
     group: str
@@ -58,6 +59,7 @@ class Setting:
     stepper: Stepper | QuasiStatic
     samples: int
     gradient: float = 10.0
+    scheme: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +72,9 @@ class Measured:
         metrics: by torque and name [rad].
         seconds: of one run, median [s].
         gradient_seconds: of the gradient of the standard deviation with respect to every number of the errors, reverse
-            mode [s]; ``None`` where it would take long, or is that of another setting.
+            mode [s]; ``None`` where it would take long, or the group is not differentiated.
+        gradient_measured: whether that was measured, or is the multiple of a run that another step length of the same
+            scheme took: programs of gradients compile for 10 s and more, and step lengths do not change the multiple.
         compile_seconds: of the first run [s].
     """
 
@@ -80,6 +84,7 @@ class Measured:
     metrics: dict[float, dict[str, float]]
     seconds: float
     gradient_seconds: float | None
+    gradient_measured: bool
     compile_seconds: float
 
 
@@ -144,10 +149,11 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
     yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
     progress(f"truth: Runge-Kutta, steps of {TRUE_STEP * longest:.2g} s")
     truth, seconds, _ = _run(yardstick, repeats=0)
-    rows = []
-    for setting in settings(scene, run, longest, usual):
+    tried, rows = settings(scene, run, longest, usual), []
+    for setting in tried:
         rows.append(_measure(setting, truth))
         progress(f"{setting.group}: {setting.name}: {rows[-1].seconds:.3g} s")
+    rows = _with_gradients(tried, rows, progress)
     statics = static_choices(scene)
     for choice in statics:
         progress(f"static TE, {choice.name}: {choice.seconds:.3g} s")
@@ -262,15 +268,15 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
 def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[Setting]:
     """The settings to measure, for the longest step of the scene [s] and its usual steps."""
     alone, number, cut = FixedStep(usual.step), run.samples, usual.windows
-    trials = [Setting("solver", f"fitted, {s:g} rad", scene, FixedStep(s * longest), number) for s in STEPS]
-    trials += [
-        Setting("solver", f"fitted, {s:g} rad, windows", scene, FixedStep(s * longest, windows=cut), number)
-        for s in (STEPS[:3] if cut is not None else ())
-    ]
-    trials += [
-        Setting("solver", f"Runge-Kutta, {s:g} rad", scene, FixedStep(s * longest, solver=RungeKutta4()), number)
-        for s in STEPS[:3]
-    ]
+
+    def even(scheme: str, size: float, after: str = "", **options) -> Setting:
+        name, stepper = f"{scheme}, {size:g} rad{after}", FixedStep(size * longest, **options)
+        return Setting("solver", name, scene, stepper, number, scheme=scheme + after)
+
+    trials = [even("fitted", size) for size in STEPS]
+    if cut is not None:
+        trials += [even("fitted", size, ", windows", windows=cut) for size in STEPS[:3]]
+    trials += [even("Runge-Kutta", size, solver=RungeKutta4()) for size in STEPS[:3]]
     trials += [
         Setting("solver", f"{type(solver).__name__}, {tol:g}", scene, AdaptiveStep(tol, tol, solver), number, 400.0)
         for solver, tol in ((diffrax.Tsit5(), 1e-4), (diffrax.Dopri5(), 1e-4), (diffrax.Dopri8(), 1e-7))
@@ -305,9 +311,24 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
 def _measure(setting: Setting, truth: dict[float, dict[str, float]]) -> Measured:
     metrics, seconds, compile_seconds = _run(setting, REPEATS)
     error = max(abs(metrics[torque][name] - truth[torque][name]) for torque in truth for name in METRICS)
-    timed = setting.group in DIFFERENTIATED and setting.gradient * seconds <= LONGEST_GRADIENT
-    gradient = _gradient_seconds(setting) if timed else None
-    return Measured(setting.group, setting.name, error, metrics, seconds, gradient, compile_seconds)
+    return Measured(setting.group, setting.name, error, metrics, seconds, None, False, compile_seconds)
+
+
+def _with_gradients(tried: list[Setting], rows: list[Measured], progress: Progress) -> list[Measured]:
+    """The rows with the times of their gradients: of each scheme the longest run is differentiated that may be."""
+    schemes: dict[str, list[int]] = {}
+    for place, (setting, row) in enumerate(zip(tried, rows, strict=True)):
+        if setting.group in DIFFERENTIATED and setting.gradient * row.seconds <= LONGEST_GRADIENT:
+            schemes.setdefault(setting.scheme or setting.name, []).append(place)
+    rows = list(rows)
+    for scheme, places in schemes.items():
+        chosen = max(places, key=lambda place: rows[place].seconds)
+        multiple = _gradient_seconds(tried[chosen]) / rows[chosen].seconds
+        progress(f"gradient, {scheme}: {multiple:.3g} runs")
+        for place in places:
+            seconds = multiple * rows[place].seconds
+            rows[place] = dataclasses.replace(rows[place], gradient_seconds=seconds, gradient_measured=place == chosen)
+    return rows
 
 
 def _torques(setting: Setting) -> Sequence[float]:
