@@ -11,7 +11,7 @@ import numpy as np
 from gearjax.checks import ParameterError, is_concrete
 from gearjax.geometry.helical_checks import misfits
 from gearjax.geometry.helical_pair import InvolutePair
-from gearjax.parameters import is_numeric
+from gearjax.parameters import as_leaf, is_numeric
 from gearjax.typing import Array, Bool, Float, Scalar
 from gearjax.units import deg, mm
 
@@ -136,7 +136,8 @@ def iso6336_stiffness(
     pair = InvolutePair(teeth, *sizes, tip_diameters=tip_diameters, rack=rack, internal=internal)
     if is_concrete(pair):
         _check_fit(pair)
-    return _stiffness(pair, blank_factor, load_per_width, low_load_exponent)
+    load = None if load_per_width is None else as_leaf(load_per_width)
+    return _stiffness(pair, as_leaf(blank_factor), load, as_leaf(low_load_exponent))
 
 
 @eqx.filter_jit

@@ -86,16 +86,12 @@ class ContactPath(NamedTuple):
 
     Args:
         begin: A, at the tip of gear 2.
-        single_begin: B, a base pitch before the end.
         pitch: C, where the line of action crosses the line of centres.
-        single_end: D, a base pitch after the beginning.
         end: E, at the tip of gear 1.
     """
 
     begin: Scalar
-    single_begin: Scalar
     pitch: Scalar
-    single_end: Scalar
     end: Scalar
 
 
@@ -266,11 +262,6 @@ class InvolutePair(eqx.Module):
         return jnp.pi * self.transverse_module * jnp.cos(self.transverse_pressure_angle)
 
     @property
-    def normal_base_pitch(self) -> Scalar:
-        """Distance of the flanks along their normal, ``p_bn = pi m_n cos alpha_n`` [m]."""
-        return jnp.pi * self.normal_module * jnp.cos(self.normal_pressure_angle)
-
-    @property
     def tangent_length(self) -> Scalar:
         """``a sin alpha_wt``: of the line of action between the points where it touches the base circles [m]."""
         distance, base = self.centre_distance, self.base_distance
@@ -282,7 +273,7 @@ class InvolutePair(eqx.Module):
         first, second = (gear.base_radius * gear.tip_roll for gear in self.gears)
         begin = self._sign * (self.tangent_length - second)
         pitch = self.gears[0].base_radius * self.tangent_length / self.base_distance
-        return ContactPath(begin, first - self.base_pitch, pitch, begin + self.base_pitch, first)
+        return ContactPath(begin, pitch, first)
 
     @property
     def transverse_contact_ratio(self) -> Scalar:
@@ -300,11 +291,6 @@ class InvolutePair(eqx.Module):
         """``eps_gamma = eps_alpha + eps_beta`` [-]."""
         return self.transverse_contact_ratio + self.overlap_ratio
 
-    @property
-    def mean_contact_line_length(self) -> Scalar:
-        """Of all pairs of teeth together, ``b eps_alpha / cos beta_b`` [m]."""
-        return self.face_width * self.transverse_contact_ratio / jnp.cos(self.base_helix_angle)
-
     def contact_line_length(self, angle: Array) -> Array:
         """Length of all contact lines together, the parts that ends of teeth cut off left out [m].
 
@@ -318,7 +304,7 @@ class InvolutePair(eqx.Module):
                 face [rad], any shape.
         """
         path = self.contact_path
-        ahead = self.gears[0].base_radius * jnp.asarray(angle) + path.pitch
+        ahead = self.gears[0].base_radius * angle + path.pitch
         ends = [(end - ahead) / self.base_pitch for end in (path.end, path.begin)]
         width = jnp.maximum(self.overlap_ratio, NARROWEST)
         first, last = (_mean_fraction(end, width) for end in ends)
@@ -329,13 +315,14 @@ class InvolutePair(eqx.Module):
 def _mean_fraction(place: Array, width: Scalar) -> Array:
     """Mean of the fractional part over a stretch about a place."""
     place = place - jnp.floor(place)  # small numbers keep their digits
-    return (_summed_fraction(place + 0.5 * width) - _summed_fraction(place - 0.5 * width)) / width
+    # the number less the mean of its whole part: exact where the stretch holds no whole number, however short it is
+    return place - (_summed_whole(place + 0.5 * width) - _summed_whole(place - 0.5 * width)) / width
 
 
-def _summed_fraction(place: Array) -> Array:
-    """Integral of the fractional part from zero on."""
+def _summed_whole(place: Array) -> Array:
+    """Integral of the whole part from zero on."""
     whole = jnp.floor(place)
-    return 0.5 * (whole + (place - whole) ** 2)
+    return whole * (place - 0.5 * (whole + 1))
 
 
 def _both(parts: Any) -> tuple[Any, Any]:
