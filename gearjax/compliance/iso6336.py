@@ -54,17 +54,17 @@ class Iso6336Stiffness(eqx.Module):
 
 def iso6336_stiffness(
     *,
-    teeth: tuple[int, int],
+    teeth: Any,
     normal_module: Any,
     normal_pressure_angle: Any,
     helix_angle: Any,
-    profile_shifts: Sequence[Any] | Array,
+    profile_shifts: Any,
     face_width: Any,
     centre_distance: Any,
-    tip_diameters: Sequence[Any] | Array | None = None,
+    tip_diameters: Any = None,
     rack: Any = "ISO 53 A",
     blank_factor: Any = 1.0,
-    internal: bool = False,
+    internal: Any = False,
     load_per_width: Any = None,
     low_load_exponent: Any = LOW_LOAD,
 ) -> Iso6336Stiffness:
@@ -175,7 +175,7 @@ def _rack_factor(pair: InvolutePair) -> Scalar:
     return (1 + 0.5 * (1.2 - dedendum)) * (1 - 0.02 * (20 - pair.normal_pressure_angle / deg))
 
 
-def _within_limits(pair: InvolutePair, load: Any) -> Scalar:
+def _within_limits(pair: InvolutePair, load: Any) -> Bool[Array, ""]:
     first, second = _iso_shifts(pair)
     ratio, rounding = pair.transverse_contact_ratio, 1e-6
     within = (first >= second - rounding) & (first + second >= -0.5 - rounding) & (first + second <= 2 + rounding)
