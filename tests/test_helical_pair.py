@@ -1,4 +1,4 @@
-"""Geometry of two gears on parallel axes: published pairs, and involutes and contact lines written out apart from it."""
+"""Geometry of two gears on parallel axes: published pairs; involutes and contact lines written out apart from it."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gearjax.checks import ParameterError
-from gearjax.geometry import BasicRack, InvoluteGear, InvolutePair
+from gearjax.geometry import BasicRack, InvoluteGear
 from gearjax.geometry.helical_checks import faults, misfits
 from gearjax.geometry.helical_pair import ISO_53, rack_of, racks_of
 from gearjax.geometry.internal_pair import InternalPair
@@ -46,6 +46,7 @@ TABLES = {  # of both pairs of Guo and Fang (2018), as worked out apart from gea
         11.5150 * mm,
     ),
 }
+LONG_WHEEL = ("ISO 53 A", BasicRack(1.2, 1.25))
 PAIRS = {"guo_1": GUO_1, "guo_2": GUO_2, "spur": SPUR, "internal": INTERNAL}
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import ParameterError, is_concrete
-from gearjax.geometry.helical_checks import misfits
+from gearjax.geometry.helical_checks import longer_contact, misfits
 from gearjax.geometry.helical_pair import InvolutePair
 from gearjax.parameters import as_leaf, is_numeric
 from gearjax.typing import Array, Bool, Float, Scalar
@@ -210,11 +210,12 @@ def _check_number(key: str, value: Any, low: float, high: float, words: str) -> 
     """Refuse what is known and not one number within bounds."""
     if not is_concrete(value):
         return
-    known = value is not None and is_numeric(value)
-    if known and np.ndim(value):
+    if value is None or not is_numeric(value):
+        raise ParameterError(key, value, words)
+    if np.ndim(value):
         raise ParameterError(key, np.shape(value), "is a shape: must be one number; batches are made by jax.vmap")
     rounding = 1e-6 * abs(high)  # of bounds in degrees, in float32
-    if not known or not low - min(rounding, 0.5 * abs(low)) <= float(value) <= high + rounding:
+    if not low - min(rounding, 0.5 * abs(low)) <= float(value) <= high + rounding:
         raise ParameterError(key, value, words)
 
 
@@ -242,6 +243,5 @@ def _check_fit(pair: InvolutePair) -> None:
         raise ParameterError(key, shown, words)
     ratio = float(pair.transverse_contact_ratio)
     if ratio < 1:
-        distance, tight = (f"{float(one) / mm:.6g} mm" for one in (pair.centre_distance, pair.tight_centre_distance))
-        words = f"the transverse contact ratio is {ratio:.4g}, must be at least 1: raise a tip or go nearer to {tight}"
-        raise ParameterError("centre_distance", distance, words)
+        words = f"the transverse contact ratio is {ratio:.4g}, must be at least 1: {longer_contact(pair)}"
+        raise ParameterError("centre_distance", f"{float(pair.centre_distance) / mm:.6g} mm", words)

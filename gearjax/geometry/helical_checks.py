@@ -38,8 +38,15 @@ def misfits(pair: InvolutePair) -> Iterator[Fault]:
     yield from _roots(pair)
     ratio = float(pair.total_contact_ratio)
     if ratio < 1 or float(pair.transverse_contact_ratio) <= 0:
-        words = f"no continuous contact: the total contact ratio is {ratio:.4g}, must be at least 1; raise a tip or go "
-        yield "centre_distance", _mm(distance), words + f"nearer to {_mm(pair.tight_centre_distance)}"
+        words = f"no continuous contact: the total contact ratio is {ratio:.4g}, must be at least 1: "
+        yield "centre_distance", _mm(distance), words + longer_contact(pair)
+
+
+def longer_contact(pair: InvolutePair) -> str:
+    """What would make teeth touch for longer."""
+    if float(pair.tight_pressure_angle) <= 0:  # no distance at which these teeth are tight
+        return "raise a tip or the profile shifts"
+    return f"raise a tip or go nearer to {_mm(pair.tight_centre_distance)}"
 
 
 def faults(pair: InvolutePair) -> Iterator[Fault]:

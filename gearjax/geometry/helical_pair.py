@@ -234,8 +234,8 @@ class InvolutePair(eqx.Module):
         return jnp.arccos(self.base_distance / self.centre_distance)
 
     @property
-    def _tight_pressure_angle(self) -> Scalar:
-        """Working pressure angle without backlash [rad]."""
+    def tight_pressure_angle(self) -> Scalar:
+        """Working pressure angle without backlash [rad]; negative where shifts leave backlash at every distance."""
         shifts = self.profile_shifts[1] + self._sign * self.profile_shifts[0]
         teeth = self.teeth[1] + self._sign * self.teeth[0]
         own = involute(self.transverse_pressure_angle)
@@ -245,14 +245,14 @@ class InvolutePair(eqx.Module):
     def tight_centre_distance(self) -> Scalar:
         """Centre distance without backlash [m], of ``inv alpha_wt = inv alpha_t + 2 tan alpha_n (x_1 + x_2) / (z_1 +
         z_2)``. External gears have backlash at a longer one, an internal pair at a shorter one."""
-        return self.base_distance / jnp.cos(self._tight_pressure_angle)
+        return self.base_distance / jnp.cos(self.tight_pressure_angle)
 
     @property
     def backlash(self) -> Scalar:
         """Travel along the line of action between the flanks, in the transverse section [m]; negative where the teeth
         do not fit."""
         teeth = self.teeth[1] + self._sign * self.teeth[0]
-        wider = involute(self.working_pressure_angle) - involute(self._tight_pressure_angle)
+        wider = involute(self.working_pressure_angle) - involute(self.tight_pressure_angle)
         return self._sign * teeth * self.transverse_module * jnp.cos(self.transverse_pressure_angle) * wider
 
     @property
