@@ -36,10 +36,10 @@ def misfits(pair: InvolutePair) -> Iterator[Fault]:
         words = f"the teeth overlap by {_mm(jam)}: with these profile shifts they just fit at "
         yield "centre_distance", _mm(distance), words + _mm(pair.tight_centre_distance)
     yield from _roots(pair)
-    ratio = float(pair.total_contact_ratio)
-    if ratio < 1 or float(pair.transverse_contact_ratio) <= 0:
-        words = f"no continuous contact: the total contact ratio is {ratio:.4g}, must be at least 1: "
-        yield "centre_distance", _mm(distance), words + longer_contact(pair)
+    ratio, along = float(pair.total_contact_ratio), float(pair.transverse_contact_ratio)
+    if ratio < 1 or along <= 0:
+        told = f"the total contact ratio is {ratio:.4g}, must be at least 1" if along > 0 else "the tips do not meet"
+        yield "centre_distance", _mm(distance), f"no continuous contact, {told}: {longer_contact(pair)}"
 
 
 def longer_contact(pair: InvolutePair) -> str:
