@@ -286,3 +286,15 @@ def test_undercut_begins_where_the_rack_says():
 def test_what_does_not_fit_is_told_before_what_the_rack_cuts_away():
     pair = pair_of(**{**SPUR, "teeth": (12, 40), "centre_distance": 40 * mm})
     assert [fault[0] for fault in misfits(pair)] == ["centre_distance"]
+
+
+def test_tips_may_reach_as_far_as_is_told():
+    """The largest tip circle that the message names is good, and one of 20 um more is not."""
+    given, other, _, _ = WRONG["interference"]
+    given = {**given, **other}
+    words = next(fault[2] for fault in faults(pair_of(**given)) if "interference" in fault[2])
+    most = float(words.split("at most ")[1].split()[0])
+    own = float(pair_of(**given).tip_diameters[0])
+    for tip, wrong in ((most - 0.001, False), (most + 0.02, True)):
+        told = list(faults(pair_of(**{**given, "tip_diameters": (own, tip * mm)})))
+        assert any("interference" in fault[2] for fault in told) is wrong, told

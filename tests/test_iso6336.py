@@ -247,3 +247,9 @@ def test_new_numbers_compile_nothing_anew():
     before = _stiffness._cached._cache_size()
     gj.iso6336_stiffness(**{**GUO_1, **dict(zip(keys, (0.06, 0.8, 8e4, 0.3), strict=True))})
     assert _stiffness._cached._cache_size() == before
+
+
+def test_no_tight_distance_is_named_where_there_is_none():
+    """Shifts so negative that the teeth have backlash at every centre distance."""
+    with pytest.raises(gj.ParameterError, match="raise a tip or the profile shifts$"):
+        gj.iso6336_stiffness(**{**SPUR, **MISTAKES["apart, never tight"][0]})
