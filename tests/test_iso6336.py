@@ -12,6 +12,7 @@ from tests.helical_pairs import GUO_1, GUO_2, INTERNAL, SPUR
 
 ISO_MM_UM = 1e9  # N/m^2 in one N/(mm um)
 LONG = gj.BasicRack(1.25, 1.5)  # of teeth that touch over a base pitch at steep helices too
+STEEP = {"teeth": (60, 120), "profile_shifts": (0.0, 0.0), "rack": LONG}
 
 
 def by_hand(z, beta, x, alpha, dedendum=(1.25, 1.25), internal=False):
@@ -108,7 +109,8 @@ LIMITS = {  # what differs, whether ISO states its formulas for it
     "shift of the wheel": ({"profile_shifts": (0.1, 0.2)}, False),
     "sum of shifts": ({"profile_shifts": (-0.2, -0.35), "centre_distance": 77.8 * mm}, False),
     "contact ratio": ({"tip_diameters": (65.2 * mm, 103.6 * mm)}, False),
-    "helix": ({"helix_angle": 50 * deg, "centre_distance": 124.6 * mm, "rack": LONG}, False),
+    "steep": ({**STEEP, "helix_angle": 45 * deg, "centre_distance": 381.838 * mm}, True),
+    "too steep": ({**STEEP, "helix_angle": 46 * deg, "centre_distance": 388.680 * mm}, False),
 }
 
 
@@ -251,5 +253,5 @@ def test_new_numbers_compile_nothing_anew():
 
 def test_no_tight_distance_is_named_where_there_is_none():
     """Shifts so negative that the teeth have backlash at every centre distance."""
-    with pytest.raises(gj.ParameterError, match="raise a tip or the profile shifts$"):
+    with pytest.raises(gj.ParameterError, match=r"raise a tip or the profile shifts$"):
         gj.iso6336_stiffness(**{**SPUR, **MISTAKES["apart, never tight"][0]})
