@@ -52,6 +52,8 @@ from gearjax.compliance import (
     HertzLineContact,
     HuLineContact,
     InfluenceMatrix,
+    Iso6336Stiffness,
+    iso6336_stiffness,
 )
 from gearjax.config import load, loads
 from gearjax.contact import (
@@ -75,6 +77,7 @@ from gearjax.errors import (
     Sizes,
     TipRelief,
 )
+from gearjax.geometry import BasicRack
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.influence import (
     InfluenceTable,
@@ -148,6 +151,7 @@ __all__ = [
     "AdaptiveStep",
     "AllocatedTolerances",
     "Backlash",
+    "BasicRack",
     "BodyInertia",
     "BodyView",
     "ChosenSteps",
@@ -182,6 +186,7 @@ __all__ = [
     "InvoluteRV",
     "Iso286",
     "Iso1328RunOut",
+    "Iso6336Stiffness",
     "Judged",
     "Layout",
     "LocalSensitivity",
@@ -245,6 +250,7 @@ __all__ = [
     "influence_between",
     "influence_on_grid",
     "interference",
+    "iso6336_stiffness",
     "it_tolerance",
     "load",
     "loads",

@@ -279,6 +279,7 @@ OF_NO_GEAR_SET = {
     "save_influence",
     "tooth_influence",
     "it_tolerance",
+    "iso6336_stiffness",
     "load",
     "loads",
     "run_out_tolerance",

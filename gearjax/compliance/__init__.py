@@ -9,6 +9,7 @@ from gearjax.compliance.base import (
 from gearjax.compliance.elastic_teeth import ElasticTeeth
 from gearjax.compliance.harmonic import HarmonicStiffness
 from gearjax.compliance.influence_matrix import InfluenceMatrix
+from gearjax.compliance.iso6336 import Iso6336Stiffness, iso6336_stiffness
 from gearjax.compliance.line_contact import LINE_CONTACTS, AbstractLineContact, HertzLineContact, HuLineContact
 
 AnyCompliance = AbstractCompliance | AbstractLineContact | AbstractCoupledCompliance | AbstractToothCompliance
@@ -33,4 +34,6 @@ __all__ = [
     "HertzLineContact",
     "HuLineContact",
     "InfluenceMatrix",
+    "Iso6336Stiffness",
+    "iso6336_stiffness",
 ]

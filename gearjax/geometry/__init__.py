@@ -1,6 +1,14 @@
 """Pure functions of gear geometry and kinematics."""
 
+from gearjax.geometry.helical_pair import BasicRack, InvolutePair
 from gearjax.geometry.involute import InvoluteGear, base_radius, internal_centre_distance
 from gearjax.geometry.planetary import FewTeethDifference
 
-__all__ = ["FewTeethDifference", "InvoluteGear", "base_radius", "internal_centre_distance"]
+__all__ = [
+    "BasicRack",
+    "FewTeethDifference",
+    "InvoluteGear",
+    "InvolutePair",
+    "base_radius",
+    "internal_centre_distance",
+]

@@ -13,20 +13,25 @@ from gearjax.typing import Scalar
 
 THINNEST = 0.05  # modules, of a tip
 ROUNDING = 1e-9  # m
+ROUNDED = 0.25  # modules, depth that the rounding of the rack of ISO 53 takes
 PLACES = 41  # along each flank where overlaps are looked for
 WIDE = 2001  # angles at which the assembly is looked at
 Fault = tuple[str, str, str]
 """Name of the parameter, its value as shown, what would be right."""
 
 
-def faults(pair: InternalPair) -> Iterator[Fault]:
+def faults(pair: InternalPair, rounding: float = ROUNDED) -> Iterator[Fault]:
     """What does not fit, the first one first: each makes those after it meaningless.
 
     Pointed tips, tips that reach roots, tips that go around beyond the contact, contact below the involute.
+
+    Args:
+        pair: the gears.
+        rounding: part of the external gear's dedendum that the rack's rounding takes, in modules.
     """
     external, internal = pair.external, pair.internal
-    yield from _tooth("external", external)
-    yield from _tooth("internal", internal)
+    yield from tooth_faults("external", external)
+    yield from tooth_faults("internal", internal)
     distance, least = float(pair.centre_distance), float(pair.base_difference)
     if distance <= least:
         words = f"must be above the difference of the base radii, {least / units.mm:.6g} mm"
@@ -40,10 +45,11 @@ def faults(pair: InternalPair) -> Iterator[Fault]:
     if inner < float(external.root_radius):
         words = f"tips of the ring come to {_mm(inner)}, inside the roots of the external gear at "
         yield "internal_addendum", f"{float(internal.addendum):.6g}", words + _mm(external.root_radius)
-    yield from _path(pair)
+    yield from _path(pair, rounding)
 
 
-def _tooth(name: str, gear: InvoluteGear) -> Iterator[Fault]:
+def tooth_faults(name: str, gear: InvoluteGear) -> Iterator[Fault]:
+    """What is wrong with the tips of one gear, as faults of ``{name}_addendum``."""
     base, tip, root = (float(part) for part in (gear.base_radius, gear.tip_radius, gear.root_radius))
     if min(tip, root) <= 0 or (gear.internal and tip < base):
         words = f"the tip circle, {_mm(tip)}, is inside the base circle, {_mm(base)}: no involute flank is left there"
@@ -58,14 +64,14 @@ def _tooth(name: str, gear: InvoluteGear) -> Iterator[Fault]:
         yield f"{name}_addendum", f"{float(gear.addendum):.6g}", words
 
 
-def _path(pair: InternalPair) -> Iterator[Fault]:
+def _path(pair: InternalPair, rounding: float) -> Iterator[Fault]:
     """Flanks that do not meet, or not where they are involutes, or that cut each other beyond the path of contact."""
     begin, end = (float(part) for part in pair.path)
     if begin >= end:
         words = "the tips leave no path of contact: raise an addendum, or go nearer to the tight centre distance, "
         yield "centre_distance", _mm(pair.centre_distance), words + _mm(pair.tight_centre_distance)
         return
-    form = form_roll(pair.external)
+    form = form_roll(pair.external, rounding)
     if begin < form - ROUNDING:
         words = f"trochoid interference: the ring's tip touches at a roll angle of {begin:.5g} rad, below the involute "
         yield "internal_addendum", f"{float(pair.internal.addendum):.6g}", words + f"that begins at {form:.5g} rad"
@@ -75,10 +81,10 @@ def _path(pair: InternalPair) -> Iterator[Fault]:
         yield "external_addendum", f"{float(pair.external.addendum):.6g}", words
 
 
-def form_roll(gear: InvoluteGear) -> float:
-    """Roll angle at which the involute of an external gear begins that a rack without rounding has cut,
-    ``tan alpha - 4 (h - x) / (z sin 2 alpha)`` with the dedendum h, or zero (ISO 21771) [rad]."""
-    depth = float(gear.dedendum) - 0.25 - float(gear.profile_shift)  # the rounding takes the last quarter
+def form_roll(gear: InvoluteGear, rounding: float = ROUNDED) -> float:
+    """Roll angle at which the involute of an external gear begins that a rack has cut, ``tan alpha - 4 (h - x) / (z sin
+    2 alpha)``, or zero (ISO 21771) [rad]; h: dedendum less what the rack's rounding takes of it, in modules."""
+    depth = float(gear.dedendum) - rounding - float(gear.profile_shift)
     angle = float(gear.pressure_angle)
     return max(0.0, np.tan(angle) - 4 * depth / (gear.teeth * np.sin(2 * angle)))
 
