@@ -76,15 +76,23 @@ def test_the_slope_is_one_sided_where_a_contact_opens():
     assert min(abs(at_kink / side - 1) for side in sides) < 1e-6  # one of them, and nothing between
 
 
-def test_load_sharing_is_an_objective():
-    """Largest load of a pair over the mean of those that could carry: what the analysis tells, and no angle."""
-    scene = designed(jnp.asarray([-0.4, 0.5 * um, 0.0]))
+@pytest.mark.parametrize(
+    ("springs", "shares"),
+    [(TEETH, (1e-3, 0.1)), (gj.HarmonicStiffness(2e8, [], []), (0.1, 1.0))],
+    ids=["coupled", "linear"],
+)
+def test_load_sharing_is_an_objective(springs, shares):
+    """Largest load of a pair over the mean of those that could carry: what the analysis tells, and no angle; of linear
+    springs too smoothing does not spread the load."""
+    scene = dataclasses.replace(designed(jnp.asarray([-0.4, 0.5 * um, 0.0])), compliance=springs)
     theta = jnp.linspace(0.0, 0.02, 5)
     objective = Objective.of("static_load_sharing", scene, theta, 100.0)
     known = float(gj.transmission_error(scene, theta, torque=100.0).load_sharing.max())
     physics = scene.physics("compliance")
     assert float(jax.jit(lambda scene: objective.hard(scene))(physics)) == pytest.approx(known, rel=1e-12)
-    assert known < float(jax.jit(lambda scene: objective.smooth(scene, 1e-3))(physics)) < known + 1e-3 * np.log(5 * 9)
+    for share in shares:
+        near = float(jax.jit(lambda scene, share: objective.smooth(scene, share))(physics, share))
+        assert known < near < known + share * np.log(5 * 9)
     with pytest.raises(gj.GearjaxError, match="needs a torque"):
         Objective.of("static_load_sharing", scene, theta)
 

@@ -49,13 +49,13 @@ def print_optimisation(optimisation: Optimisation) -> None:
     parameters = optimisation.parameters
     units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
     unit = optimisation.unit
-    columns = ["", unit.name, *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
+    columns = ["", unit.shown, *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
     for column in (*columns, "evaluations", "run [s]", "compile [s]"):
         table.add_column(column, justify="right" if column else "left", overflow="fold")
 
     def row(title: str, objective: float, point, *rest: str) -> None:
         shown = [f"{optimisation.shown(path, float(value)):.6g}" for path, value in zip(parameters, point, strict=True)]
-        table.add_row(title, f"{objective / unit.size:.5f}", *shown, *rest)
+        table.add_row(title, f"{objective / unit.per_shown:.5f}", *shown, *rest)
 
     row(
         "before",
@@ -86,8 +86,8 @@ def print_optimisation(optimisation: Optimisation) -> None:
             console.print(f"flat: 10 deg along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
     for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
         console.print(
-            f"assembled with errors of up to {deviation / deg:g} deg: {mean / unit.size:.4f} {unit.name} on average, "
-            f"{worst / unit.size:.4f} at worst",
+            f"assembled with errors of up to {deviation / deg:g} deg: {mean / unit.per_shown:.4f} {unit.shown} "
+            f"on average, {worst / unit.per_shown:.4f} at worst",
             soft_wrap=True,
         )
     _print_stages(console, optimisation)

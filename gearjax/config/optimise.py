@@ -125,7 +125,7 @@ def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
         terms = tuple(_term(f"optimise.objective[{i}]", term) for i, term in enumerate(given))
         if not terms or "torque" in table or "order" in table:
             raise ParameterError("optimise.objective", given, "needs terms, each with its own torque and order")
-        if len({term.unit for term in terms}) > 1:
+        if len({term.dimension for term in terms}) > 1:
             raise ParameterError("optimise.objective", given, "adds angles to load sharing, which has no unit")
     else:
         term = {"name": given} | {key: table[key] for key in ("torque", "order") if key in table}

@@ -74,7 +74,7 @@ def search_figure(optimisation: Optimisation) -> Figure:
 
 
 def _reference_lines(ax: Axes, optimisation: Optimisation) -> None:
-    before, grid, size = optimisation.before, optimisation.grid, optimisation.unit.size
+    before, grid, size = optimisation.before, optimisation.grid, optimisation.unit.per_shown
     ax.axhline(before / size, label="before", linestyle="--", linewidth=0.9, color=COLOURS["before"])
     if grid is not None:
         ax.axhline(grid.objective / size, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
@@ -84,7 +84,7 @@ def _ends(ax: Axes, optimisation: Optimisation) -> None:
     search = optimisation.gradient
     good = np.isfinite(search.objectives)
     order = np.argsort(search.objectives[good])
-    heights, valleys = search.objectives[good][order] / optimisation.unit.size, search.valley[good][order]
+    heights, valleys = search.objectives[good][order] / optimisation.unit.per_shown, search.valley[good][order]
     place = np.arange(1, heights.size + 1)
     named = list(dict.fromkeys(valleys.tolist()))[:NAMED_VALLEYS]
     for valley in named:
@@ -97,13 +97,13 @@ def _ends(ax: Axes, optimisation: Optimisation) -> None:
         label = f"{number} other valleys: {others.sum()} starts" if number > 1 else f"one other: {others.sum()}"
         ax.plot(place[others], heights[others], ".", markersize=5, color="0.6", label=label)
     _reference_lines(ax, optimisation)
-    objective = f"{optimisation.section.objective.name.replace('_', ' ')} [{optimisation.unit.name}]"
+    objective = f"{optimisation.section.objective.name.replace('_', ' ')} [{optimisation.unit.shown}]"
     finish(ax, f"End points of {len(search.starts)} starts, best first", x="start [-]", y=objective)
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
 
 
 def _history(ax: Axes, optimisation: Optimisation) -> None:
-    history = optimisation.gradient.history[np.isfinite(optimisation.gradient.objectives)] / optimisation.unit.size
+    history = optimisation.gradient.history[np.isfinite(optimisation.gradient.objectives)] / optimisation.unit.per_shown
     steps = np.arange(history.shape[1])
     low, middle, high = np.quantile(history, [0.1, 0.5, 0.9], axis=0)
     ax.fill_between(steps, low, high, alpha=0.25, color="tab:red", label="10 to 90 % of the starts")
@@ -114,7 +114,7 @@ def _history(ax: Axes, optimisation: Optimisation) -> None:
         ax,
         "Objective on the way: smoothed, then polished",
         x="evaluations of objective and gradient per start [-]",
-        y=f"objective [{optimisation.unit.name}]",
+        y=f"objective [{optimisation.unit.shown}]",
     )
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
 
@@ -142,13 +142,13 @@ def _deviations(ax: Axes, optimisation: Optimisation) -> None:
     width = 0.8 / len(around.deviations)
     for index, deviation in enumerate(np.rad2deg(around.deviations)):
         single = around.single[index].max(axis=1)
-        heights = np.array([*single, around.mean[index], around.worst[index]]) / unit.size
+        heights = np.array([*single, around.mean[index], around.worst[index]]) / unit.per_shown
         ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"off by {deviation:g} deg")
-    ax.axhline(around.objective / unit.size, color="black", linewidth=0.9, label="as optimised")
+    ax.axhline(around.objective / unit.per_shown, color="black", linewidth=0.9, label="as optimised")
     if (grid := optimisation.grid) is not None:
-        ax.axhline(grid.objective / unit.size, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
+        ax.axhline(grid.objective / unit.per_shown, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
     ax.set_xticks(place, [*names, "all: mean", "all: worst"], rotation=20, ha="right", fontsize="small")
-    finish(ax, "What assembly errors cost", x="which number is off", y=f"objective [{unit.name}]")
+    finish(ax, "What assembly errors cost", x="which number is off", y=f"objective [{unit.shown}]")
     ax.set_ylim(0.0, 1.4 * ax.get_ylim()[1])  # room for the legend
     ax.legend(fontsize="small", loc="upper left", framealpha=0.8)
 

@@ -16,9 +16,9 @@ from gearjax.run import METRICS
 from gearjax.scene import Scene
 from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
 from gearjax.studies.select import numbers, pick
-from gearjax.studies.terms import SHARE, Unit
+from gearjax.studies.terms import SHARE
 from gearjax.studies.values import values
-from gearjax.units import arcmin
+from gearjax.units import Dimension, arcmin
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Optimisation:
         entries = {
             "objective": self.section.objective.name,
             "window_s": self.section.window,
-            self._key("objective_before"): self.before / self.unit.size,
+            self._key("objective_before"): self.before / self.unit.per_shown,
             "grid": None,
             "gradient": {
                 **self._point(gradient.objective, gradient.best),
@@ -91,13 +91,13 @@ class Optimisation:
         return entries
 
     @property
-    def unit(self) -> Unit:
+    def unit(self) -> Dimension:
         """What the objective is shown in."""
-        return self.section.objective.unit
+        return self.section.objective.dimension
 
     def _key(self, name: str) -> str:
         """With the unit of the objective, where it has one."""
-        return name if self.unit is SHARE else f"{name}_{self.unit.name}"
+        return name if self.unit is SHARE else f"{name}_{self.unit.shown}"
 
     def _point(self, objective: float, point: np.ndarray) -> dict:
         periodic = {path: parameter.periodic for path, parameter in self.parameters.items()}
@@ -105,7 +105,7 @@ class Optimisation:
             path: float(f"{self.shown(path, float(value)):.12g}") for path, value in zip(periodic, point, strict=True)
         }
         entry: dict = {
-            self._key("objective"): objective / self.unit.size,
+            self._key("objective"): objective / self.unit.per_shown,
             "phases_deg": {path: value for path, value in shown.items() if periodic[path]},
         }
         others = {
@@ -116,7 +116,7 @@ class Optimisation:
         return entry | ({"values": others} if others else {})
 
     def _sensitivity(self) -> dict:
-        around, size = self.sensitivity, self.unit.size
+        around, size = self.sensitivity, self.unit.per_shown
         return {
             self._key("gradient"): dict(zip(around.paths, (around.gradient / size).tolist(), strict=True)),
             self._key("hessian_eigenvalues"): (around.eigenvalues / size).tolist(),
@@ -179,10 +179,14 @@ def save_optimisation(optimisation: Optimisation, config: str, folder: Path) -> 
     parameters = optimisation.parameters
     header = [f"{path} [{p.dimension.shown if p.dimension else '-'}]" for path, p in parameters.items()]
     unit = optimisation.unit
-    lines = [",".join(["start", *header, f"objective [{unit.name}]", "valley", "result"])]
+    lines = [",".join(["start", *header, f"objective [{unit.shown}]", "valley", "result"])]
     for index, end in enumerate(search.ends):
         shown = [f"{optimisation.shown(path, value):.9g}" for path, value in zip(parameters, end, strict=True)]
-        last = [f"{search.objectives[index] / unit.size:.9g}", str(search.valley[index]), str(search.result[index])]
+        last = [
+            f"{search.objectives[index] / unit.per_shown:.9g}",
+            str(search.valley[index]),
+            str(search.result[index]),
+        ]
         lines.append(",".join([str(index), *shown, *last]))
     rows = [",".join(["stage", "analysis", "torque [N m]", "window [s]", *(f"{name} [arcmin]" for name in METRICS)])]
     for stage, cases in optimisation.cases.items():

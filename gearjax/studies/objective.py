@@ -35,8 +35,9 @@ from gearjax.contact import Pose, QuadraticContact
 from gearjax.run import NEEDS
 from gearjax.scene import Scene, require
 from gearjax.studies.select import Free
-from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term, Unit
+from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term
 from gearjax.typing import Array, ArrayLike, Float, Scalar
+from gearjax.units import Dimension
 
 SAMPLES = 8001  # of one cycle, where nothing else is said
 EXTREMES = 32  # highest and as many lowest points that `pieces` looks at; a polished curve has many equal ones
@@ -225,10 +226,12 @@ class Objective(eqx.Module):
 
         Args:
             scene: the scene.
-            temperature: smoothing of the largest values [rad].
+            temperature: smoothing of the largest values, in the unit of the objective: rad, or a part of load sharing,
+                which tells no width of contacts: they stay hard.
         """
         smoothed = functools.partial(_soft_largest, temperature)
-        if isinstance(scene.compliance, COUPLED):  # has the hard law alone
+        hard_alone = isinstance(scene.compliance, COUPLED)
+        if hard_alone or any(term.name in SHARES for term in self.terms):
             return self._of_samples(scene, smoothed)
         lever = jnp.abs(scene.contacts(self.theta[0]).output_levers).mean()
         width = jnp.maximum(WIDTH * temperature * jax.lax.stop_gradient(lever), 1e-15)
@@ -297,9 +300,9 @@ class Objective(eqx.Module):
         ]
 
     @property
-    def unit(self) -> Unit:
-        """What it is shown in: load sharing alone has no dimension."""
-        return SHARE if self.terms and all(term.unit is SHARE for term in self.terms) else ANGLE
+    def dimension(self) -> Dimension:
+        """With the unit that it is shown in: load sharing alone has none."""
+        return SHARE if self.terms and all(term.dimension is SHARE for term in self.terms) else ANGLE
 
     @property
     def is_dynamic(self) -> bool:

@@ -1,11 +1,12 @@
 """Terms of an objective: one metric of one analysis each, by name."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 
+from gearjax import units
 from gearjax.analysis.quasi_static import no_load, play, static
 from gearjax.arguments import numbers, one_positive, torque
 from gearjax.checks import ParameterError, is_concrete, nearest
@@ -13,17 +14,9 @@ from gearjax.parameters import as_leaf
 from gearjax.run import ANALYSES
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Float, Scalar
-from gearjax.units import arcmin
+from gearjax.units import Dimension, arcmin
 
-
-class Unit(NamedTuple):
-    """What an objective is shown in, and how much of its SI unit one of it is."""
-
-    name: str
-    size: float
-
-
-ANGLE, SHARE = Unit("arcmin", arcmin), Unit("-", 1.0)
+ANGLE, SHARE = units.ANGLE._replace(shown="arcmin", per_shown=arcmin), units.RATIO._replace(shown="-")
 METRICS = ("amplitude", "peak_to_peak", "std", "order")
 NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
 SHARES = ("static_load_sharing",)
@@ -85,8 +78,8 @@ class Term(eqx.Module):
         return self.name.removeprefix(f"{self.analysis}_").replace("range", "peak_to_peak")
 
     @property
-    def unit(self) -> Unit:
-        """What it is shown in."""
+    def dimension(self) -> Dimension:
+        """With the unit that it is shown in."""
         return SHARE if self.name in SHARES else ANGLE
 
     def per_turn(self, scene: Scene) -> float:

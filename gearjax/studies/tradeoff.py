@@ -74,7 +74,7 @@ class Measured:
         gradient_seconds: of the gradient of the standard deviation with respect to every number of the errors, reverse
             mode [s]; ``None`` where it would take long, or the group is not differentiated.
         gradient_measured: whether that was measured, or is the multiple of a run that another step length of the same
-            scheme took: programs of gradients compile for 10 s and more, and step lengths do not change the multiple.
+            scheme took, as programs of gradients compile for 10 s and more: a rough one for the shortest runs.
         compile_seconds: of the first run [s].
     """
 

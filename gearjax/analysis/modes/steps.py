@@ -149,23 +149,20 @@ def march(steps: Steps, place: Array, speed: Array, spacing: Spacing, table: Dri
         place, speed: coordinates and velocities at their start.
         spacing: how the record is cut.
         table: what drives the motion at the ends of the steps, where it is known; first axis of each leaf the steps.
+            Of a spacing without nodes.
     """
     seconds = steps.step * spacing.each
 
     def driven(begun: Begun, given: Any) -> tuple[Begun, Array]:
         """The steps of a span: where they end, and their states."""
-        ends, lines = np.arange(1, spacing.span + 1, dtype=float), steps.lines
-        if table is not None:
-            begun, record = recur(lines, steps.products, begun, given, None)
-            return begun, record[:, : steps.products.sizes[2]]
-        if spacing.nodes is None:
-            places, shares = ends, None
-        else:
+        lines, places, shares = steps.lines, np.arange(1, spacing.span + 1, dtype=float), None
+        if spacing.nodes is not None:
             block = divisor(spacing.span, OF_FEW if lines.apart else AT_ONCE)
+            shares = chebyshev.weights(spacing.span, spacing.nodes, places).reshape(-1, block, spacing.nodes)
             places = chebyshev.nodes(spacing.span, spacing.nodes)
-            shares = chebyshev.weights(spacing.span, spacing.nodes, ends).reshape(-1, block, spacing.nodes)
-        known = jax.vmap(lines.driving)(given + jnp.asarray(places, given.dtype) * steps.step)
-        begun, record = recur(lines, steps.products, begun, known, shares)
+        if table is None:
+            given = jax.vmap(lines.driving)(given + jnp.asarray(places, given.dtype) * steps.step)
+        begun, record = recur(lines, steps.products, begun, given, shares)
         return begun, record[:, : steps.products.sizes[2]]
 
     # worked out again where a derivative runs backwards: its memory grows with spans, not with steps
