@@ -46,6 +46,7 @@ from gearjax.compliance import (
     AbstractCompliance,
     AbstractCoupledCompliance,
     AbstractLineContact,
+    AbstractSliceCompliance,
     AbstractToothCompliance,
     ElasticTeeth,
     HarmonicStiffness,
@@ -53,6 +54,9 @@ from gearjax.compliance import (
     HuLineContact,
     InfluenceMatrix,
     Iso6336Stiffness,
+    Iso6336Teeth,
+    LineStiffness,
+    ToothSlices,
     iso6336_stiffness,
 )
 from gearjax.config import load, loads
@@ -69,11 +73,15 @@ from gearjax.contact import (
 )
 from gearjax.errors import (
     AbstractError,
+    Crowning,
     CumulativePitch,
     Eccentricity,
+    EndRelief,
+    HelixSlope,
     Positions,
     ProfileForm,
     ProfileSlope,
+    RootRelief,
     Sizes,
     TipRelief,
 )
@@ -107,7 +115,7 @@ from gearjax.studies import (
 )
 from gearjax.studies.compensation import Judged
 from gearjax.supports import Support
-from gearjax.systems import AbstractSystem, DiscProfile, InvoluteRV, RVCycloidal, TwoKV
+from gearjax.systems import AbstractSystem, DiscProfile, HelicalPair, InvoluteRV, RVCycloidal, TwoKV
 from gearjax.tolerance import (
     AbstractDistribution,
     Correlation,
@@ -146,6 +154,7 @@ __all__ = [
     "AbstractError",
     "AbstractLineContact",
     "AbstractLoad",
+    "AbstractSliceCompliance",
     "AbstractSystem",
     "AbstractToothCompliance",
     "AdaptiveStep",
@@ -158,6 +167,7 @@ __all__ = [
     "Compensation",
     "ConstantLoad",
     "Correlation",
+    "Crowning",
     "CumulativePitch",
     "DampingRatio",
     "DiscProfile",
@@ -165,6 +175,7 @@ __all__ = [
     "Eccentricity",
     "ElasticTeeth",
     "Empirical",
+    "EndRelief",
     "EquivalentMass",
     "Estimate",
     "ExponentialFit",
@@ -177,6 +188,8 @@ __all__ = [
     "GridSearch",
     "HardContact",
     "HarmonicStiffness",
+    "HelicalPair",
+    "HelixSlope",
     "HertzLineContact",
     "HuLineContact",
     "InfluenceMatrix",
@@ -187,8 +200,10 @@ __all__ = [
     "Iso286",
     "Iso1328RunOut",
     "Iso6336Stiffness",
+    "Iso6336Teeth",
     "Judged",
     "Layout",
+    "LineStiffness",
     "LocalSensitivity",
     "Lognormal",
     "LostMotion",
@@ -214,6 +229,7 @@ __all__ = [
     "Reduction",
     "Request",
     "Rim",
+    "RootRelief",
     "Run",
     "RungeKutta4",
     "Scene",
@@ -230,6 +246,7 @@ __all__ = [
     "Term",
     "TipRelief",
     "Tolerances",
+    "ToothSlices",
     "Torsion",
     "TransmissionError",
     "TruncatedNormal",

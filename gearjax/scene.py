@@ -13,12 +13,13 @@ import numpy as np
 from gearjax.checks import ParameterError, SceneError, check_name, is_concrete, nearest
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
-    COUPLED,
     AbstractCompliance,
     AbstractCoupledCompliance,
     AbstractLineContact,
+    AbstractSliceCompliance,
     AbstractToothCompliance,
     AnyCompliance,
+    couples,
 )
 from gearjax.contact import (
     AbstractContact,
@@ -207,6 +208,7 @@ class Scene(eqx.Module):
             mesh=stiffness == "varying" and not line,
             radii=stiffness != "rigid" and line,
             places=stiffness != "rigid" and isinstance(self.compliance, AbstractToothCompliance),
+            slices=stiffness != "rigid" and isinstance(self.compliance, AbstractSliceCompliance),
             coordinates=self._coordinates(stiffness).asked,
         )
 
@@ -291,6 +293,11 @@ class Scene(eqx.Module):
             places = pose_of(self.system, pose.theta, request).places if pose.places is None else pose.places
             assert places is not None  # the system has them
             return CoupledSprings(self.compliance.blocks(places))
+        if isinstance(self.compliance, AbstractSliceCompliance):
+            request = Request(self.backlash is not None, slices=True)
+            slices = pose_of(self.system, pose.theta, request).slices if pose.slices is None else pose.slices
+            assert slices is not None  # the system has them
+            return self.compliance.springs(slices)
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
         angle = pose.mesh_angle
@@ -358,7 +365,9 @@ def _check_moving(scene: Scene) -> None:
 def _check_coupled(scene: Scene) -> None:
     """Refuse a coupled compliance that has no equilibrium, or that a smooth contact law is asked for."""
     compliance = scene.compliance
-    if not isinstance(compliance, COUPLED):
+    if isinstance(compliance, AbstractSliceCompliance):
+        _check_slices(scene, compliance)
+    if compliance is None or not couples(compliance):
         return
     if not isinstance(scene.contact, HardContact):
         raise SceneError(f'[compliance] kind = "{compliance.kind}" couples the contacts: use contact "hard"')
@@ -380,6 +389,18 @@ def _check_coupled(scene: Scene) -> None:
     smallest = float(np.linalg.eigvalsh(influence)[0])
     if not smallest > 0:
         raise SceneError(f"[compliance]: its matrix is not positive definite (smallest eigenvalue {smallest:.3g} m/N)")
+
+
+def _check_slices(scene: Scene, compliance: AbstractSliceCompliance) -> None:
+    """Refuse a compliance of slices where there are none, or that is not for these gears."""
+    if not scene.system.has_slices:
+        words = f"needs slices of contact lines, which a {scene.system.kind} does not offer"
+        raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
+    if is_concrete((compliance, scene.system)):
+        with jax.ensure_compile_time_eval():  # while something else is traced
+            slices = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(slices=True)).slices
+            assert slices is not None  # the system has them
+            compliance.check(slices)
 
 
 @eqx.filter_jit  # one program: its single operations would each be compiled apart
@@ -408,9 +429,12 @@ def require(scene: Scene, what: str, *slots: str) -> None:
             f'"{what}" needs springs in proportion, such as [compliance] kind = "harmonic_stiffness": the force of '
             f"{scene.compliance.kind} is not"
         )
-    if isinstance(scene.compliance, COUPLED):
+    if scene.compliance is not None and couples(scene.compliance):
         words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) makes one of them"
         raise SceneError(f'"{what}" needs springs one by one: {words}')
+    if isinstance(scene.compliance, AbstractSliceCompliance):
+        words = "gj.one_contact(scene, torque) makes one contact of them"
+        raise SceneError(f'"{what}" is not for slices of contact lines yet: {words}')
     coordinates = scene.moving.coordinates
     if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
         raise SceneError(f'"{what}" is for one output that turns unevenly, without shafts or cranks before it')

@@ -53,6 +53,8 @@ DAMPING = Dimension("damping coefficient", "N*s/m", "400 N*s/m", "N*s/m", forms=
 TORSION = Dimension("torsional stiffness", "N*m/rad", "1e7 N*m/rad", "N*m/rad")
 TORSION_DAMPING = Dimension("torsional damping coefficient", "N*m*s/rad", "40 N*m*s/rad", "N*m*s/rad")
 TORQUE = Dimension("torque", "N*m", "30 N*m", "N*m", forms=("kg*m^2/s^2",))
+LINE_STIFFNESS = Dimension("stiffness per length", "N/m/m", "14 N/mm/um", "N/mm/um", 1e9, forms=("Pa", "kg/m/s^2"))
+LINE_LOAD = Dimension("load per length", "N/m", "150 N/mm", "N/mm", 1e3, forms=("kg/s^2",))
 PRESSURE = Dimension("pressure", "Pa", "206 GPa", "Pa", forms=("N/m^2", "kg/m/s^2"))
 INERTIA = Dimension("moment of inertia", "kg*m**2", "0.02 kg*m^2", "kg*m^2", forms=("N*m*s^2",))
 RATIO = Dimension("ratio", "", "0.1", "")

@@ -136,6 +136,27 @@ GEAR_SETS["involute_rv"] = GearSet(
         "system": Number("system.centre_distance", ("1.498 mm", "1.5 mm"), (1.498e-3, 1.5e-3)),
     },
 )
+GEAR_SETS["helical_pair"] = GearSet(
+    "helical/guo_2018.toml",
+    {
+        "system": {"slices": 1, "input_speed": "600 rpm"},
+        "compliance": {
+            "kind": "harmonic_stiffness",
+            "mean": "8e8 N/m",
+            "relative_amplitudes": [0.1],
+            "phases": ["0 deg"],
+        },
+        "backlash": {"initial": "20 um"},
+        "inertia": {"moment_of_inertia": "0.4 kg*m^2"},
+        "damping": {"ratio": 0.05},
+    },
+    {
+        "phase": Number("errors.pinion.phase"),
+        "amplitude": Number("errors.pinion.amplitude", ("10 um", "20 um"), (10 * um, 20 * um)),
+        "element": Number("compliance.relative_amplitudes[0]", (0.05, 0.15), (0.05, 0.15)),
+        "system": Number("system.centre_distance", ("201 mm", "201.2 mm"), (0.201, 0.2012)),
+    },
+)
 KINDS = ("phase", "amplitude", "element", "system")
 
 
@@ -290,13 +311,13 @@ OF_NO_GEAR_SET = {
 }
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("contact_pressure", "two_kv", ""): "line contacts",
-    **{("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv")},
+    **{("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")},
     ("allocate", "", "phase"): "is no tolerance",
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
     **{
         (name, kind, "element"): "does not depend on it"
         for name in ("compensate", "grid_search", "minimise", "optimise")
-        for kind in ("two_kv", "involute_rv")
+        for kind in ("two_kv", "involute_rv", "helical_pair")
     },
 }
 

@@ -18,7 +18,7 @@ from gearjax.analysis.metrics import (
 )
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import FewCandidates, ParameterError, SceneError, is_concrete, nearest
-from gearjax.compliance import COUPLED
+from gearjax.compliance import AbstractSliceCompliance, couples
 from gearjax.contact import Equilibrium, Layout, Pose, Request
 from gearjax.scene import Scene, require
 from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
@@ -218,10 +218,15 @@ def transmission_error(
         return _transmission_error(scene.physics(), theta, None, extremes or "between")
     require(scene, "static", "compliance")
     torque = torque_on(scene, theta, torque)
-    places = extremes or ("samples" if isinstance(scene.compliance, COUPLED) else "between")
+    places = extremes or ("samples" if _each_is_dear(scene) else "between")
     te = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
     _warn_of_few_candidates(scene, te)
     return te
+
+
+def _each_is_dear(scene: Scene) -> bool:
+    """Whether each equilibrium, or what it is of, takes so long that extremes are looked for at the angles alone."""
+    return isinstance(scene.compliance, AbstractSliceCompliance) or couples(scene.compliance)
 
 
 def _warn_of_few_candidates(scene: Scene, te: TransmissionError) -> None:

@@ -155,7 +155,8 @@ def pressures(
     if law is None:
         own = scene.compliance
         law = own if isinstance(own, AbstractLineContact) else getattr(own, "line_contact", None)
-    if law is None or not (scene.system.has_radii or scene.system.has_places):
+    system = scene.system
+    if law is None or not (system.has_radii or system.has_places or system.has_slices):
         raise SceneError(
             "pressure needs line contacts of known radii, and their material: give law=HertzLineContact(...)"
         )
@@ -169,7 +170,12 @@ def _pressures(scene: Scene, law: AbstractLineContact, theta: Array, forces: Arr
             radii = pose_of(scene.system, angle, Request(radii=True)).radii
             assert radii is not None  # the system has them
             return law.pressure(radii, forces)
-        places = pose_of(scene.system, angle, Request(scene.backlash is not None, places=True)).places
+        back = scene.backlash is not None
+        if scene.system.has_slices:
+            slices = pose_of(scene.system, angle, Request(back, slices=True)).slices
+            assert slices is not None  # the system has them
+            return law.slice_pressure(slices, forces)
+        places = pose_of(scene.system, angle, Request(back, places=True)).places
         assert places is not None  # the system has them
         return law.flank_pressure(places, forces)
 

@@ -27,7 +27,7 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
     console.print(table)
-    console.print("~: not measured, in proportion to the run of another step length of that scheme", soft_wrap=True)
+    console.print("~: not measured, in proportion to the run of another setting of that scheme", soft_wrap=True)
     if comparison.statics:
         table = Table(title="Geometry under static torque, against the most exact choice")
         for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):

@@ -4,21 +4,34 @@ from gearjax.compliance.base import (
     COUPLED,
     AbstractCompliance,
     AbstractCoupledCompliance,
+    AbstractSliceCompliance,
     AbstractToothCompliance,
+    couples,
 )
 from gearjax.compliance.elastic_teeth import ElasticTeeth
 from gearjax.compliance.harmonic import HarmonicStiffness
 from gearjax.compliance.influence_matrix import InfluenceMatrix
 from gearjax.compliance.iso6336 import Iso6336Stiffness, iso6336_stiffness
 from gearjax.compliance.line_contact import LINE_CONTACTS, AbstractLineContact, HertzLineContact, HuLineContact
+from gearjax.compliance.line_stiffness import Iso6336Teeth, LineStiffness
+from gearjax.compliance.tooth_slices import ToothSlices
 
-AnyCompliance = AbstractCompliance | AbstractLineContact | AbstractCoupledCompliance | AbstractToothCompliance
+AnyCompliance = (
+    AbstractCompliance
+    | AbstractLineContact
+    | AbstractCoupledCompliance
+    | AbstractToothCompliance
+    | AbstractSliceCompliance
+)
 """What a scene may have as its compliance."""
 COMPLIANCES: tuple[type[AnyCompliance], ...] = (
     HarmonicStiffness,
     *LINE_CONTACTS,
     ElasticTeeth,
     InfluenceMatrix,
+    LineStiffness,
+    Iso6336Teeth,
+    ToothSlices,
 )
 
 __all__ = [
@@ -27,6 +40,7 @@ __all__ = [
     "AbstractCompliance",
     "AbstractCoupledCompliance",
     "AbstractLineContact",
+    "AbstractSliceCompliance",
     "AbstractToothCompliance",
     "AnyCompliance",
     "ElasticTeeth",
@@ -35,5 +49,9 @@ __all__ = [
     "HuLineContact",
     "InfluenceMatrix",
     "Iso6336Stiffness",
+    "Iso6336Teeth",
+    "LineStiffness",
+    "ToothSlices",
+    "couples",
     "iso6336_stiffness",
 ]

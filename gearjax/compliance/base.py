@@ -6,7 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 
 from gearjax.compliance.line_contact import AbstractLineContact
-from gearjax.contact import Layout, Places
+from gearjax.contact import Layout, Places, Slices, Springs
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Array, Float, Scalar
 
@@ -96,5 +96,44 @@ class AbstractToothCompliance(eqx.Module):
         return None
 
 
+class AbstractSliceCompliance(eqx.Module):
+    """Compliance of contacts that are slices of contact lines. ``kind`` is its name in a configuration."""
+
+    kind: eqx.AbstractClassVar[str]
+
+    @property
+    @abc.abstractmethod
+    def couples(self) -> bool:
+        """Whether its slices move each other."""
+
+    @abc.abstractmethod
+    def springs(self, slices: Slices) -> Springs:
+        """Springs of the contacts, along the normals of the flanks.
+
+        Args:
+            slices: which of the contact lines they are.
+        """
+
+    def check(self, slices: Slices) -> None:
+        """Refuse gears that it is not for.
+
+        Args:
+            slices: of the contacts, numbers that are known.
+
+        Raises:
+            GearjaxError: naming what is wrong.
+        """
+
+    @property
+    def line_contact(self) -> AbstractLineContact | None:
+        """Material and face width of the contacts, for the pressure in them; ``None`` where it has none."""
+        return None
+
+
 COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)
 """Those whose contacts move each other, as `isinstance` takes them."""
+
+
+def couples(compliance: object) -> bool:
+    """Whether contacts with this compliance move each other."""
+    return isinstance(compliance, COUPLED) or (isinstance(compliance, AbstractSliceCompliance) and compliance.couples)

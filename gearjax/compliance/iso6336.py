@@ -137,11 +137,17 @@ def iso6336_stiffness(
     if is_concrete(pair):
         _check_fit(pair)
     load = None if load_per_width is None else as_leaf(load_per_width)
-    return _stiffness(pair, as_leaf(blank_factor), load, as_leaf(low_load_exponent))
+    return stiffness_of(pair, as_leaf(blank_factor), load, as_leaf(low_load_exponent))
 
 
 @eqx.filter_jit
-def _stiffness(pair: InvolutePair, blank: Any, load: Any, exponent: Any) -> Iso6336Stiffness:
+def stiffness_of(pair: InvolutePair, blank: Any, load: Any, exponent: Any) -> Iso6336Stiffness:
+    """The same of a pair that is known to fit.
+
+    Args:
+        pair: the gears.
+        blank, load, exponent: ``blank_factor``, ``load_per_width`` and ``low_load_exponent``.
+    """
     theoretical = PER_MM_UM / _compliance(pair)
     single = theoretical * SOLID * blank * _rack_factor(pair) * jnp.cos(pair.helix_angle)
     if load is not None:

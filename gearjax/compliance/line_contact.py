@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax import units
-from gearjax.contact import LineSprings, Places
+from gearjax.contact import LineSprings, Places, Slices
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import check_parameters, length, number
 from gearjax.typing import Array, Float, Number, Scalar
@@ -73,6 +73,16 @@ class AbstractLineContact(eqx.Module):
         carries = (each > 0) & (along > 0)[..., None]
         even = jnp.where(carries, line / jnp.where(carries, along[..., None], 1.0), 0.0)
         return jnp.maximum(hertz, even).ravel()
+
+    def slice_pressure(self, slices: Slices, forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Highest pressure in each slice of contact lines, shape (contact,) [Pa].
+
+        That of Hertz under the force per length of the line, ``sqrt(F' E' kappa / (2 pi))`` as `flank_pressure`.
+        """
+        carries = (forces > 0) & (slices.lengths > 0)
+        line = jnp.where(carries, forces, 1.0) / jnp.where(carries, slices.lengths, 1.0)
+        square = line * self.plane_modulus / (2 * math.pi) * slices.curvature.ravel()
+        return jnp.where(carries, jnp.sqrt(jnp.where(carries, square, 1.0)), 0.0)
 
 
 class HertzLineContact(AbstractLineContact):

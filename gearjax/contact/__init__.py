@@ -6,6 +6,7 @@ from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
 from gearjax.contact.layout import Layout
 from gearjax.contact.pose import BodyView, Moved, Movements, Places, Pose, ProfilePlace, Request, Rim, even_parts
+from gearjax.contact.slices import Slices
 from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "QuadraticContact",
     "Request",
     "Rim",
+    "Slices",
     "SoftplusContact",
     "Springs",
     "equilibrium",

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.contact.slices import Slices
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.geometry.line_contact import Radii
 from gearjax.typing import Array, Float, Int, Scalar
@@ -24,6 +25,7 @@ class Request:
         mesh: whether the mesh phase counts.
         radii: whether the radii of curvature count.
         places: whether it counts where on their teeth the contacts are.
+        slices: whether it counts which slices of contact lines they are.
         coordinates: of the bodies that have supports, such as ``disc_1.x``.
     """
 
@@ -32,6 +34,7 @@ class Request:
     mesh: bool = False
     radii: bool = False
     places: bool = False
+    slices: bool = False
     coordinates: tuple[str, ...] = ()
 
 
@@ -47,6 +50,7 @@ class Pose(eqx.Module):
         mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` where not asked for.
         radii: of the line contacts, shape (contact,); ``None`` where not asked for.
         places: where on their teeth the contacts are; ``None`` where not asked for.
+        slices: which slices of contact lines they are; ``None`` where not asked for.
     """
 
     theta: Scalar
@@ -56,6 +60,7 @@ class Pose(eqx.Module):
     mesh_angle: Float[Array, " pair"] | None = None
     radii: Radii | None = None
     places: "Places | None" = None
+    slices: Slices | None = None
 
 
 class Places(eqx.Module):
@@ -107,16 +112,27 @@ def even_parts(number: int, dtype: jnp.dtype) -> Float[Array, " number"]:
 
 
 class ProfilePlace(eqx.Module):
-    """Where along their profile the contacts of a body are.
+    """Where along their profile the contacts of a body are, and where across its face.
 
     Args:
         to_tip: length of roll from each contact to the tip of its tooth, along the path of contact, shape (contact,)
             [m].
         length: of the part of the flank that may touch, in the same measure [m].
+        across: place of each contact from the middle of the face, shape (contact,) [m]; ``None`` of gears that do not
+            tell.
+        width: of the face [m].
+        normal: change of gap per material that a transverse section shows, ``cos beta_b``; ``None`` of spur gears.
     """
 
     to_tip: Float[Array, " contact"]
     length: Scalar
+    across: Float[Array, " contact"] | None = None
+    width: Scalar | None = None
+    normal: Scalar | None = None
+
+    def seen(self, removed: Array) -> Array:
+        """Change of gap by material that is removed along the base tangent of a transverse section [m]."""
+        return removed if self.normal is None else removed * self.normal
 
 
 class Rim(eqx.Module):

@@ -2,6 +2,7 @@
 
 from gearjax.errors.base import AbstractError
 from gearjax.errors.eccentricity import Eccentricity
+from gearjax.errors.helix import Crowning, EndRelief, HelixSlope, RootRelief
 from gearjax.errors.profile import ProfileForm, ProfileSlope, TipRelief
 from gearjax.errors.rim import CumulativePitch, Positions, Sizes
 
@@ -13,16 +14,24 @@ ERRORS: tuple[type[AbstractError], ...] = (
     TipRelief,
     ProfileSlope,
     ProfileForm,
+    RootRelief,
+    HelixSlope,
+    Crowning,
+    EndRelief,
 )
 
 __all__ = [
     "ERRORS",
     "AbstractError",
+    "Crowning",
     "CumulativePitch",
     "Eccentricity",
+    "EndRelief",
+    "HelixSlope",
     "Positions",
     "ProfileForm",
     "ProfileSlope",
+    "RootRelief",
     "Sizes",
     "TipRelief",
 ]

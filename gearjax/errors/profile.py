@@ -35,9 +35,9 @@ class TipRelief(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        place = _profile_of(self.body, view)
+        place = profile_of(self.body, view)
         share = jnp.clip(1 - place.to_tip / self.length, 0.0, 1.0)
-        return spread("amount", self.amount, view) * share**self.exponent
+        return place.seen(spread("amount", self.amount, view) * share**self.exponent)
 
 
 class ProfileSlope(AbstractError):
@@ -58,8 +58,8 @@ class ProfileSlope(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        place = _profile_of(self.body, view)
-        return spread("slope", self.slope, view) * (place.to_tip / place.length - 0.5)
+        place = profile_of(self.body, view)
+        return place.seen(spread("slope", self.slope, view) * (place.to_tip / place.length - 0.5))
 
 
 class ProfileForm(AbstractError):
@@ -82,13 +82,17 @@ class ProfileForm(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        place = _profile_of(self.body, view)
-        return -spread("amplitude", self.amplitude, view) * jnp.cos(
-            2 * jnp.pi * self.waves * place.to_tip / place.length
-        )
+        place = profile_of(self.body, view)
+        wave = jnp.cos(2 * jnp.pi * self.waves * place.to_tip / place.length)
+        return place.seen(-spread("amplitude", self.amplitude, view) * wave)
 
 
-def _profile_of(body: str, view: BodyView) -> ProfilePlace:
+def profile_of(body: str, view: BodyView) -> ProfilePlace:
+    """Where along its profile the contacts of a body are.
+
+    Raises:
+        ParameterError: it has no such profile.
+    """
     if view.flank is None:
         raise ParameterError("body", body, "has no involute profile to carry this error")
     return view.flank

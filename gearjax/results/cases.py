@@ -26,7 +26,7 @@ from gearjax.analysis.dynamics import growth_rate
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError
-from gearjax.compliance import COUPLED
+from gearjax.compliance import couples
 from gearjax.coordinates import unit_of
 from gearjax.files import write_file
 from gearjax.results.profile import FORMATS, export_profile
@@ -148,7 +148,7 @@ def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 
     ts = jnp.asarray(run.times)
     torques = {name: run.torques if name in ("static", "dynamic") else (0.0,) for name in run.analyses}
     # XLA's threads wait for each other for ever where two programs of many small factorisations run side by side
-    if workers == 1 or isinstance(scene.compliance, COUPLED):
+    if workers == 1 or couples(scene.compliance):
         for analysis in run.analyses:
             yield from (_computed(scene, run, analysis, torque, ts, stepper) for torque in torques[analysis])
         return

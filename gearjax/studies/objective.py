@@ -30,7 +30,7 @@ from gearjax.analysis.quasi_static import Backlash, TransmissionError
 from gearjax.analysis.resting import carriers, rest
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
 from gearjax.checks import ParameterError
-from gearjax.compliance import COUPLED
+from gearjax.compliance import couples
 from gearjax.contact import Pose, QuadraticContact
 from gearjax.run import NEEDS
 from gearjax.scene import Scene, require
@@ -230,7 +230,7 @@ class Objective(eqx.Module):
                 which tells no width of contacts: they stay hard.
         """
         smoothed = functools.partial(_soft_largest, temperature)
-        hard_alone = isinstance(scene.compliance, COUPLED)
+        hard_alone = couples(scene.compliance)
         if hard_alone or any(term.name in SHARES for term in self.terms):
             return self._of_samples(scene, smoothed)
         lever = jnp.abs(scene.contacts(self.theta[0]).output_levers).mean()

@@ -50,7 +50,8 @@ class Setting:
         stepper: of `gearjax.simulate`.
         samples: of the record.
         gradient: how many runs its gradient may take, to leave out those that take too long.
-        scheme: what settings share whose gradients take the same multiple of a run; its own name without.
+        scheme: what settings share whose gradients take about the same multiple of a run: step lengths, precisions and
+            adaptive solvers alike; its own name without.
     """
 
     group: str
@@ -73,7 +74,7 @@ class Measured:
         seconds: of one run, median [s].
         gradient_seconds: of the gradient of the standard deviation with respect to every number of the errors, reverse
             mode [s]; ``None`` where it would take long, or the group is not differentiated.
-        gradient_measured: whether that was measured, or is the multiple of a run that another step length of the same
+        gradient_measured: whether that was measured, or is the multiple of a run that another setting of the same
             scheme took, as programs of gradients compile for 10 s and more: a rough one for the shortest runs.
         compile_seconds: of the first run [s].
     """
@@ -278,7 +279,15 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
         trials += [even("fitted", size, ", windows", windows=cut) for size in STEPS[:3]]
     trials += [even("Runge-Kutta", size, solver=RungeKutta4()) for size in STEPS[:3]]
     trials += [
-        Setting("solver", f"{type(solver).__name__}, {tol:g}", scene, AdaptiveStep(tol, tol, solver), number, 400.0)
+        Setting(
+            "solver",
+            f"{type(solver).__name__}, {tol:g}",
+            scene,
+            AdaptiveStep(tol, tol, solver),
+            number,
+            400.0,
+            "adaptive",
+        )
         for solver, tol in ((diffrax.Tsit5(), 1e-4), (diffrax.Dopri5(), 1e-4), (diffrax.Dopri8(), 1e-7))
     ]
     laws: list[tuple[str, Callable[[float], AbstractContact]]] = [
@@ -305,7 +314,7 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
         for name, inertia in (("quasi-static", False), ("quasi-static, inertia corrected", True))
     ]
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
-    return [*trials, Setting("precision", "float32", single, alone, number)]
+    return [*trials, Setting("precision", "float32", single, alone, number, scheme="fitted")]
 
 
 def _measure(setting: Setting, truth: dict[float, dict[str, float]]) -> Measured:

@@ -1,10 +1,20 @@
 """Gear sets. Each turns the input angle into candidate contacts; none knows how they are solved."""
 
 from gearjax.systems.base import AbstractSystem, DiscProfile, flank_radii
+from gearjax.systems.helical_pair import HelicalPair
 from gearjax.systems.involute_rv import InvoluteRV
 from gearjax.systems.rv_cycloidal import RVCycloidal
 from gearjax.systems.two_kv import TwoKV
 
-SYSTEMS: tuple[type[AbstractSystem], ...] = (TwoKV, RVCycloidal, InvoluteRV)
+SYSTEMS: tuple[type[AbstractSystem], ...] = (TwoKV, RVCycloidal, InvoluteRV, HelicalPair)
 
-__all__ = ["SYSTEMS", "AbstractSystem", "DiscProfile", "InvoluteRV", "RVCycloidal", "TwoKV", "flank_radii"]
+__all__ = [
+    "SYSTEMS",
+    "AbstractSystem",
+    "DiscProfile",
+    "HelicalPair",
+    "InvoluteRV",
+    "RVCycloidal",
+    "TwoKV",
+    "flank_radii",
+]

@@ -41,6 +41,8 @@ class AbstractSystem(eqx.Module):
     """Whether its contacts are line contacts whose radii of curvature it shows."""
     has_places: ClassVar[bool] = False
     """Whether it shows where on their teeth the contacts are."""
+    has_slices: ClassVar[bool] = False
+    """Whether its contacts are slices of contact lines, which it shows."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
 

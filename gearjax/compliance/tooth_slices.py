@@ -1,0 +1,288 @@
+"""Teeth of a helical or spur pair as slices: analytic compliance of each, apart or coupled along the face.
+
+A slice is a spur tooth of the transverse section. Under a force per width at a point of its profile it gives way by
+
+- bending, shear and compression of the tooth from its root circle on, by energy (Weber and Banaschek 1953; Yang and
+  Lin 1987);
+- the foundation: on an external gear the ring under the tooth, ``cos^2 a (L (u/s)^2 + M u/s + P (1 + Q tan^2 a))`` with
+  the polynomials of Sainsot, Velex and Duverger (2004); on an internal gear a half-plane (Weber and Banaschek);
+- contact: ``4 (1 - nu^2) / (pi E)``, constant (Yang and Sun 1985), or by Hertz between the flanks and the middles of
+  the teeth, which is stiffer the higher the force (Weber and Banaschek).
+
+The sum is a compliance in the transverse section; along the normal of the flanks it is ``cos^2 beta_b`` times that.
+Coupled along the face, what is not contact deflects as an elastic layer does that forgets over a length (``v - l^2
+v''`` with free ends).
+"""
+
+import math
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import ParameterError
+from gearjax.compliance.base import AbstractSliceCompliance
+from gearjax.compliance.line_contact import HertzLineContact
+from gearjax.contact import CoupledSprings, LinearSprings, LineSprings, Slices, Springs
+from gearjax.geometry.involute import InvoluteGear
+from gearjax.parameters import check_parameters, length, name, number
+from gearjax.typing import Array, Float, Number, Scalar
+
+PLACES_ALONG = 20
+NODES = 12  # of Gauss' quadrature in each part of a tooth
+ABOVE = 1e-9  # of the base radius, where a flank begins
+PLACES = np.cos(np.pi * (np.arange(PLACES_ALONG) + 0.5) / PLACES_ALONG)
+"""Along the path of contact, from -1 to 1, where teeth are calculated: Chebyshev's."""
+TO_SERIES = np.cos(np.arange(PLACES_ALONG)[:, None] * np.arccos(PLACES)) * 2 / PLACES_ALONG
+TO_SERIES[0] *= 0.5
+"""Factors of Chebyshev's polynomials, of the values there."""
+SHEAR = 1.2  # of a rectangular section
+LEAST_SHARE = 1e-6  # of a slice that is on the path of contact
+UNTOLD = 3.0  # root diameter over bore where none is given: a foundation of middle stiffness
+MOST_SOLID = 7.0  # the highest that the polynomials of the foundation are for
+SAINSOT = np.array(
+    [
+        [-5.574e-5, -1.9986e-3, -2.3015e-4, 4.7702e-3, 0.0271, 6.8045],
+        [60.111e-5, 28.100e-3, -83.431e-4, -9.9256e-3, 0.1624, 0.9086],
+        [-50.952e-5, 185.50e-3, 0.0538e-4, 53.300e-3, 0.2895, 0.9236],
+        [-6.2042e-5, 9.0889e-3, -4.0964e-4, 7.8297e-3, -0.1472, 0.6904],
+    ]
+)
+"""``A / theta^2 + B h^2 + C h / theta + D / theta + E h + F`` of L, M, P and Q (Sainsot et al. 2004, table 1), with the
+half angle theta of the tooth at its root and h, root radius over bore radius."""
+
+
+class ToothSlices(AbstractSliceCompliance):
+    """Analytic teeth, cut into slices across the face.
+
+    Args:
+        youngs_modulus: E, of both gears [Pa].
+        poissons_ratio: nu [-].
+        contact: ``"constant"``, or ``"hertz"`` whose stiffness grows with the force.
+        coupling_length: l along the face, in normal modules [-]; without, slices do not move each other.
+        pinion_bore, wheel_bore: diameters at which the gears are held [m]; without, a third of the root diameter. The
+            smaller the bore, the softer the foundation (by half from 1.5 to 4 times); of an internal gear it does not
+            count.
+
+    Raises:
+        ParameterError: a value is not physical, or coupled slices have Hertz' contact.
+    """
+
+    kind: ClassVar[str] = "tooth_slices"
+    youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
+    poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
+    contact: str = name(default="constant", names=("constant", "hertz"))
+    coupling_length: Number | None = number(units.RATIO, above=0.0, at_most=100.0, default=None, example=1.5)
+    pinion_bore: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="40 mm")
+    wheel_bore: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="60 mm")
+
+    def __check_init__(self):
+        check_parameters(self)
+        if self.couples and self.contact == "hertz":
+            words = 'is for slices apart: leave out coupling_length, or use contact = "constant"'
+            raise ParameterError("contact", self.contact, words)
+
+    @property
+    def couples(self) -> bool:
+        return self.coupling_length is not None
+
+    @property
+    def plane_modulus(self) -> Scalar:
+        """``E' = E / (1 - nu^2)`` [Pa]."""
+        return self.youngs_modulus / (1 - self.poissons_ratio * self.poissons_ratio)
+
+    @property
+    def line_contact(self) -> HertzLineContact:
+        return HertzLineContact(self.youngs_modulus, self.poissons_ratio, jnp.ones_like(self.youngs_modulus))
+
+    def check(self, slices: Slices) -> None:
+        for key, gear in zip(("pinion_bore", "wheel_bore"), slices.pair.gears, strict=True):
+            bore, root = getattr(self, key), 2 * float(gear.root_radius)
+            if bore is not None and not gear.internal and float(bore) > 0.95 * root:
+                words = f"must be below the root diameter, {root / units.mm:.6g} mm, by 5 % or more"
+                raise ParameterError(f"compliance.{key}", f"{float(bore) / units.mm:.6g} mm", words)
+
+    def springs(self, slices: Slices) -> Springs:
+        normal = jnp.cos(slices.pair.base_helix_angle) ** 2
+        width = slices.pair.face_width / slices.share.shape[-1]
+        body = normal * self._bodies(slices)
+        pressed = normal * 4 / (math.pi * self.plane_modulus)
+        if self.coupling_length is not None:
+            return CoupledSprings(self._coupled(slices, body, pressed / width))
+        if self.contact == "constant":
+            return LinearSprings((slices.share * width / (body + pressed)).ravel())
+        return self._hertz(slices, body, normal, width)
+
+    def _bodies(self, slices: Slices) -> Float[Array, "block pair slice"]:
+        """Tooth and foundation of both gears. They follow the roll smoothly, so that a polynomial does: its values at
+        a few places of the path are those of all angles and slices."""
+        path = slices.pair.contact_path
+        middle, half = 0.5 * (path.begin + path.end), 0.5 * (path.end - path.begin)
+        first = middle + half * jnp.asarray(PLACES, middle.dtype)
+        second = slices.roll[1].ravel()[0] + (first - slices.roll[0].ravel()[0]) * (1 if slices.pair.internal else -1)
+        values = [
+            self.body(gear, roll / gear.base_radius, bore)
+            for gear, roll, bore in zip(
+                slices.pair.gears, (first, second), (self.pinion_bore, self.wheel_bore), strict=True
+            )
+        ]
+        return _series(jnp.asarray(TO_SERIES, middle.dtype) @ (values[0] + values[1]), (slices.roll[0] - middle) / half)
+
+    def body(self, gear: InvoluteGear, roll: Array, bore: Scalar | None) -> Array:
+        """Tooth and foundation: deflection in the transverse section per force per width there [m2/N].
+
+        Args:
+            gear: in the transverse section.
+            roll: angles where forces act, any shape [rad].
+            bore: diameter of its bore [m].
+        """
+        return (self._tooth(gear, roll) + self._foundation(gear, roll, bore)) / self.plane_modulus
+
+    def _tooth(self, gear: InvoluteGear, roll: Array) -> Array:
+        height, half, slant = _section(gear, gear.radius_at(roll))
+        foot, sign = _foot(gear), -1.0 if gear.internal else 1.0
+        arm = sign * (height - foot)
+        # below the base circle flanks are straight: the integral has two parts, each of a smooth function
+        bent = jnp.maximum(sign * (gear.base_radius * jnp.cos(gear.half_angle(_just_above_base(gear))) - foot), 0.0)
+        middle, rigidity = bent + 0.0 * arm, 2 / (1 - self.poissons_ratio)
+        parts = (0.0 * arm, middle), (middle, arm)
+        low, high = (_energy(gear, foot, ends, (arm, half, slant), rigidity) for ends in parts)
+        return low + high
+
+    def _foundation(self, gear: InvoluteGear, roll: Array, bore: Scalar | None) -> Array:
+        height, half, slant = _section(gear, gear.radius_at(roll))
+        root = _root_angle(gear)
+        foot, thick = gear.root_radius * jnp.cos(root), 2 * gear.root_radius * jnp.sin(root)
+        sign = -1.0 if gear.internal else 1.0
+        lever = (sign * (height - foot) - half * jnp.tan(slant)) / thick
+        if gear.internal:
+            nu = self.poissons_ratio
+            turned = 18 / math.pi * lever**2 + 2 * (1 - 2 * nu) / (1 - nu) * lever
+            return jnp.cos(slant) ** 2 * (turned + 4.8 / math.pi * (1 + (1 - nu) / 2.4 * jnp.tan(slant) ** 2))
+        hollow = UNTOLD if bore is None else jnp.minimum(2 * gear.root_radius / bore, MOST_SOLID)
+        of = [
+            a / root**2 + b * hollow**2 + c * hollow / root + d / root + e * hollow + f
+            for a, b, c, d, e, f in SAINSOT.tolist()
+        ]
+        bent = of[0] * lever**2 + of[1] * lever + of[2] * (1 + of[3] * jnp.tan(slant) ** 2)
+        return jnp.cos(slant) ** 2 * bent
+
+    def _coupled(self, slices: Slices, body: Array, pressed: Scalar) -> Float[Array, "block own own"]:
+        """Influence of the slices of each pair of teeth on each other."""
+        assert self.coupling_length is not None  # it couples
+        width, reach = slices.pair.face_width, self.coupling_length * slices.pair.normal_module
+
+        together = _together(slices.share.shape[-1], width, reach)
+
+        def of_pair(body: Array, share: Array) -> Array:
+            own = jnp.sqrt(body)
+            shared = own[:, None] * own[None, :] * together
+            return shared + jnp.diag(pressed / jnp.maximum(share, LEAST_SHARE))
+
+        blocks = jax.vmap(jax.vmap(of_pair))(body, slices.share)
+        return blocks.reshape(-1, *blocks.shape[2:])
+
+    def _hertz(self, slices: Slices, body: Array, normal: Scalar, width: Scalar) -> LineSprings:
+        """Approach ``slope F (level - ln F)`` of Hertz' contact and, in proportion, of tooth and foundation."""
+        depth = 1.0
+        for gear, roll in zip(slices.pair.gears, slices.roll, strict=True):
+            _, half, slant = _section(gear, gear.radius_at(roll / gear.base_radius))
+            depth = depth * half / jnp.cos(slant)
+        line = width * jnp.maximum(slices.share, LEAST_SHARE)
+        nu = self.poissons_ratio
+        # forces and widths of the transverse section; along the normal forces are larger by 1 / cos beta_b
+        cosine = jnp.sqrt(normal)
+        curvature = slices.curvature / cosine
+        level = jnp.log(0.5 * math.pi * self.plane_modulus * depth * curvature * line / cosine) - nu / (1 - nu)
+        slope = normal * 2 / (math.pi * self.plane_modulus * line)
+        level = level + body / line / slope
+        return LineSprings(slope.ravel(), level.ravel())
+
+
+def _together(slices: int, width: Scalar, reach: Scalar) -> Float[Array, "slice slice"]:
+    """Deflection of slices per force on each, over that of the unit of width under an even load [1/m].
+
+    The mean over both slices of ``cosh(low / l) cosh(high / l) / (l sinh(w / l))``, with the distances from the lower
+    place to its end of the face and from the higher one to the other end; an even load deflects evenly.
+
+    Args:
+        slices: of the face.
+        width: of the face [m].
+        reach: l [m].
+    """
+    step = width / slices
+    place = step * (jnp.arange(slices, dtype=width.dtype) + 0.5)
+    low, high = (width - jnp.maximum(end[:, None], end[None, :]) for end in (width - place, place))
+    # by exponentials that do not overflow; of slices beside each other, the end of one is the beginning of the other
+    decay = jnp.exp(-jnp.maximum(width - low - high - step, 0.0) / reach)
+    grown = decay * (1 + jnp.exp(-2 * low / reach)) * (1 + jnp.exp(-2 * high / reach))
+    mean = (-jnp.expm1(-step / reach) * reach / step) ** 2
+    apart = 0.5 * mean * grown / (reach * -jnp.expm1(-2 * width / reach)) * (1 - jnp.eye(slices, dtype=width.dtype))
+    return apart + jnp.diag(1 / step - apart.sum(axis=1))
+
+
+def _energy(
+    gear: InvoluteGear,
+    foot: Scalar,
+    ends: tuple[Array, Array],
+    force: tuple[Array, Array, Array],
+    rigidity: Scalar,
+) -> Array:
+    """Bending, shear and compression of a part of a tooth, times ``E'``, per force per width [-].
+
+    Args:
+        foot: distance of the root section from the gear's axis [m].
+        ends: of the part, above the root [m].
+        force: where it acts, above the root and from the middle of the tooth [m], and its slant [rad].
+        rigidity: ``E' / G`` [-].
+    """
+    arm, half, slant = force
+    shape = (*[1] * arm.ndim, NODES)
+    nodes, weights = (jnp.asarray(part, arm.dtype).reshape(shape) for part in np.polynomial.legendre.leggauss(NODES))
+    step = 0.5 * (ends[1] - ends[0])[..., None]
+    level = ends[0][..., None] + step * (1 + nodes)
+    thick = 2 * _half_at(gear, foot - level if gear.internal else foot + level)
+    across, along = jnp.cos(slant)[..., None], jnp.sin(slant)[..., None]
+    moment = across * (arm[..., None] - level) - along * half[..., None]
+    bent = 12 * moment**2 / thick**3 + (SHEAR * rigidity * across**2 + along**2) / thick
+    return (bent * step * weights).sum(axis=-1)
+
+
+def _series(factors: Float[Array, " place"], x: Array) -> Array:
+    """Sum of Chebyshev's polynomials of x, from -1 to 1, by Clenshaw's recurrence."""
+    after, later = jnp.zeros_like(x), jnp.zeros_like(x)
+    for i in range(len(PLACES) - 1, 0, -1):
+        after, later = 2 * x * after - later + factors[i], after
+    return x * after - later + factors[0]
+
+
+def _section(gear: InvoluteGear, radius: Array) -> tuple[Array, Array, Array]:
+    """Of a tooth at a point of its profile: distance from the gear's axis along the middle of the tooth, half of the
+    thickness there [m], and angle of the normal from straight across [rad]."""
+    half = gear.half_angle(radius)
+    slant = gear.pressure_angle_at(radius)
+    return radius * jnp.cos(half), radius * jnp.sin(half), slant + half if gear.internal else slant - half
+
+
+def _root_angle(gear: InvoluteGear) -> Scalar:
+    """Half of the angle of a tooth at its root circle [rad]; below the base circle flanks go on along the radius."""
+    return gear.half_angle(jnp.maximum(gear.root_radius, _just_above_base(gear)))
+
+
+def _just_above_base(gear: InvoluteGear) -> Scalar:
+    """Radius where a flank begins, so that slopes there are finite [m]."""
+    return gear.base_radius * (1 + ABOVE)
+
+
+def _foot(gear: InvoluteGear) -> Scalar:
+    """Distance of the root section from the gear's axis [m]."""
+    return gear.root_radius * jnp.cos(_root_angle(gear))
+
+
+def _half_at(gear: InvoluteGear, level: Array) -> Array:
+    """Half of the thickness of a tooth at a distance from the gear's axis along its middle [m]."""
+    least = _just_above_base(gear)
+    radius = level / jnp.cos(gear.half_angle(jnp.maximum(level, least)))
+    return jnp.where(radius > least, radius, level) * jnp.sin(gear.half_angle(jnp.maximum(radius, least)))

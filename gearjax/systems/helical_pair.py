@@ -1,0 +1,258 @@
+"""Helical and spur pairs on parallel axes, external and internal: contact lines cut into slices (ISO 21771)."""
+
+import functools
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
+from gearjax.contact import BodyView, Layout, Pose, ProfilePlace, Request, Rim, Slices
+from gearjax.geometry.helical_checks import faults
+from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
+from gearjax.geometry.plane_of_action import SlicePoints, slice_points
+from gearjax.parameters import angle, check_parameters, count, length, name, number
+from gearjax.systems.base import AbstractSystem
+from gearjax.typing import Array, Float, Number, Scalar
+
+PINION, WHEEL = "pinion", "wheel"
+SHARED = ("x", "y", "z", "rx", "ry")
+MARGIN = {"ends": 0.2, "corner": 0.7}  # pairs beyond the total contact ratio that designs and loads may bring in
+
+
+class HelicalPair(AbstractSystem):
+    """Two involute gears on parallel axes, helical or spur; the wheel may be an internal gear.
+
+    The pinion is on the input, the wheel turns the output, even where the pinion has more teeth. Contacts are slices of
+    the contact lines of all pairs of teeth that may touch, on the plane of action. Their overlap and force are along
+    the normal of the flanks, so that the lever on the wheel is ``r_b2 cos beta_b``; errors of profile and helix count
+    in transverse sections, along the base tangent, as they are measured (ISO 1328-1). Driving flanks of ideal gears
+    just touch; the backlash is that of the centre distance and the profile shifts, to which [backlash] adds.
+
+    At the ends of the path of contact (``tip_contact``) contacts end, as in Guo and Fang (2018): a slice counts for the
+    share of it that is on the path, at the middle of that. Or they go on at the corner of a tip, with the gap between
+    it and the other flank, by which loaded teeth come into contact early.
+
+    Bodies: ``pinion`` and ``wheel``. Run-out turns with its gear, phase counted as the gear turns from the line towards
+    the other's axis (of an internal gear from the line towards the pinion). Teeth are counted from 0, in the order in
+    which they come into mesh; tooth 0 touches at the pitch point, in the middle of the face, at input angle 0.
+
+    Either gear may have a support: x from the pinion's axis towards the wheel's (of an internal pair away from it), y
+    across it as the pinion's teeth move at the mesh, z along the axis about which the pinion turns; rx and ry tilt
+    about them. An offset of the force along the face turns the gears there.
+
+    Args:
+        pinion_teeth, wheel_teeth: tooth numbers, those of an internal gear positive too.
+        normal_module, normal_pressure_angle: of the rack [m], [rad].
+        helix_angle: at the reference circles, positive of a right-hand pinion [rad].
+        face_width: common to both [m].
+        input_speed: of the pinion [rad/s].
+        pinion_shift, wheel_shift: profile shifts, in normal modules; positive ones move teeth outwards [-].
+        centre_distance: [m]; without one it is that of no backlash.
+        rack: of both gears, ``"ISO 53 A"`` to ``"ISO 53 D"``.
+        addendum, dedendum, fillet_radius: of another rack, in normal modules, in place of those of ``rack`` [-].
+        pinion_tip_diameter, wheel_tip_diameter: [m]; without them as rack and shifts make them.
+        wheel_kind: ``"external"`` or ``"internal"``.
+        slices: of the face.
+        pairs: pairs of teeth that are looked at; without, as many as may touch.
+        tip_contact: ``"ends"`` or ``"corner"``.
+
+    Raises:
+        ParameterError: a value is not physical, or the gears do not fit into each other.
+    """
+
+    kind: ClassVar[str] = "helical_pair"
+    has_slices: ClassVar[bool] = True
+
+    pinion_teeth: int = count(at_least=5, at_most=2000, example=19)
+    wheel_teeth: int = count(at_least=5, at_most=2000, example=47)
+    normal_module: Number = length(at_least=1e-6, at_most=0.1, example="6 mm")
+    normal_pressure_angle: Number = angle(above=0.0, below=math.pi / 4, example="20 deg")
+    helix_angle: Number = angle(at_least=-math.pi / 3, at_most=math.pi / 3, example="9.911 deg")
+    face_width: Number = length(at_least=1e-9, at_most=10.0, example="75 mm")
+    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6, example="50.8 rpm")
+    pinion_shift: Number = number(units.RATIO, at_least=-5.0, at_most=5.0, default=0.0)
+    wheel_shift: Number = number(units.RATIO, at_least=-5.0, at_most=5.0, default=0.0)
+    centre_distance: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="201 mm")
+    rack: str = name(default="ISO 53 A", names=tuple(ISO_53))
+    addendum: Number | None = number(units.RATIO, at_least=0.01, at_most=3.0, default=None, example=1.0)
+    dedendum: Number | None = number(units.RATIO, at_least=0.01, at_most=3.0, default=None, example=1.25)
+    fillet_radius: Number | None = number(units.RATIO, at_least=0.0, at_most=1.0, default=None, example=0.38)
+    pinion_tip_diameter: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="127.7 mm")
+    wheel_tip_diameter: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="298.3 mm")
+    wheel_kind: str = name(default="external", names=("external", "internal"))
+    slices: int = count(default=40, at_most=1000)
+    pairs: int | None = count(default=None, at_most=100, example=4)
+    tip_contact: str = name(default="ends", names=tuple(MARGIN))
+
+    def __check_init__(self):
+        check_parameters(self)
+        if self.wheel_kind == "internal" and self.pinion_teeth >= self.wheel_teeth:
+            words = f"must be below wheel_teeth ({self.wheel_teeth}), those of the internal gear"
+            raise ParameterError("pinion_teeth", self.pinion_teeth, words)
+        if not is_concrete(self.pair):
+            if self.pairs is None:
+                raise ParameterError("pairs", MISSING, "must be given where the geometry is traced")
+            return
+        with jax.ensure_compile_time_eval():
+            for key, shown, words in faults(self.pair):
+                raise ParameterError(_own_key(key), shown, words)
+            needed = math.floor(float(self.pair.total_contact_ratio) + MARGIN[self.tip_contact]) + 1
+        if self.pairs is None:
+            object.__setattr__(self, "pairs", min(needed, self.pinion_teeth, self.wheel_teeth))
+
+    @property
+    def pair(self) -> InvolutePair:
+        """The gears in each other."""
+        named, dtype = rack_of(self.rack), jnp.result_type(self.normal_module)
+        own = {key: getattr(self, key) for key in ("addendum", "dedendum", "fillet_radius")}
+        given = {key: getattr(named, key) if value is None else value for key, value in own.items()}
+        rack = BasicRack(**{key: value.astype(dtype) for key, value in given.items()})
+        pair = functools.partial(
+            InvolutePair,
+            (self.pinion_teeth, self.wheel_teeth),
+            self.normal_module,
+            self.normal_pressure_angle,
+            self.helix_angle,
+            (self.pinion_shift, self.wheel_shift),
+            self.face_width,
+            self.centre_distance,
+            rack=rack,
+            internal=self.wheel_kind == "internal",
+        )
+        tips = self.pinion_tip_diameter, self.wheel_tip_diameter
+        if tips == (None, None):
+            return pair()
+        plain = pair().tip_diameters
+        return pair(tip_diameters=[own if given is None else given for given, own in zip(tips, plain, strict=True)])
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        return PINION, WHEEL
+
+    @property
+    def coordinates(self) -> Mapping[str, tuple[str, ...]]:
+        return dict.fromkeys(self.bodies, (*SHARED, "rz"))
+
+    @property
+    def meshes(self) -> tuple[tuple[str, str], ...]:
+        return ((PINION, WHEEL),)
+
+    @property
+    def orders(self) -> Mapping[str, float]:
+        teeth = float(self.pinion_teeth)
+        return {"output": teeth / self.wheel_teeth, "pinion": 1.0, "tooth": teeth, "mesh": teeth}
+
+    @property
+    def cycle(self) -> float:
+        return 2 * math.pi * self.wheel_teeth / math.gcd(self.pinion_teeth, self.wheel_teeth)
+
+    def contact_name(self, contact: int) -> str:
+        block, place = divmod(contact, self._pairs * self.slices)
+        pair, part = divmod(place, self.slices)
+        side = ("driving", "back")[block]
+        return f"slice {part + 1} of {self.slices} of the {side} flanks, pair {pair + 1} of {self._pairs}"
+
+    @property
+    def _pairs(self) -> int:
+        assert self.pairs is not None  # it is set when the gear set is made
+        return self.pairs
+
+    def layout(self, request: Request) -> Layout:
+        return _layout(self._pairs, self.slices, request.back)
+
+    def points(self, theta: Scalar, side: int) -> SlicePoints:
+        """Slices of the pairs of teeth that may touch on one side, 1 or -1, at an input angle [rad]."""
+        return slice_points(self.pair, theta, side, self._pairs, self.slices, self.tip_contact == "corner")
+
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        pair, sides = self.pair, (1, -1) if request.back else (1,)
+        blocks = [self.points(theta, side) for side in sides]
+        at = jax.tree.map(lambda *parts: jnp.stack(parts), *blocks)
+        side = jnp.asarray(sides, theta.dtype)[:, None, None]
+        jacobian = [-side * self._lever(pair) + 0 * at.across]
+        for coordinate in request.coordinates:
+            body, _, way = coordinate.partition(".")
+            jacobian.append(self._column(body, way, pair, side, at))
+        gap = at.gap + jnp.where(side < 0, pair.backlash, 0.0)
+        # slices that are off the path: no jump where they come onto it
+        gap = jnp.cos(pair.base_helix_angle) * gap + at.beyond
+        views = {body: self._view(body, theta, pair, sides, at) for body in request.bodies}
+        mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
+        slices = Slices(pair, at.roll, at.across, at.share) if request.slices else None
+        columns = jnp.stack([column.ravel() for column in jacobian], axis=1)
+        return Pose(theta, columns, gap.ravel(), views, mesh, slices=slices)
+
+    def _lever(self, pair: InvolutePair) -> Scalar:
+        """Of the forces on the wheel [m]."""
+        return pair.gears[1].base_radius * jnp.cos(pair.base_helix_angle)
+
+    def _column(
+        self, body: str, way: str, pair: InvolutePair, side: Array, at: SlicePoints
+    ) -> Float[Array, "block pair slice"]:
+        """Change of overlap per displacement of a gear: it closes by that of the pinion along the normal."""
+        alpha, beta = pair.working_pressure_angle, pair.base_helix_angle
+        none = 0 * at.across
+        normal = jnp.sin(alpha) * jnp.cos(beta) + none, side * jnp.cos(alpha) * jnp.cos(beta) + none
+        normal = *normal, -side * jnp.sin(beta) + none
+        sign = 1.0 if body == PINION else -1.0
+        if way in ("x", "y", "z"):
+            return sign * normal[("x", "y", "z").index(way)]
+        base = pair.gears[0].base_radius
+        along = at.roll[0]
+        arm = base * jnp.cos(alpha) + along * jnp.sin(alpha), side * (along * jnp.cos(alpha) - base * jnp.sin(alpha))
+        internal = self.wheel_kind == "internal"
+        if body == WHEEL:
+            arm = arm[0] + (pair.centre_distance if internal else -pair.centre_distance), arm[1]
+        arm = *arm, at.across
+        first, second = {"rx": (1, 2), "ry": (2, 0), "rz": (0, 1)}[way]
+        turned = arm[first] * normal[second] - arm[second] * normal[first]
+        ahead = -1.0 if way == "rz" and body == WHEEL and not internal else 1.0  # it turns the other way
+        return sign * ahead * turned
+
+    def _view(self, body: str, theta: Scalar, pair: InvolutePair, sides: tuple[int, ...], at: SlicePoints) -> BodyView:
+        """How a displacement fixed on a gear is seen from the normals."""
+        if body not in self.bodies:
+            raise ParameterError("body", body, nearest(body, self.bodies))
+        number, internal = self.bodies.index(body), self.wheel_kind == "internal"
+        gear, roll = pair.gears[number], at.roll[number]
+        side = jnp.asarray(sides, theta.dtype)[:, None, None]
+        # a displacement e at the phase p is seen as e sin(turn + p +- alpha) along the line of action
+        outer = number == 1 and not internal
+        turn = theta * (self.orders["output"] if number else 1.0)
+        place = (-side if outer else side) * pair.working_pressure_angle
+        normal = jnp.cos(pair.base_helix_angle)
+        away = normal if number else -normal  # of the gap, per displacement along the normal
+        # a back flank of the pinion faces the next tooth of the wheel
+        tooth = at.tooth + np.array([int(one < 0) for one in sides])[:, None] if number else at.tooth
+        tooth = jnp.broadcast_to(jnp.mod(tooth, gear.teeth)[..., None], roll.shape)
+        slant = jnp.arctan(roll / gear.base_radius)
+        outward = normal * jnp.sin(slant) * (1.0 if number and internal else -1.0)
+        around = away * side * jnp.cos(slant)
+        spread = [jnp.broadcast_to(part, roll.shape).ravel() for part in (place, away * side, outward, around)]
+        eta = tooth.ravel().astype(roll.dtype) * (2 * math.pi / gear.teeth)
+        rim = Rim(eta, spread[2], spread[3], gear.teeth, tooth.ravel())
+        path = pair.contact_path
+        tip = gear.base_radius * gear.tip_roll
+        to_tip = jnp.abs(tip - roll).ravel()
+        flank = ProfilePlace(to_tip, path.end - path.begin, at.across.ravel(), pair.face_width, normal)
+        return BodyView(turn, spread[0], spread[1], rim, flank=flank)
+
+
+def _own_key(key: str) -> str:
+    """A parameter of the gear set, by what `InvolutePair` calls it."""
+    base, _, place = key.partition("[")
+    own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
+    return key if own is None else f"{(PINION, WHEEL)[int(place[0])]}_{own}"
+
+
+@functools.cache  # by analyses too, each time that they are called
+def _layout(pairs: int, slices: int, back: bool) -> Layout:
+    """Every flank of a pair of teeth is a pair of its own: driving and back flanks touch on different teeth."""
+    sides = (1, -1) if back else (1,)
+    side = tuple(side for side in sides for _ in range(pairs * slices))
+    return Layout(side, tuple(pair for pair in range(len(sides) * pairs) for _ in range(slices)))
