@@ -70,6 +70,7 @@ def test_each_option_loads_when_it_is_put_in(text):
         "two_kv": [],
         "rv_cycloidal": ['#kind = "hertz_line_contact"', '#kind = "hu_line_contact"'],
         "involute_rv": ['#kind = "elastic_teeth"'],
+        "helical_pair": ['#kind = "line_stiffness"', '#kind = "iso_6336"', '#kind = "tooth_slices"'],
     }
     assert refused == without_motion[tomllib.loads(text)["system"]["kind"]]
 

@@ -92,6 +92,7 @@ COMMANDS = [
     ("run", "two_kv/wang_2020.toml"),
     ("run", "rv_cycloidal/hu_2020.toml"),
     ("run", "involute_rv/yang_2019.toml"),
+    ("run", "helical/guo_2018.toml"),
     ("optimise", "two_kv/wang_2020_phases.toml"),
     ("optimise", "rv_cycloidal/hu_2020_phases.toml"),
     ("tolerance", "two_kv/wang_2020_tolerance.toml"),
