@@ -26,7 +26,7 @@ from gearjax.contact.train import closed_first, touching
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 MOST_ONE_BY_ONE = 24  # contacts; of more, the program would grow
-MAX_SMOOTH_PAIRS = 5  # the smooth closed form looks at every subset of each flank; of more the balance is searched for
+MOST_SMOOTH = 5  # contacts of a side, whose every subset the smooth closed form looks at; of more it is searched for
 SHORTEST_LEVER = 0.03  # of the mean one, below which a contact is radial: it does not say where the output is
 FAR = 1.0  # rad, where a contact that does not touch counts as touching
 
@@ -91,7 +91,7 @@ def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> 
     With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
     equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
     maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
-    show a slightly negative force). Of more than 5 pairs, of contacts whose levers tell their side, and of springs
+    show a slightly negative force). Of more than 5 contacts of a side, of contacts whose levers tell their side, and of springs
     that are not linear the balance is searched for; there a smooth law makes the forces smooth. So it is for contacts
     between bodies that have supports, in all their coordinates at once (`supported`), and for springs that a matrix
     couples (`coupled_balance`), by the hard law.
@@ -113,7 +113,7 @@ def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> 
     if alone and not contacts.layout.sides_turn and isinstance(springs, LinearSprings):
         if isinstance(law, HardContact):
             return _hard(contacts, springs.stiffness, applied)
-        if contacts.layout.teeth <= MAX_SMOOTH_PAIRS:
+        if max(contacts.layout.side.count(side) for side in (1, -1)) <= MOST_SMOOTH:
             return _smooth(contacts, springs.stiffness, applied, law)
     edge, counted = _from_first_touch(contacts, applied)
     if alone:

@@ -11,9 +11,10 @@ from gearjax.coordinates import unit_of
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import stage_figure
 from gearjax.plot.involute import pair_figure
+from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
-from gearjax.systems import InvoluteRV, RVCycloidal
+from gearjax.systems import HelicalPair, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
@@ -173,4 +174,6 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
             figures["stage.png"] = stage_figure(scene.system, float(result.theta[0]), result.forces[0])
         if isinstance(scene.system, InvoluteRV):
             figures["pair.png"] = pair_figure(scene, float(result.theta[0]), result.forces[0])
+        if isinstance(scene.system, HelicalPair):
+            figures["plane_of_action.png"] = plane_of_action_figure(scene, result.theta, result.forces)
     return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]

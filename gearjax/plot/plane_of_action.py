@@ -1,0 +1,108 @@
+"""Load over the plane of action of helical and spur pairs."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from gearjax.contact import Request
+from gearjax.scene import Scene
+from gearjax.systems import HelicalPair
+from gearjax.typing import Array, ArrayLike
+from gearjax.units import mm
+
+MOST_ANGLES = 2000  # that the highest loads are looked for at
+CELLS = 60  # along the path of contact
+PER_MM = 1e-3
+
+
+def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) -> Figure:
+    """Contact lines at the first angle, coloured by their load per length, and the highest load per length of all
+    angles at each place: along the path of contact, and across the face.
+
+    Args:
+        scene: with a `HelicalPair`.
+        theta: input angles, shape (n,) [rad].
+        forces: of the contacts under a torque, shape (n, contact) [N].
+    """
+    system = scene.system
+    assert isinstance(system, HelicalPair)
+    every = -(-len(np.atleast_1d(theta)) // MOST_ANGLES)
+    theta, forces = np.atleast_1d(theta)[::every], np.nan_to_num(np.atleast_2d(forces))[::every]
+    roll, across, load = _lines(scene, system, theta, forces)
+    path = system.pair.contact_path
+    ends = float(path.begin) / mm, float(path.end) / mm
+    half = 0.5 * float(system.face_width) / mm
+    scale = Normalize(0.0, max(float(load.max()), 1e-9))
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    lines, highest = figure.subplots(1, 2, sharey=True)
+    _draw_lines(lines, system, (roll[0], across[0], load[0]), scale)
+    edges = np.linspace(*ends, CELLS + 1), np.linspace(-half, half, system.slices + 1)
+    cells = [
+        np.clip(np.digitize(part, edge) - 1, 0, len(edge) - 2) for part, edge in zip((roll, across), edges, strict=True)
+    ]
+    table = np.zeros((CELLS, system.slices))
+    np.maximum.at(table, tuple(cells), load)
+    drawn = highest.pcolormesh(*edges, np.stack([_filled(row) for row in table.T]), norm=scale, cmap="viridis")
+    figure.colorbar(drawn, ax=[lines, highest], label="load per length [N/mm]")
+    turn = np.degrees(float(theta[0])) % 360
+    lines.set_title(f"contact lines, pinion at {turn:.1f} deg", fontsize="medium")
+    mean = float(forces.sum(axis=1).mean()) / float(system.face_width) * PER_MM
+    told = f"highest of {len(theta)} angles, {load.max():.3g} N/mm; all together {mean:.3g} N per mm of face"
+    highest.set_title(told, fontsize="medium")
+    for axes in (lines, highest):
+        axes.add_patch(Rectangle((ends[0], -half), ends[1] - ends[0], 2 * half, fill=False, edgecolor="0.4"))
+        axes.axvline(float(path.pitch) / mm, color="0.6", linewidth=0.8, linestyle="--")
+        axes.set_xlabel("length of roll of the pinion [mm], dashed: pitch point")
+        axes.set(xlim=(ends[0] - 1, ends[1] + 1), ylim=(-1.05 * half, 1.05 * half))
+    lines.set_ylabel("across the face [mm]")
+    return figure
+
+
+def _filled(row: np.ndarray) -> np.ndarray:
+    """Numbers along the path, between those that were looked at too; nan beyond what carries."""
+    places, known = np.arange(len(row)), np.flatnonzero(row)
+    if not len(known):
+        return np.full(len(row), np.nan)
+    return np.interp(places, known, row[known], left=np.nan, right=np.nan)
+
+
+def _lines(scene: Scene, system: HelicalPair, theta: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Lengths of roll of the pinion [mm], places across the face [mm] and loads per length [N/mm] of all slices on the
+    side that carries, shape (n, contact)."""
+    slices = _slices(system, jnp.asarray(theta, scene.dtype), scene.backlash is not None)
+    shape = (len(theta), -1)
+    line = np.asarray(slices[2]).reshape(shape)
+    load = np.where(line > 0, forces / np.where(line > 0, line, 1.0), 0.0) * PER_MM
+    half = line.shape[1] // (2 if scene.backlash is not None else 1)
+    back = load[:, half:].sum() > load[:, :half].sum()
+    side = slice(half, None) if back else slice(half)
+    return tuple(part[:, side] for part in (*(np.asarray(one).reshape(shape) / mm for one in slices[:2]), load))
+
+
+@eqx.filter_jit
+def _slices(system: HelicalPair, theta: Array, back: bool) -> tuple[Array, Array, Array]:
+    def at(angle: Array) -> tuple[Array, Array, Array]:
+        slices = system.pose(angle, Request(back, slices=True)).slices
+        assert slices is not None  # they were asked for
+        return slices.roll[0], slices.across, slices.lengths
+
+    return jax.vmap(at)(theta)
+
+
+def _draw_lines(
+    axes: Axes, system: HelicalPair, at: tuple[np.ndarray, np.ndarray, np.ndarray], scale: Normalize
+) -> None:
+    """The slices that carry, each as long as it is."""
+    roll, across, load = at
+    half = 0.5 * float(system.face_width) / mm / system.slices
+    lean = float(np.tan(system.pair.base_helix_angle))
+    ends = [[(x - half * lean, z - half), (x + half * lean, z + half)] for x, z in zip(roll, across, strict=True)]
+    carrying = load > 0
+    shown = [end for end, carries in zip(ends, carrying, strict=True) if carries]
+    axes.add_collection(LineCollection(shown, array=load[carrying], norm=scale, cmap="viridis", linewidths=4))
