@@ -158,6 +158,19 @@ class Scene(eqx.Module):
         return self.layout.has_back
 
     @property
+    def has_clearance(self) -> bool:
+        """Whether the room between both flanks is known, modelled or not: the gear set may know its own, but not once
+        the errors count from those of the driving flanks alone."""
+        return self.has_back or (self.system.has_clearance and not isinstance(self.reference, Anchor))
+
+    @property
+    def both_flanks(self) -> "Scene":
+        """The scene with its back flanks, where the room between both is known (`has_clearance`)."""
+        if self.has_back:
+            return self
+        return dataclasses.replace(self, backlash=InitialBacklash(initial=jnp.zeros((), self.dtype)))
+
+    @property
     def springs_apart(self) -> bool:
         """Whether its springs are linear and one by one, and the output alone moves."""
         return isinstance(self.compliance, AbstractCompliance) and self.output_alone

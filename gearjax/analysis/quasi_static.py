@@ -1,5 +1,6 @@
 """Quasi-static analyses: transmission error without load and under a static torque, and backlash."""
 
+import dataclasses
 import warnings
 
 import equinox as eqx
@@ -43,8 +44,9 @@ class TransmissionError(eqx.Module):
         fastest_order: turns of what the curve follows fastest per turn of the input.
         carriers: number of pairs that could carry the torque, those with a flank on the loaded side, shape (n,);
             ``None`` without torque.
-        interference: of rigid bodies, where back flanks are modelled; ``None`` under torque, which elastic bodies
-            carry in spite of it (`gearjax.interference` tells it for every scene).
+        interference: of rigid bodies, where each contact touches both flanks or the gear set knows the room between
+            them, back flanks modelled or not. ``None`` under a torque that modelled back flanks carry in spite of it
+            (`gearjax.interference` tells it for every scene).
         moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any, or torque.
         coordinates: names of what moves: the output, then those displacements.
         crowded: whether a candidate carries beside which others are left out, shape (n,): more would carry. ``None``
@@ -215,13 +217,21 @@ def transmission_error(
     if extremes is not None and extremes not in EXTREMES:
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
     if torque is None:
-        return _transmission_error(scene.physics(), theta, None, extremes or "between")
+        return _with_interference(scene, _transmission_error(scene.physics(), theta, None, extremes or "between"))
     require(scene, "static", "compliance")
     torque = torque_on(scene, theta, torque)
     places = extremes or ("samples" if _each_is_dear(scene) else "between")
     te = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
     _warn_of_few_candidates(scene, te)
-    return te
+    return te if scene.has_back else _with_interference(scene, te)
+
+
+def _with_interference(scene: Scene, te: TransmissionError) -> TransmissionError:
+    """The same with what both flanks of a gear set that knows the room between them tell, by a program of its own."""
+    if not (scene.system.has_clearance and scene.has_clearance):
+        return te
+    found = _interference(scene.physics("backlash"), te.theta)
+    return dataclasses.replace(te, interference=found, result=found.result if te.forces is None else te.result)
 
 
 def _each_is_dear(scene: Scene) -> bool:
@@ -274,11 +284,11 @@ def interference(scene: Scene, theta: ArrayLike) -> Interference:
     position that is free of it: the no-load TE and the backlash have ``result`` 2 there.
 
     Args:
-        scene: the scene, with back flanks.
+        scene: the scene, with back flanks or a gear set that knows the room between its own.
         theta: input angles, increasing, shape (n,) [rad].
 
     Raises:
-        SceneError: the scene has no back flanks.
+        SceneError: the room between both flanks is not known.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -286,7 +296,8 @@ def interference(scene: Scene, theta: ArrayLike) -> Interference:
         >>> bool(gj.interference(scene, jnp.linspace(0.0, 6.2, 50)).interferes.any())
         False
     """
-    require(scene, "interference", "backlash")
+    if not scene.has_clearance:
+        require(scene, "interference", "backlash")
     return _interference(scene.physics("backlash"), angles_of(scene, theta))
 
 
@@ -382,7 +393,7 @@ def _backlash(scene: Scene, theta: Array) -> Backlash:
 
 @eqx.filter_jit
 def _interference(scene: Scene, theta: Array) -> Interference:
-    return _clash(scene.anchored(), theta)
+    return _clash(scene.both_flanks.anchored(), theta)
 
 
 def _clash(scene: Scene, theta: Array) -> Interference:

@@ -108,8 +108,8 @@ def remarks(scene: Scene) -> list[str]:
 
 def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
     """Interference of the rigid bodies over the record, as the cases found it, or looked for where none of them did;
-    ``None`` without back flanks."""
-    if not scene.has_back:
+    ``None`` where the room between both flanks is not known."""
+    if not scene.has_clearance:
         return None
     for case in cases:
         clash = None if isinstance(case.result, Motion) else case.result.interference

@@ -47,7 +47,7 @@ class ToleranceResults:
         seconds: wall time of the Monte Carlo study without compilation [s], of the samples of this run.
         computed: samples of this run; the others were there before.
         problems: what could not be done, and why.
-        clashes: interference of the first gear sets; ``None`` without back flanks.
+        clashes: interference of the first gear sets; ``None`` where the room between both flanks is not known.
     """
 
     section: ToleranceSection

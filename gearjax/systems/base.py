@@ -37,6 +37,8 @@ class AbstractSystem(eqx.Module):
     """
 
     kind: eqx.AbstractClassVar[str]
+    has_clearance: ClassVar[bool] = False
+    """Whether gaps of its back flanks tell the room that its own geometry leaves, before any initial backlash."""
     has_radii: ClassVar[bool] = False
     """Whether its contacts are line contacts whose radii of curvature it shows."""
     has_places: ClassVar[bool] = False

@@ -95,6 +95,7 @@ class InvoluteRV(AbstractSystem):
 
     kind: ClassVar[str] = "involute_rv"
     has_places: ClassVar[bool] = True
+    has_clearance: ClassVar[bool] = True
 
     external_teeth: int = count(at_least=5, at_most=2000, example=236)
     internal_teeth: int = count(at_least=6, at_most=2001, example=240)

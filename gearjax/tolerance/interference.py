@@ -56,7 +56,7 @@ class Clashes(NamedTuple):
 
 
 def clashes(tolerances: Tolerances, rows: np.ndarray, theta: ArrayLike | None = None) -> Clashes | None:
-    """Interference of the first gear sets of a population; ``None`` without back flanks.
+    """Interference of the first gear sets of a population; ``None`` where the room between both flanks is not known.
 
     Args:
         tolerances: the population.
@@ -64,13 +64,13 @@ def clashes(tolerances: Tolerances, rows: np.ndarray, theta: ArrayLike | None = 
         theta: input angles, as for `Measures`, shape (m,) [rad].
     """
     scene, free = tolerances.scene, tolerances.free
-    if not scene.has_back:
+    if not scene.has_clearance:
         return None
     physics = scene.physics("backlash", *(path.split(".")[0] for path in free.paths))
     places = angles(scene, theta)
 
     def worst(row: Array) -> tuple[Array, Array, Array]:
-        one = free.set(physics, row).anchored()
+        one = free.set(physics, row).both_flanks.anchored()
         overlaps = jax.vmap(lambda angle: clash(one, angle))(places)
         index = jnp.argmax(overlaps.overlap)
         return overlaps.overlap[index], overlaps.contact[index], places[index]
