@@ -36,6 +36,7 @@ LAYERS = {
     "registry": 2,
     "run": 1,
     "scene": 2,
+    "scene_checks": 2,
     "arguments": 2,
     "analysis": 3,
     "studies": 4,

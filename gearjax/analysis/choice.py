@@ -16,7 +16,8 @@ from gearjax.analysis.integrate import Even
 from gearjax.analysis.modes import Spacing, StructureEquation
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
-from gearjax.scene import Scene, require_output_alone
+from gearjax.scene import Scene
+from gearjax.scene_checks import require_output_alone
 from gearjax.typing import Array
 
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping")

@@ -36,7 +36,8 @@ from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, Stepper
 from gearjax.checks import SceneError, is_concrete
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Scalar
 
 FAULTS = {

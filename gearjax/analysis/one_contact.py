@@ -15,7 +15,8 @@ from gearjax.clearance import InitialBacklash
 from gearjax.compliance.wave_stiffness import WaveStiffness
 from gearjax.geometry.waves import Waves
 from gearjax.parameters import Named
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.systems.one_contact import OneContact
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 

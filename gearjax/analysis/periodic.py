@@ -15,7 +15,8 @@ from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.return_map import OfOutput, OfStructure, Problem, eigenvalues, return_map
 from gearjax.checks import ParameterError, SceneError, nearest
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 

@@ -21,7 +21,8 @@ from gearjax.analysis.resting import Interference, carriers, clash, edge, edges,
 from gearjax.checks import FewCandidates, ParameterError, SceneError, is_concrete, nearest
 from gearjax.compliance import AbstractSliceCompliance, couples
 from gearjax.contact import Equilibrium, Layout, Pose, Request
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
 from gearjax.units import deg
 

@@ -21,7 +21,8 @@ from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.modes.lines import Driving
 from gearjax.analysis.modes.steps import AT_ONCE, divisor
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 

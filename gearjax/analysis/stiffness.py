@@ -8,7 +8,8 @@ from gearjax import arguments
 from gearjax.analysis.quasi_static import angles_of, torque_on
 from gearjax.analysis.resting import edge, edges, resistance
 from gearjax.contact import Equilibrium
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 SLIGHTEST = 1e-9  # N m, torque in place of none: under none at all nothing touches firmly enough to have a slope

@@ -10,7 +10,8 @@ from gearjax.analysis.resting import rest
 from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.compliance import AbstractLineContact
 from gearjax.contact import Request
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.systems.base import pose_of
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 

@@ -29,7 +29,8 @@ from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.run import NEEDS, Published, Run
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.studies.select import numbers
 from gearjax.supports import Support
 from gearjax.tolerance import DISTRIBUTIONS, Empirical

@@ -7,7 +7,8 @@ from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.config.quantities import read_quantity
 from gearjax.config.tables import Key, known_keys, read_whole, require_keys
 from gearjax.run import ANALYSES, METRICS, NEEDS, Published, Run
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 
 STARTS = ("equilibrium", "zero")
 MOST_SAMPLES = 10_000_000

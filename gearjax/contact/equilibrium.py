@@ -91,10 +91,10 @@ def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> 
     With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
     equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
     maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
-    show a slightly negative force). Of more than 5 contacts of a side, of contacts whose levers tell their side, and of springs
-    that are not linear the balance is searched for; there a smooth law makes the forces smooth. So it is for contacts
-    between bodies that have supports, in all their coordinates at once (`supported`), and for springs that a matrix
-    couples (`coupled_balance`), by the hard law.
+    show a slightly negative force). Of more than 5 contacts of a side, of contacts whose levers tell their side, and
+    of springs that are not linear the balance is searched for; there a smooth law makes the forces smooth. So it is
+    for contacts between bodies that have supports, in all their coordinates at once (`supported`), and for springs that
+    a matrix couples (`coupled_balance`), by the hard law.
 
     Args:
         contacts: candidate contacts, with a stiffness.

@@ -23,7 +23,8 @@ from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.compliance import AbstractLineContact
 from gearjax.contact import Equilibrium
 from gearjax.errors import AbstractError
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.studies.compensation import Compensation, Judged, Limits, Requirement
 from gearjax.studies.select import Bounds, Free, Where, pick
 from gearjax.typing import Array, ArrayLike, Scalar

@@ -33,7 +33,8 @@ from gearjax.checks import ParameterError
 from gearjax.compliance import couples
 from gearjax.contact import Pose, QuadraticContact
 from gearjax.run import NEEDS
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.studies.select import Free
 from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term
 from gearjax.typing import Array, ArrayLike, Float, Scalar

@@ -21,7 +21,8 @@ from gearjax.compliance import HarmonicStiffness
 from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
 from gearjax.progress import Progress, silent
 from gearjax.run import METRICS, Run
-from gearjax.scene import Scene, require_output_alone
+from gearjax.scene import Scene
+from gearjax.scene_checks import require_output_alone
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 from gearjax.units import arcmin

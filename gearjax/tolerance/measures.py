@@ -16,7 +16,8 @@ from gearjax.analysis.metrics import deviation, top
 from gearjax.checks import ParameterError, nearest
 from gearjax.contact import HardContact
 from gearjax.run import METRICS, NEEDS
-from gearjax.scene import Scene, require
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.studies.terms import SLOTS
 from gearjax.tolerance.balances import Balances
 from gearjax.tolerance.closer import closer, places_between

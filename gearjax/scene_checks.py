@@ -1,0 +1,154 @@
+"""What does not go together in a scene, and what an analysis needs that a scene does not list."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
+from gearjax.compliance import (
+    AbstractLineContact,
+    AbstractSliceCompliance,
+    AbstractToothCompliance,
+    couples,
+)
+from gearjax.contact import CoupledSprings, HardContact, Request
+from gearjax.errors import AbstractError
+from gearjax.scene import Scene
+from gearjax.systems import AbstractSystem
+from gearjax.systems.base import pose_of
+from gearjax.typing import Array, Float
+
+
+def check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
+    """Refuse an error of pins or teeth that its body does not have."""
+
+    def gap(error: AbstractError) -> Array:
+        seen = pose_of(system, jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
+        return error.gap(seen.views[error.body])
+
+    try:
+        jax.eval_shape(gap, error)
+    except ParameterError as fault:
+        raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
+
+
+def check_moving(scene: Scene) -> None:
+    """Refuse supports, shafts and inertia that the gear set has no place for."""
+    system, coordinates = scene.system, scene.moving.coordinates
+    for body, inertia in scene.body_inertia.items():
+        needs = coordinates.needs(body)
+        if body not in system.coordinates and system.coordinates:
+            raise ParameterError("inertia", body, nearest(body, system.coordinates))
+        if not needs:
+            words = f"is for a body that gives way: list [supports.{body}], or leave out [inertia.{body}]"
+            raise SceneError(f"[inertia.{body}] {words}")
+        for key, moves in (("mass", "moves in x, y or z"), ("polar", "turns"), ("transverse", "tilts")):
+            if getattr(inertia, key) is not None and key not in needs:
+                raise SceneError(f"[inertia.{body}] {key} is of a body that {moves} on its own, which {body} does not")
+    if system.exact and not coordinates.alone:
+        raise SceneError('[supports] and clearance = "exact" do not go together yet: use clearance = "linear"')
+    if coordinates.free > 1:
+        layout, meshes = scene.layout, len(system.meshes)
+        if layout.sides_turn:
+            raise SceneError("shafts that turn freely are for contacts whose sides are known")
+        if set(layout.mesh) != set(range(meshes)):
+            words = f"Layout(..., mesh=...) must tell of each contact its mesh, 0 to {meshes - 1}"
+            raise SceneError(f"the layout of {system.kind} has meshes {sorted(set(layout.mesh))}: {words}")
+
+
+def check_coupled(scene: Scene) -> None:
+    """Refuse a coupled compliance that has no equilibrium, or that a smooth contact law is asked for."""
+    compliance = scene.compliance
+    if isinstance(compliance, AbstractSliceCompliance):
+        _check_slices(scene, compliance)
+    if compliance is None or not couples(compliance):
+        return
+    if not isinstance(scene.contact, HardContact):
+        raise SceneError(f'[compliance] kind = "{compliance.kind}" couples the contacts: use contact "hard"')
+    if isinstance(compliance, AbstractToothCompliance) and not scene.system.has_places:
+        words = f"needs the places of contacts on their teeth, which a {scene.system.kind} does not offer"
+        raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
+    if not is_concrete((compliance, scene.system)):
+        return
+    with jax.ensure_compile_time_eval():  # while something else is traced
+        if isinstance(compliance, AbstractToothCompliance):
+            places = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(places=True)).places
+            assert places is not None  # the system has them
+            compliance.check(places)
+        number, influence = len(scene.layout.side), np.asarray(_influence(scene))
+    if influence.shape != (number, number):
+        raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
+    if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):
+        raise SceneError("[compliance]: its matrix is not symmetric")
+    smallest = float(np.linalg.eigvalsh(influence)[0])
+    if not smallest > 0:
+        raise SceneError(f"[compliance]: its matrix is not positive definite (smallest eigenvalue {smallest:.3g} m/N)")
+
+
+def _check_slices(scene: Scene, compliance: AbstractSliceCompliance) -> None:
+    """Refuse a compliance of slices where there are none, or that is not for these gears."""
+    if not scene.system.has_slices:
+        words = f"needs slices of contact lines, which a {scene.system.kind} does not offer"
+        raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
+    if is_concrete((compliance, scene.system)):
+        with jax.ensure_compile_time_eval():  # while something else is traced
+            slices = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(slices=True)).slices
+            assert slices is not None  # the system has them
+            compliance.check(slices)
+
+
+@eqx.filter_jit  # one program: its single operations would each be compiled apart
+def _influence(scene: Scene) -> Float[Array, "contact contact"]:
+    springs = scene.contacts(jnp.zeros_like(scene.system.input_speed), "mean").springs
+    assert isinstance(springs, CoupledSprings)
+    return springs.influence
+
+
+def require(scene: Scene, what: str, *slots: str) -> None:
+    """Refuse an analysis whose slots the scene does not list, by name.
+
+    Raises:
+        SceneError: naming the analysis and the sections to add.
+    """
+    missing = [slot for slot in slots if getattr(scene, slot) is None]
+    if "backlash" in missing and scene.layout.sides_turn:
+        missing.remove("backlash")  # its contacts touch both flanks
+    if missing:
+        listed = " and ".join(f"[{slot}]" for slot in missing)
+        raise SceneError(f'"{what}" needs {listed}, which this scene does not list')
+    if "inertia" not in slots:
+        return
+    if isinstance(scene.compliance, AbstractLineContact):
+        raise SceneError(
+            f'"{what}" needs springs in proportion, such as [compliance] kind = "harmonic_stiffness": the force of '
+            f"{scene.compliance.kind} is not"
+        )
+    if scene.compliance is not None and couples(scene.compliance):
+        words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) makes one of them"
+        raise SceneError(f'"{what}" needs springs one by one: {words}')
+    if isinstance(scene.compliance, AbstractSliceCompliance):
+        words = "gj.one_contact(scene, torque) makes one contact of them"
+        raise SceneError(f'"{what}" is not for slices of contact lines yet: {words}')
+    coordinates = scene.moving.coordinates
+    if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
+        raise SceneError(f'"{what}" is for one output that turns unevenly, without shafts or cranks before it')
+    for body in coordinates.bodies:
+        given = scene.body_inertia.get(body)
+        for key in coordinates.needs(body):
+            if given is None or getattr(given, key) is None:
+                raise SceneError(f'"{what}" needs [inertia.{body}] with {key}, which this scene does not list')
+
+
+def require_output_alone(scene: Scene, what: str) -> None:
+    """Refuse an analysis of scenes whose bodies give way.
+
+    Raises:
+        SceneError: naming the section to leave out.
+    """
+    if scene.output_alone:
+        return
+    if scene.is_train:
+        raise SceneError(f'"{what}" is for a scene whose output alone moves, which that of a train does not')
+    words = [f"[{slot}.{name}]" for slot in ("supports", "shafts") for name in getattr(scene, slot)]
+    raise SceneError(f'"{what}" is for a scene whose output alone moves: leave out {words[0]}')
