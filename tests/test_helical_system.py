@@ -403,6 +403,43 @@ def test_iso_stiffness_is_the_mean_of_the_mesh():
     assert stiffness_of(system, gj.Iso6336Teeth(), meshes_of(system, 256)).mean() == pytest.approx(expected, rel=1e-4)
 
 
+# on bearings, and as one contact
+
+
+def test_bearings_take_the_components_of_the_force_along_the_normal():
+    """Both gears on five springs each: forces of Guo and Fang's V times F_n, and moments about both gears' middles that
+    are alike where the load is in the middle of the face."""
+    bearing = gj.Support(x=2e8, y=2e8, z=1e8, rx=1e7, ry=1e7)
+    scene = dataclasses.replace(
+        scene_of(GUO_1, compliance=TEETH, slices=6), supports={"pinion": bearing, "wheel": bearing}
+    )
+    te = gj.transmission_error(scene, meshes_of(scene.system, 3), torque=830.0)
+    rigid = gj.transmission_error(dataclasses.replace(scene, supports={}), meshes_of(scene.system, 3), torque=830.0)
+    pair = scene.system.pair
+    alpha, beta = float(pair.working_pressure_angle), float(pair.base_helix_angle)
+    force = 830.0 / float(pair.gears[1].base_radius) / math.cos(beta)
+    pushed = np.array([math.sin(alpha) * math.cos(beta), math.cos(alpha) * math.cos(beta), -math.sin(beta)]) * force
+    moved = dict(zip(te.coordinates, np.asarray(te.q).T, strict=True))
+    for way, part, stiffness in zip("xyz", pushed, (2e8, 2e8, 1e8), strict=True):
+        np.testing.assert_allclose(moved[f"pinion.{way}"], -part / stiffness, rtol=1e-9)  # pushed back by the wheel
+        np.testing.assert_allclose(moved[f"wheel.{way}"], part / stiffness, rtol=1e-9)
+    # virtual work: what the output gives way by is what all springs take
+    work = 2 * ((pushed**2) / (2e8, 2e8, 1e8)).sum() + sum(
+        1e7 * moved[f"{body}.{way}"] ** 2 for body in ("pinion", "wheel") for way in ("rx", "ry")
+    )
+    softer = (np.asarray(rigid.te) - np.asarray(te.te)) * 830.0
+    np.testing.assert_allclose(softer, work, rtol=0.02)  # teeth are loaded a little otherwise along the face
+
+
+def test_slices_move_as_one_contact_and_are_refused_by_themselves():
+    moving = {"load": gj.ConstantLoad(), "inertia": gj.MomentOfInertia(0.39), "damping": gj.DampingRatio(0.07)}
+    scene = dataclasses.replace(scene_of(GUO_1, compliance=TEETH, slices=6), **moving)
+    with pytest.raises(gj.SceneError, match="one_contact"):
+        gj.simulate(scene, np.linspace(0.0, 0.1, 11), torque=830.0)
+    one = gj.one_contact(scene, 830.0)
+    assert one.error(830.0) < 2e-3 * gj.units.arcmin
+
+
 # gradients
 
 
