@@ -326,7 +326,7 @@ def test_published_loads_by_finite_elements():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewCandidates")  # nine candidates of ten elements
 def test_another_pair_of_elastic_teeth_by_finite_elements():
-    """60 teeth in 64 of 2 mm module under a rim of three modules, nothing fitted; four phases."""
+    """60 teeth in 64 of 2 mm module under a rim of three modules, no stiffness fitted; four phases."""
     own = system(pairs=9, profile_points=9, **ANOTHER)
     elements = gj.InfluenceMatrix(**WIDE, rim=6 * mm, layers=6).made_for(*flank_radii(own))
     teeth = gj.ElasticTeeth(**WIDE, rim=6 * mm, neighbours=2)
