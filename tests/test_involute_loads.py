@@ -112,6 +112,13 @@ def test_neighbours_move_each_other_through_a_rim_only():
         gj.ElasticTeeth(**STEEL, neighbours=1)
 
 
+def test_single_precision_loads_the_example():
+    """Its matrix is symmetric and positive definite there too, as a scene checks."""
+    with jax.enable_x64(False):
+        scene = gj.load(ROOT / "configs/involute_rv/yang_2019.toml")
+        assert scene.contacts(jnp.asarray(0.3), "mean").springs.influence.dtype == jnp.float32
+
+
 def test_a_deep_layer_turns_as_a_half_plane():
     """Weber and Banaschek's turn and shift per moment; a thin layer sinks as one that cannot widen."""
     modulus, nu, thick = 2.2e11, 0.3, 1.3 * mm
