@@ -145,6 +145,6 @@ def test_a_configuration_names_files_from_its_own_folder_on(read, tmp_path, monk
     files = 'kind = "influence_matrix"\nexternal_file = "one.npz"\ninternal_file = "../other.npz"\n'
     monkeypatch.chdir("/")
     with pytest.raises(gj.GearjaxError) as caught:
-        read(text.replace('kind = "elastic_teeth" ', files), tmp_path)
+        read(text.replace('kind = "elastic_teeth" ', files).replace("neighbours = 2 ", "layers = 13 "), tmp_path)
     assert str(tmp_path / "one.npz") in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -110,7 +110,7 @@ def test_gaps_are_those_of_the_phase():
 
 def test_two_dimensional_loads_are_those_of_springs_side_by_side():
     """Eq. (9) says that all pairs approach alike; the seven loads of Table 2 add up to T / r_b1."""
-    pairs = methods.pair_stiffness(involute_rv.DEPTH)
+    pairs = methods.pair_stiffness()
     loads = methods.two_dimensional(pairs, own.total_load())
     assert loads.sum() == pytest.approx(1554.906, abs=1e-3)
     carry = loads > 0
@@ -120,10 +120,9 @@ def test_two_dimensional_loads_are_those_of_springs_side_by_side():
     assert (pairs.clearance[~carry] > approach[carry][0]).all()
 
 
-def test_table_2_comes_out_with_one_fitted_number():
+def test_table_2_comes_out_with_nothing_fitted_to_it():
     found = {row.item: row for row in involute_rv._table_2()}
-    assert found["Table 2, rms of the loads, fitted"].computed == pytest.approx(2.55, abs=0.01)
-    assert found["Table 2, rms of the loads, half-plane"].computed == pytest.approx(19.7, abs=0.1)
+    assert found["Table 2, rms of the loads"].computed == pytest.approx(3.82, abs=0.1)
     assert all(row.status == "inferred" for item, row in found.items() if "tooth" in item)
 
 

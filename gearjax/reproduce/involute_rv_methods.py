@@ -125,21 +125,19 @@ class PairStiffness(NamedTuple):
     stiffness: np.ndarray
 
 
-def pair_stiffness(depth: float | None) -> PairStiffness:
+def pair_stiffness() -> PairStiffness:
     """Stiffness of the pairs by beams, foundation and contact, for the paper's "material mechanics method".
 
-    Each pair touches where its gap is least (`ElasticTeeth` with one candidate, after Weber and Banaschek 1953).
-
-    Args:
-        depth: of the foundation under the root circle [m]; ``None`` for a half-plane.
+    Each pair touches where its gap is least (`ElasticTeeth` with one candidate, on a half-plane, after Weber and
+    Banaschek 1953).
     """
     tooth, roll = own.rolls()
-    clearance, yielding = _pairs(own.pair(), jnp.asarray(roll), None if depth is None else jnp.asarray(depth))
+    clearance, yielding = _pairs(own.pair(), jnp.asarray(roll))
     return PairStiffness(tooth, np.asarray(clearance), 1 / np.asarray(yielding))
 
 
 @eqx.filter_jit
-def _pairs(both: InternalPair, roll: Array, depth: Array | None) -> tuple[Array, Array]:
+def _pairs(both: InternalPair, roll: Array) -> tuple[Array, Array]:
     """Clearance [m] and approach per force [m/N] of each pair."""
     begin, end = both.ends(roll)
     points = both.points(roll[:, None], candidate_rolls(begin, end, 1))
@@ -148,7 +146,7 @@ def _pairs(both: InternalPair, roll: Array, depth: Array | None) -> tuple[Array,
     none = jnp.zeros_like(shared)  # no pair moves another one, whichever teeth they are
     places = Places((both.external, both.internal), radii, none[None], shared[None], jnp.zeros(1))
     steel = own.YOUNGS_MODULUS, own.POISSONS_RATIO
-    teeth = ElasticTeeth(*steel, own.EXTERNAL_WIDTH, own.INTERNAL_WIDTH, rim=depth)
+    teeth = ElasticTeeth(*steel, own.EXTERNAL_WIDTH, own.INTERNAL_WIDTH)
     return points.gap[:, 0], jnp.diagonal(teeth.influence(places))
 
 
