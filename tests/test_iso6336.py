@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.compliance.iso6336 import _stiffness
+from gearjax.compliance.iso6336 import stiffness_of
 from gearjax.units import deg, mm
 from tests.helical_pairs import GUO_1, GUO_2, INTERNAL, SPUR
 
@@ -246,9 +246,9 @@ def test_mistakes_end_in_one_line(name):
 def test_new_numbers_compile_nothing_anew():
     keys = ("face_width", "blank_factor", "load_per_width", "low_load_exponent")
     gj.iso6336_stiffness(**{**GUO_1, **dict(zip(keys, (0.07, 0.9, 7e4, 0.25), strict=True))})
-    before = _stiffness._cached._cache_size()
+    before = stiffness_of._cached._cache_size()
     gj.iso6336_stiffness(**{**GUO_1, **dict(zip(keys, (0.06, 0.8, 8e4, 0.3), strict=True))})
-    assert _stiffness._cached._cache_size() == before
+    assert stiffness_of._cached._cache_size() == before
 
 
 def test_no_tight_distance_is_named_where_there_is_none():
