@@ -10,6 +10,7 @@
 Wall times, medians of repeats that take turns, compilation apart.
 
     python experiments/involute_bench.py [--samples 10000] [--starts 1000] [--repeats 3] [--only errors]
+        [--neighbours 2]
 """
 
 import argparse
@@ -40,8 +41,14 @@ FEW = 8  # samples of the peer, and as many in which both are compared
 MEASURES = [f"static.{metric}@{TORQUE:g}Nm" for metric in ("peak_to_peak", "mean", "minimum", "maximum")]
 
 
+NEIGHBOURS = 0  # teeth that a loaded one moves; 2 in the example, where the matrix of a flank is one block
+
+
 def reducer() -> gj.Scene:
-    return dataclasses.replace(gj.load(CONFIG), run=None)
+    scene = gj.load(CONFIG)
+    assert isinstance(scene.compliance, gj.ElasticTeeth)
+    teeth = dataclasses.replace(scene.compliance, neighbours=NEIGHBOURS)
+    return dataclasses.replace(scene, compliance=teeth, run=None)
 
 
 def mesh_cycle(scene: gj.Scene, number: int) -> np.ndarray:
@@ -160,7 +167,9 @@ if __name__ == "__main__":
     parser.add_argument("--starts", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--only", default="")
+    parser.add_argument("--neighbours", type=int, default=NEIGHBOURS)
     chosen = parser.parse_args()
+    NEIGHBOURS = chosen.neighbours
     if chosen.only in "errors":
         errors(chosen.samples, chosen.repeats)
     if chosen.only in "search":

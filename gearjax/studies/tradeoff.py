@@ -332,7 +332,8 @@ def _with_gradients(tried: list[Setting], rows: list[Measured], progress: Progre
             schemes.setdefault(setting.scheme or setting.name, []).append(place)
     rows = list(rows)
     for scheme, places in schemes.items():
-        chosen = max(places, key=lambda place: rows[place].seconds)
+        own = [place for place in places if tried[place].group != "precision"]  # whose multiple they take
+        chosen = max(own or places, key=lambda place: rows[place].seconds)
         multiple = _gradient_seconds(tried[chosen]) / rows[chosen].seconds
         progress(f"gradient, {scheme}: {multiple:.3g} runs")
         for place in places:

@@ -74,7 +74,7 @@ class HelicalPair(AbstractSystem):
     normal_pressure_angle: Number = angle(above=0.0, below=math.pi / 4, example="20 deg")
     helix_angle: Number = angle(at_least=-math.pi / 3, at_most=math.pi / 3, example="9.911 deg")
     face_width: Number = length(at_least=1e-9, at_most=10.0, example="75 mm")
-    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6, example="50.8 rpm")
+    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6, example="1500 rpm")
     pinion_shift: Number = number(units.RATIO, at_least=-5.0, at_most=5.0, default=0.0)
     wheel_shift: Number = number(units.RATIO, at_least=-5.0, at_most=5.0, default=0.0)
     centre_distance: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="201 mm")
