@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -296,29 +296,24 @@ class Scene(eqx.Module):
             return None
         if self.compliance is None:
             raise SceneError("the scene has no compliance: list a [compliance] to find forces under torque")
+        back = self.backlash is not None
         if isinstance(self.compliance, AbstractLineContact):
-            radii = pose_of(self.system, pose.theta, Request(radii=True)).radii if pose.radii is None else pose.radii
-            assert radii is not None  # the system has them
-            return self.compliance.springs(radii)
+            return self.compliance.springs(self._shown(pose, pose.radii, Request(back, radii=True)).radii)
         if isinstance(self.compliance, AbstractCoupledCompliance):
             return CoupledSprings(self.compliance.influence(layout))
         if isinstance(self.compliance, AbstractToothCompliance):
-            request = Request(self.backlash is not None, places=True)
-            places = pose_of(self.system, pose.theta, request).places if pose.places is None else pose.places
-            assert places is not None  # the system has them
+            places = self._shown(pose, pose.places, Request(back, places=True)).places
             return CoupledSprings(self.compliance.blocks(places))
         if isinstance(self.compliance, AbstractSliceCompliance):
-            request = Request(self.backlash is not None, slices=True)
-            slices = pose_of(self.system, pose.theta, request).slices if pose.slices is None else pose.slices
-            assert slices is not None  # the system has them
-            return self.compliance.springs(slices)
+            return self.compliance.springs(self._shown(pose, pose.slices, Request(back, slices=True)).slices)
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
-        angle = pose.mesh_angle
-        if angle is None:
-            angle = pose_of(self.system, pose.theta, Request(self.backlash is not None, mesh=True)).mesh_angle
-        assert angle is not None  # it was asked for
+        angle = self._shown(pose, pose.mesh_angle, Request(back, mesh=True)).mesh_angle
         return LinearSprings(layout.per_contact(self.compliance.stiffness(angle)))
+
+    def _shown(self, pose: Pose, part: Any, request: Request) -> Any:
+        """The pose, or where a part of it was not asked for, one with it."""
+        return pose_of(self.system, pose.theta, request) if part is None else pose
 
     def _gaps(self, pose: Pose, layout: Layout) -> Float[Array, " contact"]:
         """Gaps with errors, reference and backlash, to first order."""

@@ -154,8 +154,8 @@ class ElasticTeeth(AbstractToothCompliance):
 
     def _beam(self, gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point point"]:
         """Beam: approach per force on the unit of width [m2/N]."""
-        height, half, slant = _section(gear, radius)
-        foot = _section(gear, root_of(gear))[0]
+        height, half, slant = gear.section(radius)
+        foot = gear.section(root_of(gear))[0]
         across, along = jnp.cos(slant), jnp.sin(slant)
         sign = -1.0 if gear.internal else 1.0  # the root of an internal gear is outside
         arm = sign * (height - foot)  # of each load above the root
@@ -164,7 +164,7 @@ class ElasticTeeth(AbstractToothCompliance):
         level, step = 0.5 * (1 + nodes)[None] * arm[:, None], 0.5 * weights[None] * arm[:, None]
         # worked out once for each point, not for each pair of them
         at, inward = foot + sign * level, jnp.full_like(level, -sign)
-        half_thick, grows = jax.jvp(lambda here: _half_at(gear, here), (at,), (inward,))
+        half_thick, grows = jax.jvp(gear.half_thickness, (at,), (inward,))
         lower = (arm[:, None] <= arm[None, :])[..., None]
         level, step, thick, grows = (
             jnp.where(lower, each[:, None], each[None, :]) for each in (level, step, 2 * half_thick, 2 * grows)
@@ -191,7 +191,7 @@ class ElasticTeeth(AbstractToothCompliance):
         # forces on driving teeth of the external gear are towards decreasing angles, on those of the ring increasing
         pitch = -sign * 2 * math.pi / gear.teeth * root
         apart = pitch * jnp.arange(self.neighbours + 1, dtype=pitch.dtype)
-        thick = 2 * _section(gear, root_of(gear))[1]
+        thick = 2 * gear.section(root_of(gear))[1]
         return layer_compliance(apart, thick, depth, self.line_contact.plane_modulus, self.poissons_ratio)
 
     def _foundation(self, gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point point"]:
@@ -199,7 +199,7 @@ class ElasticTeeth(AbstractToothCompliance):
         at_root = _at_root(gear, radius)
         if self.rim is not None:
             return at_root @ self._layer(gear, jnp.asarray(self.rim))[0] @ at_root.T
-        thick, nu = 2 * _section(gear, root_of(gear))[1], self.poissons_ratio
+        thick, nu = 2 * gear.section(root_of(gear))[1], self.poissons_ratio
         cross = (1 - 2 * nu) / (1 - nu) / thick
         zero = jnp.zeros_like(cross)
         shift, turn = jnp.full_like(cross, 4.8 / math.pi), 18 / math.pi / thick**2
@@ -212,12 +212,12 @@ class ElasticTeeth(AbstractToothCompliance):
         self, gear: InvoluteGear, radius: Float[Array, " point"], shared: Scalar
     ) -> Float[Array, "point point"]:
         """Contact: approach per force on the unit of width [m2/N]."""
-        half, points = _section(gear, radius)[1], radius.shape[0]
+        half, points = gear.section(radius)[1], radius.shape[0]
         # places count in lengths that the tooth's thickness measures, so that the matrix is positive definite
         along, tip = (0.5 * gear.base_radius * gear.roll_at(at) ** 2 for at in (radius, gear.tip_radius))
         strip = shared if points == 1 else jnp.abs(along[-1] - along[0])
         strip = jnp.maximum(strip * even_parts(points, strip.dtype), SHORTEST) / half
-        place = jnp.abs(tip - along) / jnp.sqrt(half * _section(gear, gear.tip_radius)[1])
+        place = jnp.abs(tip - along) / jnp.sqrt(half * gear.section(gear.tip_radius)[1])
         own = jnp.eye(points, dtype=bool)
         apart, mirrored = jnp.abs(place[:, None] - place[None, :]), place[:, None] + place[None, :]
         apart = jnp.where(own, ITSELF * strip[:, None], jnp.maximum(apart, SHORTEST / half[:, None]))
@@ -230,7 +230,7 @@ class ElasticTeeth(AbstractToothCompliance):
 
 def _at_root(gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point 3"]:
     """Shear, moment and pressure at the root per force at each point [-], [m], [-]."""
-    (height, half, slant), foot = _section(gear, radius), _section(gear, root_of(gear))[0]
+    (height, half, slant), foot = gear.section(radius), gear.section(root_of(gear))[0]
     across, along = jnp.cos(slant), jnp.sin(slant)
     arm = jnp.abs(height - foot)
     return jnp.stack([across, across * arm - along * half, along], axis=-1)
@@ -275,19 +275,4 @@ def root_of(gear: InvoluteGear) -> Scalar:
     fillet = FILLET * gear.module
     if gear.internal:
         return gear.root_radius - fillet
-    return jnp.maximum(gear.root_radius + fillet, gear.base_radius * (1 + 1e-9))
-
-
-def _section(gear: InvoluteGear, radius: Array) -> tuple[Array, Array, Array]:
-    """Of a tooth at a flank point: distance from the gear's axis along the middle of the tooth, half of the thickness
-    there [m], and angle of the normal from straight across [rad]."""
-    half = gear.half_angle(radius)
-    slant = gear.pressure_angle_at(radius)
-    return radius * jnp.cos(half), radius * jnp.sin(half), slant + half if gear.internal else slant - half
-
-
-def _half_at(gear: InvoluteGear, level: Array) -> Array:
-    """Half of the thickness of a tooth at a distance from the gear's axis along its middle [m]."""
-    radius = level / jnp.cos(gear.half_angle(jnp.maximum(level, gear.base_radius)))
-    radius = jnp.maximum(radius, gear.base_radius)
-    return radius * jnp.sin(gear.half_angle(radius))
+    return jnp.maximum(gear.root_radius + fillet, gear.first_radius)

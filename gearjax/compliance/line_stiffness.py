@@ -27,10 +27,6 @@ class LineStiffness(AbstractSliceCompliance):
     def __check_init__(self):
         check_parameters(self)
 
-    @property
-    def couples(self) -> bool:
-        return False
-
     def springs(self, slices: Slices) -> LinearSprings:
         return LinearSprings(self.per_length * slices.lengths)
 
@@ -52,10 +48,6 @@ class Iso6336Teeth(AbstractSliceCompliance):
 
     def __check_init__(self):
         check_parameters(self)
-
-    @property
-    def couples(self) -> bool:
-        return False
 
     def springs(self, slices: Slices) -> LinearSprings:
         pair = slices.pair

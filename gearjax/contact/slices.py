@@ -23,14 +23,10 @@ class Slices(eqx.Module):
     share: Float[Array, "block pair slice"]
 
     @property
-    def whole_length(self) -> Float[Array, ""]:
-        """Length of the contact line in a whole slice, ``b / (n cos beta_b)`` [m]."""
-        return self.pair.face_width / self.share.shape[-1] / jnp.cos(self.pair.base_helix_angle)
-
-    @property
     def lengths(self) -> Float[Array, " contact"]:
-        """Lengths of contact line that the contacts stand for [m]."""
-        return (self.whole_length * self.share).ravel()
+        """Lengths of contact line that the contacts stand for, of a whole slice ``b / (n cos beta_b)`` [m]."""
+        whole = self.pair.face_width / self.share.shape[-1] / jnp.cos(self.pair.base_helix_angle)
+        return (whole * self.share).ravel()
 
     @property
     def curvature(self) -> Float[Array, "block pair slice"]:

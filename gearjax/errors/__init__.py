@@ -2,8 +2,8 @@
 
 from gearjax.errors.base import AbstractError
 from gearjax.errors.eccentricity import Eccentricity
-from gearjax.errors.helix import Crowning, EndRelief, HelixSlope, RootRelief
-from gearjax.errors.profile import ProfileForm, ProfileSlope, TipRelief
+from gearjax.errors.helix import Crowning, EndRelief, HelixSlope
+from gearjax.errors.profile import ProfileForm, ProfileSlope, RootRelief, TipRelief
 from gearjax.errors.rim import CumulativePitch, Positions, Sizes
 
 ERRORS: tuple[type[AbstractError], ...] = (

@@ -1,46 +1,17 @@
-"""Errors and modifications across the face of involute teeth (ISO 21771, ISO 1328-1), and at their roots."""
+"""Errors and modifications across the face of involute teeth (ISO 21771, ISO 1328-1)."""
 
 from typing import ClassVar
-
-import jax.numpy as jnp
 
 from gearjax import units
 from gearjax.checks import ParameterError
 from gearjax.contact import BodyView
 from gearjax.errors.base import AbstractError
-from gearjax.errors.profile import profile_of
+from gearjax.errors.profile import profile_of, running_out
 from gearjax.errors.rim import spread
 from gearjax.parameters import check_parameters, count, length, name, series
 from gearjax.typing import Array, Float, Number
 
 SIDES = ("both", "low", "high")
-
-
-class RootRelief(AbstractError):
-    """Material removed towards the root, ``amount (1 - s / length)^exponent`` with the length of roll s from where the
-    path of contact ends there (ISO 21771: C_f over L_Cf; 1 is a straight line, 2 a parabola).
-
-    Args:
-        body: gear that carries it.
-        amount: at the end of the path of contact, shape (tooth,), or one value for all [m].
-        length: of roll along the path of contact over which it runs out [m].
-        exponent: 1 or more.
-    """
-
-    kind: ClassVar[str] = "root_relief"
-    on_rim: ClassVar[bool] = True
-    body: str = name()
-    amount: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["2 um"])
-    length: Number = length(at_least=1e-9, at_most=1.0, example="0.5 mm")
-    exponent: int = count(default=1, at_most=10)
-
-    def __check_init__(self):
-        check_parameters(self)
-
-    def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        place = profile_of(self.body, view)
-        share = jnp.clip(1 - (place.length - place.to_tip) / self.length, 0.0, 1.0)
-        return place.seen(spread("amount", self.amount, view) * share**self.exponent)
 
 
 class HelixSlope(AbstractError):
@@ -115,7 +86,7 @@ class EndRelief(AbstractError):
         across, width = _across(self.body, view), place.width
         assert width is not None  # the gears tell of their face
         ends = {"low": (0.5 + across,), "high": (0.5 - across,), "both": (0.5 + across, 0.5 - across)}[self.end]
-        shares = [jnp.clip(1 - from_end * width / self.length, 0.0, 1.0) ** self.exponent for from_end in ends]
+        shares = [running_out(from_end * width, self.length, self.exponent) for from_end in ends]
         return place.seen(spread("amount", self.amount, view) * sum(shares[1:], shares[0]))
 
 

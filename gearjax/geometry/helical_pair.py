@@ -267,6 +267,10 @@ class InvolutePair(eqx.Module):
         distance, base = self.centre_distance, self.base_distance
         return jnp.sqrt((distance - base) * (distance + base))
 
+    def other_roll(self, length: Array) -> Array:
+        """Lengths of roll of gear 2 where those of gear 1 are given, any shape [m]."""
+        return self.tangent_length + length if self.internal else self.tangent_length - length
+
     @property
     def contact_path(self) -> ContactPath:
         """A to E [m]: where tips let flanks touch, undercut or not (`helical_checks.faults` tells)."""

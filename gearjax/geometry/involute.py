@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from gearjax.typing import Array, Scalar
 
 INVOLUTE_STEPS = 6  # of Newton's method
+ABOVE = 1e-9  # of the base radius, where a flank begins: at it slopes are endless
 
 
 def involute(angle: Array) -> Array:
@@ -135,3 +136,20 @@ class InvoluteGear(eqx.Module):
         """Half of the angle that the material of a tooth fills at a radius [rad], radii of any shape [m]."""
         filled = self.base_half_angle - involute(self.pressure_angle_at(radius))
         return jnp.pi / self.teeth - filled if self.internal else filled
+
+    @property
+    def first_radius(self) -> Scalar:
+        """Radius where a flank begins, just above the base circle [m]."""
+        return self.base_radius * (1 + ABOVE)
+
+    def section(self, radius: Array) -> tuple[Array, Array, Array]:
+        """Of a tooth at a point of its profile: distance from the gear's axis along the middle of the tooth, half of
+        the thickness there [m], and angle of the normal from straight across [rad]; radii of any shape [m]."""
+        half, slant = self.half_angle(radius), self.pressure_angle_at(radius)
+        return radius * jnp.cos(half), radius * jnp.sin(half), slant + half if self.internal else slant - half
+
+    def half_thickness(self, level: Array) -> Array:
+        """Half of the thickness of a tooth at distances from the gear's axis along its middle, of any shape [m]; below
+        the base circle flanks go on along the radius."""
+        radius = level / jnp.cos(self.half_angle(jnp.maximum(level, self.first_radius)))
+        return radius * jnp.sin(self.half_angle(jnp.maximum(radius, self.first_radius)))

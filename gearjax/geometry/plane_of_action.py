@@ -46,7 +46,7 @@ class SlicePoints(NamedTuple):
     gap: Float[Array, "pair slice"]
 
 
-def slice_places(pair: InvolutePair, slices: int) -> Float[Array, " slice"]:
+def _middles(pair: InvolutePair, slices: int) -> Float[Array, " slice"]:
     """Middles of even slices from the middle of the face on [m]."""
     middles = (jnp.arange(slices, dtype=pair.face_width.dtype) + 0.5) / slices
     return pair.face_width * (middles - 0.5)
@@ -72,13 +72,14 @@ def slice_points(pair: InvolutePair, angle: Scalar, side: int, pairs: int, slice
     middle = turned + side * (path.pitch - 0.5 * (path.begin + path.end)) / pitch
     slots = jnp.arange(pairs, dtype=angle.dtype)
     tooth = slots + pairs * jnp.round((middle - slots) / pairs)
-    place, half = slice_places(pair, slices), 0.5 * pair.face_width / slices
+    place, half = _middles(pair, slices), 0.5 * pair.face_width / slices
     lean = jnp.tan(pair.base_helix_angle)
     length = path.pitch + side * ((turned - tooth)[:, None] * pitch + place[None, :] * lean)
     before, after = path.begin - length, length - path.end
     beyond = jnp.maximum(jnp.maximum(before, after), 0.0)
     if corners:
-        on, share, across = jnp.clip(length, path.begin, path.end), jnp.ones_like(length), place[None, :] + 0 * length
+        on, share = jnp.clip(length, path.begin, path.end), jnp.ones_like(length)
+        across = jnp.broadcast_to(place[None, :], length.shape)
         gap = _corner_gap(pair, length, beyond)
         beyond = jnp.maximum(beyond - CORNERS * pitch, 0.0)
     else:
@@ -89,12 +90,7 @@ def slice_points(pair: InvolutePair, angle: Scalar, side: int, pairs: int, slice
         beyond = jnp.maximum(beyond - reach, 0.0)
         on, gap = jnp.clip(length + shift, path.begin, path.end), jnp.zeros_like(length)
         across = place[None, :] + side * jnp.sign(lean) * half * shift / reach
-    return SlicePoints(tooth.astype(int), (on, _other_roll(pair, on)), across, share, beyond, gap)
-
-
-def _other_roll(pair: InvolutePair, length: Array) -> Array:
-    """Length of roll of gear 2 where that of gear 1 is given [m]."""
-    return pair.tangent_length + length if pair.internal else pair.tangent_length - length
+    return SlicePoints(tooth.astype(int), (on, pair.other_roll(on)), across, share, beyond, gap)
 
 
 def _corner_gap(pair: InvolutePair, length: Array, beyond: Array) -> Array:
@@ -125,10 +121,10 @@ def _corner_gap(pair: InvolutePair, length: Array, beyond: Array) -> Array:
     # behind the end: the corner of gear 1 on the flank of gear 2
     at = path.end + far
     along, across = corner(path.end, first.base_radius, at)
-    last, _ = to_flank(second.base_radius, _other_roll(pair, at), distance - sign * along, -sign * across)
+    last, _ = to_flank(second.base_radius, pair.other_roll(at), distance - sign * along, -sign * across)
     # before the beginning: the corner of gear 2 on the flank of gear 1, whose normal has another lever on gear 2
     at = path.begin - far
-    along, across = corner(_other_roll(pair, path.begin), second.base_radius, _other_roll(pair, at))
+    along, across = corner(pair.other_roll(path.begin), second.base_radius, pair.other_roll(at))
     start, leans = to_flank(first.base_radius, at, sign * (distance - along), -sign * across)
     start = start * second.base_radius / (distance * jnp.cos(leans) - sign * first.base_radius)
     gap = jnp.where(length > path.end, sign * last, jnp.where(length < path.begin, start, 0.0))

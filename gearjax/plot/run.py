@@ -1,5 +1,6 @@
 """Figures of a run."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from gearjax.plot.involute import pair_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
-from gearjax.systems import HelicalPair, InvoluteRV, RVCycloidal
+from gearjax.systems import AbstractSystem, HelicalPair, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
@@ -154,6 +155,30 @@ def mark_multiples(ax: Axes, base: float, name: str) -> None:
         ax.axvline(number * base, color="0.5", linestyle=":", linewidth=0.8, label=label)
 
 
+def _stage(scene: Scene, te: TransmissionError) -> Figure:
+    assert te.forces is not None
+    assert isinstance(scene.system, RVCycloidal)
+    return stage_figure(scene.system, float(te.theta[0]), te.forces[0])
+
+
+def _pair(scene: Scene, te: TransmissionError) -> Figure:
+    assert te.forces is not None
+    return pair_figure(scene, float(te.theta[0]), te.forces[0])
+
+
+def _plane_of_action(scene: Scene, te: TransmissionError) -> Figure:
+    assert te.forces is not None
+    return plane_of_action_figure(scene, te.theta, te.forces)
+
+
+OF_GEAR_SETS: dict[type[AbstractSystem], tuple[str, Callable[[Scene, TransmissionError], Figure]]] = {
+    RVCycloidal: ("stage.png", _stage),
+    InvoluteRV: ("pair.png", _pair),
+    HelicalPair: ("plane_of_action.png", _plane_of_action),
+}
+"""Name and drawing of a gear set under static torque."""
+
+
 def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
     """Write the figures of a run as PNG.
 
@@ -170,10 +195,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         result = case.result
         if not isinstance(result, TransmissionError) or result.forces is None:
             continue
-        if isinstance(scene.system, RVCycloidal):
-            figures["stage.png"] = stage_figure(scene.system, float(result.theta[0]), result.forces[0])
-        if isinstance(scene.system, InvoluteRV):
-            figures["pair.png"] = pair_figure(scene, float(result.theta[0]), result.forces[0])
-        if isinstance(scene.system, HelicalPair):
-            figures["plane_of_action.png"] = plane_of_action_figure(scene, result.theta, result.forces)
+        if type(scene.system) in OF_GEAR_SETS:
+            name, figure = OF_GEAR_SETS[type(scene.system)]
+            figures[name] = figure(scene, result)
     return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]

@@ -17,10 +17,11 @@ from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_
 from gearjax.geometry.plane_of_action import SlicePoints, slice_points
 from gearjax.parameters import angle, check_parameters, count, length, name, number
 from gearjax.systems.base import AbstractSystem
-from gearjax.typing import Array, Float, Number, Scalar
+from gearjax.typing import Array, Number, Scalar
 
 PINION, WHEEL = "pinion", "wheel"
 SHARED = ("x", "y", "z", "rx", "ry")
+ROUNDING = 1e-6  # of the total contact ratio
 MARGIN = {"ends": 0.2, "corner": 0.7}  # pairs beyond the total contact ratio that designs and loads may bring in
 
 
@@ -94,16 +95,24 @@ class HelicalPair(AbstractSystem):
         if self.wheel_kind == "internal" and self.pinion_teeth >= self.wheel_teeth:
             words = f"must be below wheel_teeth ({self.wheel_teeth}), those of the internal gear"
             raise ParameterError("pinion_teeth", self.pinion_teeth, words)
-        if not is_concrete(self.pair):
+        pair = self.pair
+        if not is_concrete(pair):
             if self.pairs is None:
                 raise ParameterError("pairs", MISSING, "must be given where the geometry is traced")
             return
         with jax.ensure_compile_time_eval():
-            for key, shown, words in faults(self.pair):
+            for key, shown, words in faults(pair):
                 raise ParameterError(_own_key(key), shown, words)
-            needed = math.floor(float(self.pair.total_contact_ratio) + MARGIN[self.tip_contact]) + 1
+            ratio = float(pair.total_contact_ratio)
+        touching, looked_at = (
+            min(math.floor(ratio + margin) + 1, self.pinion_teeth, self.wheel_teeth)
+            for margin in (-ROUNDING, MARGIN[self.tip_contact])
+        )
         if self.pairs is None:
-            object.__setattr__(self, "pairs", min(needed, self.pinion_teeth, self.wheel_teeth))
+            object.__setattr__(self, "pairs", looked_at)
+        elif self.pairs < touching:  # those of other gears, maybe, in a copy with a wider face
+            words = f"must be at least {touching}, as many as touch at once (total contact ratio {ratio:.4g})"
+            raise ParameterError("pairs", self.pairs, words)
 
     @property
     def pair(self) -> InvolutePair:
@@ -174,31 +183,25 @@ class HelicalPair(AbstractSystem):
         blocks = [self.points(theta, side) for side in sides]
         at = jax.tree.map(lambda *parts: jnp.stack(parts), *blocks)
         side = jnp.asarray(sides, theta.dtype)[:, None, None]
-        jacobian = [-side * self._lever(pair) + 0 * at.across]
+        normal = jnp.cos(pair.base_helix_angle)
+        jacobian = [-side * normal * pair.gears[1].base_radius]
         for coordinate in request.coordinates:
             body, _, way = coordinate.partition(".")
             jacobian.append(self._column(body, way, pair, side, at))
         gap = at.gap + jnp.where(side < 0, pair.backlash, 0.0)
         # slices that are off the path: no jump where they come onto it
-        gap = jnp.cos(pair.base_helix_angle) * gap + at.beyond
+        gap = normal * gap + at.beyond
         views = {body: self._view(body, theta, pair, sides, at) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         slices = Slices(pair, at.roll, at.across, at.share) if request.slices else None
-        columns = jnp.stack([column.ravel() for column in jacobian], axis=1)
+        columns = jnp.stack([jnp.broadcast_to(column, at.across.shape).ravel() for column in jacobian], axis=1)
         return Pose(theta, columns, gap.ravel(), views, mesh, slices=slices)
 
-    def _lever(self, pair: InvolutePair) -> Scalar:
-        """Of the forces on the wheel [m]."""
-        return pair.gears[1].base_radius * jnp.cos(pair.base_helix_angle)
-
-    def _column(
-        self, body: str, way: str, pair: InvolutePair, side: Array, at: SlicePoints
-    ) -> Float[Array, "block pair slice"]:
+    def _column(self, body: str, way: str, pair: InvolutePair, side: Array, at: SlicePoints) -> Array:
         """Change of overlap per displacement of a gear: it closes by that of the pinion along the normal."""
         alpha, beta = pair.working_pressure_angle, pair.base_helix_angle
-        none = 0 * at.across
-        normal = jnp.sin(alpha) * jnp.cos(beta) + none, side * jnp.cos(alpha) * jnp.cos(beta) + none
-        normal = *normal, -side * jnp.sin(beta) + none
+        flat, lean = jnp.cos(beta), jnp.sin(beta)
+        normal = jnp.sin(alpha) * flat, side * jnp.cos(alpha) * flat, -side * lean
         sign = 1.0 if body == PINION else -1.0
         if way in ("x", "y", "z"):
             return sign * normal[("x", "y", "z").index(way)]
