@@ -115,6 +115,21 @@ class InvolutePair(eqx.Module):
         tip_diameters: of both gears [m]; without them they follow from rack and shift, not shortened.
         rack: one of both gears or one of each: names of ISO 53, such as ``"ISO 53 A"``, or a `BasicRack`.
         internal: whether gear 2 is an internal gear.
+
+    Attributes:
+        transverse_module: ``m_t = m_n / cos beta`` [m]. Like the other attributes it is worked out once: what a gear
+            set shows at an angle asks for them many times.
+        transverse_pressure_angle: ``tan alpha_t = tan alpha_n / cos beta`` [rad].
+        base_helix_angle: of the flanks at the base circles, ``sin beta_b = sin beta cos alpha_n`` [rad].
+        gears: both in a transverse section; their shifts and heights are in transverse modules.
+        base_distance: sum of the base radii; of an internal pair their difference [m].
+        base_pitch: distance of the flanks along the line of action in the transverse section,
+            ``p_bt = pi m_t cos alpha_t`` [m].
+        working_pressure_angle: in the transverse section, ``cos alpha_wt = (r_b2 + r_b1) / a``; of an internal pair
+            with the difference [rad].
+        tangent_length: ``a sin alpha_wt``, of the line of action between the points where it touches the base circles
+            [m].
+        contact_path: A to E [m]: where tips let flanks touch, undercut or not (`helical_checks.faults` tells).
     """
 
     teeth: tuple[int, int] = eqx.field(static=True)
@@ -127,6 +142,15 @@ class InvolutePair(eqx.Module):
     internal: bool = eqx.field(static=True)
     tip_diameters: tuple[Scalar, Scalar]
     centre_distance: Scalar
+    transverse_module: Scalar
+    transverse_pressure_angle: Scalar
+    base_helix_angle: Scalar
+    gears: tuple[InvoluteGear, InvoluteGear]
+    base_distance: Scalar
+    base_pitch: Scalar
+    working_pressure_angle: Scalar
+    tangent_length: Scalar
+    contact_path: ContactPath
 
     def __init__(
         self,
@@ -147,56 +171,50 @@ class InvolutePair(eqx.Module):
         self.normal_pressure_angle, self.helix_angle = as_leaf(normal_pressure_angle), as_leaf(helix_angle)
         self.profile_shifts = as_leaf(profile_shifts[0]), as_leaf(profile_shifts[1])
         self.racks = racks_of(rack)
-        if tip_diameters is None:
-            heights = tuple(self._to_transverse * rack.addendum for rack in self.racks)
-            self.tip_diameters = _both(2 * gear.tip_radius for gear in self._gears(heights))
-        else:
+        to_transverse = jnp.cos(self.helix_angle)  # transverse modules in a normal one
+        self.transverse_module = self.normal_module / to_transverse
+        self.transverse_pressure_angle = jnp.arctan(jnp.tan(self.normal_pressure_angle) / to_transverse)
+        self.base_helix_angle = jnp.arcsin(jnp.sin(self.helix_angle) * jnp.cos(self.normal_pressure_angle))
+        self.gears = self._gears(to_transverse, tip_diameters)
+        self.tip_diameters = _both(2 * gear.tip_radius for gear in self.gears)
+        if tip_diameters is not None:
             self.tip_diameters = as_leaf(tip_diameters[0]), as_leaf(tip_diameters[1])
+        first, second = (gear.base_radius for gear in self.gears)
+        self.base_distance = second + self._sign * first
+        self.base_pitch = jnp.pi * self.transverse_module * jnp.cos(self.transverse_pressure_angle)
         tight = self.tight_centre_distance if centre_distance is None else centre_distance
         self.centre_distance = as_leaf(tight)
+        self._work_out_contact()
 
-    @property
-    def transverse_module(self) -> Scalar:
-        """``m_t = m_n / cos beta`` [m]."""
-        return self.normal_module / self._to_transverse
+    def _gears(
+        self, to_transverse: Scalar, tip_diameters: Sequence[Any] | Array | None
+    ) -> tuple[InvoluteGear, InvoluteGear]:
+        """Both gears in a transverse section, as high as the rack makes them or as their tips are."""
 
-    @property
-    def transverse_pressure_angle(self) -> Scalar:
-        """``tan alpha_t = tan alpha_n / cos beta`` [rad]."""
-        return jnp.arctan(jnp.tan(self.normal_pressure_angle) / self._to_transverse)
+        def gear(number: int) -> InvoluteGear:
+            rack, internal = self.racks[number], self.internal and number == 1
+            shift, height = (to_transverse * part for part in (self.profile_shifts[number], rack.addendum))
+            if tip_diameters is not None:
+                beyond = 0.5 * tip_diameters[number] / self.transverse_module - 0.5 * self.teeth[number]
+                height = shift - beyond if internal else beyond - shift
+            shared = self.transverse_module, self.transverse_pressure_angle
+            return InvoluteGear(self.teeth[number], *shared, shift, height, to_transverse * rack.dedendum, internal)
 
-    @property
-    def base_helix_angle(self) -> Scalar:
-        """Of the flanks at the base circles, ``sin beta_b = sin beta cos alpha_n`` [rad]."""
-        return jnp.arcsin(jnp.sin(self.helix_angle) * jnp.cos(self.normal_pressure_angle))
+        return gear(0), gear(1)
 
-    @property
-    def _to_transverse(self) -> Scalar:
-        """Transverse modules in a normal one."""
-        return jnp.cos(self.helix_angle)
+    def _work_out_contact(self) -> None:
+        """Angle, length and path of contact at the centre distance."""
+        distance, base, (first, second) = self.centre_distance, self.base_distance, self.gears
+        self.working_pressure_angle = jnp.arccos(base / distance)
+        self.tangent_length = jnp.sqrt((distance - base) * (distance + base))
+        end, other_end = (gear.base_radius * gear.tip_roll for gear in (first, second))
+        pitch = first.base_radius * self.tangent_length / base
+        self.contact_path = ContactPath(self._sign * (self.tangent_length - other_end), pitch, end)
 
     @property
     def _sign(self) -> int:
         """Of gear 2's numbers: -1 of an internal gear."""
         return -1 if self.internal else 1
-
-    @property
-    def gears(self) -> tuple[InvoluteGear, InvoluteGear]:
-        """Both gears in a transverse section; their shifts and heights are in transverse modules."""
-        signs, pairs = (1, self._sign), zip(self._radii, self.tip_diameters, strict=True)
-        beyond = [(0.5 * tip - reference) / self.transverse_module for reference, tip in pairs]
-        shifts = [self._to_transverse * shift for shift in self.profile_shifts]
-        return self._gears([sign * (tip - shift) for sign, tip, shift in zip(signs, beyond, shifts, strict=True)])
-
-    def _gears(self, addenda: Sequence[Scalar]) -> tuple[InvoluteGear, InvoluteGear]:
-        """Both gears in a transverse section, of addenda in transverse modules."""
-        scale, shared = self._to_transverse, (self.transverse_module, self.transverse_pressure_angle)
-        return _both(
-            InvoluteGear(self.teeth[i], *shared, scale * shift, addenda[i], scale * rack.dedendum, internal)
-            for i, (shift, rack, internal) in enumerate(
-                zip(self.profile_shifts, self.racks, (False, self.internal), strict=True)
-            )
-        )
 
     @property
     def internal_pair(self) -> InternalPair:
@@ -223,17 +241,6 @@ class InvolutePair(eqx.Module):
         return _both(2 * gear.root_radius for gear in self.gears)
 
     @property
-    def base_distance(self) -> Scalar:
-        """Sum of the base radii; of an internal pair their difference [m]."""
-        first, second = self.gears
-        return second.base_radius + self._sign * first.base_radius
-
-    @property
-    def working_pressure_angle(self) -> Scalar:
-        """In the transverse section, ``cos alpha_wt = (r_b2 + r_b1) / a``; of an internal pair the difference [rad]."""
-        return jnp.arccos(self.base_distance / self.centre_distance)
-
-    @property
     def tight_pressure_angle(self) -> Scalar:
         """Working pressure angle without backlash [rad]; negative where shifts leave backlash at every distance."""
         shifts = self.profile_shifts[1] + self._sign * self.profile_shifts[0]
@@ -255,29 +262,9 @@ class InvolutePair(eqx.Module):
         wider = involute(self.working_pressure_angle) - involute(self.tight_pressure_angle)
         return self._sign * teeth * self.transverse_module * jnp.cos(self.transverse_pressure_angle) * wider
 
-    @property
-    def base_pitch(self) -> Scalar:
-        """Distance of the flanks along the line of action in the transverse section, ``p_bt = pi m_t cos alpha_t``
-        [m]."""
-        return jnp.pi * self.transverse_module * jnp.cos(self.transverse_pressure_angle)
-
-    @property
-    def tangent_length(self) -> Scalar:
-        """``a sin alpha_wt``: of the line of action between the points where it touches the base circles [m]."""
-        distance, base = self.centre_distance, self.base_distance
-        return jnp.sqrt((distance - base) * (distance + base))
-
     def other_roll(self, length: Array) -> Array:
         """Lengths of roll of gear 2 where those of gear 1 are given, any shape [m]."""
         return self.tangent_length + length if self.internal else self.tangent_length - length
-
-    @property
-    def contact_path(self) -> ContactPath:
-        """A to E [m]: where tips let flanks touch, undercut or not (`helical_checks.faults` tells)."""
-        first, second = (gear.base_radius * gear.tip_roll for gear in self.gears)
-        begin = self._sign * (self.tangent_length - second)
-        pitch = self.gears[0].base_radius * self.tangent_length / self.base_distance
-        return ContactPath(begin, pitch, first)
 
     @property
     def transverse_contact_ratio(self) -> Scalar:

@@ -75,6 +75,9 @@ class InvoluteGear(eqx.Module):
         profile_shift: in modules [-].
         addendum, dedendum: heights of tip and root from the shifted reference circle, in modules [-].
         internal: whether the teeth point inwards.
+
+    Attributes:
+        base_radius: [m], worked out once, as most of what follows asks for it.
     """
 
     teeth: int = eqx.field(static=True)
@@ -83,17 +86,27 @@ class InvoluteGear(eqx.Module):
     profile_shift: Scalar
     addendum: Scalar
     dedendum: Scalar
-    internal: bool = eqx.field(static=True, default=False)
+    internal: bool = eqx.field(static=True)
+    base_radius: Scalar
+
+    def __init__(
+        self,
+        teeth: int,
+        module: Scalar,
+        pressure_angle: Scalar,
+        profile_shift: Scalar,
+        addendum: Scalar,
+        dedendum: Scalar,
+        internal: bool = False,
+    ):
+        self.teeth, self.module, self.pressure_angle, self.internal = teeth, module, pressure_angle, internal
+        self.profile_shift, self.addendum, self.dedendum = profile_shift, addendum, dedendum
+        self.base_radius = base_radius(teeth, module, pressure_angle)
 
     @property
     def reference_radius(self) -> Scalar:
         """[m]."""
         return 0.5 * self.teeth * self.module
-
-    @property
-    def base_radius(self) -> Scalar:
-        """[m]."""
-        return base_radius(self.teeth, self.module, self.pressure_angle)
 
     @property
     def tip_radius(self) -> Scalar:
