@@ -18,6 +18,7 @@ from gearjax import units
 from gearjax.checks import GearjaxError, ParameterError, is_concrete, nearest, shown
 
 TIGHT = 100.0  # between bounds of a number that is tightly bounded, highest over lowest
+_LENGTHS = {"um": units.um, "mm": units.mm}
 TIGHT_SPAN = 2.0  # between them, of ratios and of angles [rad]
 
 
@@ -62,6 +63,17 @@ class Parameter:
         low, high = self.range
         plain = self.dimension in (units.RATIO, units.ANGLE)
         return (low > 0 and high <= TIGHT * low) or (plain and high - low <= TIGHT_SPAN)
+
+    @property
+    def shown_in(self) -> tuple[str, float]:
+        """Unit that results show it in, and its size in SI: lengths in that of the example, as they are written."""
+        if self.dimension is None:
+            return "", 1.0
+        first = self.example[0] if isinstance(self.example, list) and self.example else self.example
+        unit = str(first or self.dimension.example).rpartition(" ")[2]
+        if self.dimension is units.LENGTH and unit in _LENGTHS:
+            return unit, _LENGTHS[unit]
+        return self.dimension.shown, self.dimension.per_shown
 
     def allowed(self) -> str:
         """The bounds in words."""

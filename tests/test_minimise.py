@@ -11,7 +11,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.studies.select import pick
-from gearjax.units import arcmin, deg, um
+from gearjax.units import arcmin, deg, mm, um
 
 PHASES = [f"errors.{body}.phase" for body in ("planet_1", "planet_2", "revolution", "output_wheel")]
 AMPLITUDE = "errors.planet_1.amplitude"
@@ -214,8 +214,28 @@ def test_sensitivity_of_a_known_function(scene):
     np.testing.assert_allclose(around.single[0], 1 + 2 * (1 - np.cos(5 * deg)), rtol=1e-12)
     aside = gj.local_sensitivity(known, scene, where=where, at=[0.5, 0.3])
     np.testing.assert_allclose(aside.gradient, 2 * np.sin(0.2) * np.array([1, -1]), rtol=1e-6)
+    assert around.told(5 * deg) == "5 deg"
     with pytest.raises(gj.ParameterError, match="must be 2 finite numbers"):
         gj.local_sensitivity(known, scene, where=where, at=[0.3])
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        (["system.module"], "8.7 % of the span between the bounds"),
+        (["system.module", PHASES[0]], "5 deg, or 8.7 % of the span between the bounds"),
+    ],
+)
+def test_deviations_of_lengths_are_no_angles(scene, where, words):
+    """Off by a share of the span, and told so; what that costs is what the formula says."""
+
+    def known(scene):
+        return scene.system.module / mm
+
+    bounds = {"system.module": (2 * mm, 3 * mm)}
+    found = gj.local_sensitivity(known, scene, where=where, bounds=bounds, deviations=(5 * deg,))
+    assert found.told(5 * deg) == words
+    assert found.worst[0] == pytest.approx(2.5 + 5 * deg, rel=1e-12)
 
 
 @pytest.mark.slow

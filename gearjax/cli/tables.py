@@ -11,9 +11,10 @@ from gearjax.results import Case, Optimisation, highest_load_sharing
 from gearjax.run import METRICS
 from gearjax.studies.minimise import UNIMPROVED
 from gearjax.studies.select import pick
+from gearjax.studies.sensitivity import FLAT_STEP
 from gearjax.studies.tradeoff import Tradeoff
 from gearjax.tolerance.precision import PrecisionShift
-from gearjax.units import arcmin, deg
+from gearjax.units import arcmin
 
 
 def print_tradeoff(comparison: Tradeoff) -> None:
@@ -47,7 +48,7 @@ def print_optimisation(optimisation: Optimisation) -> None:
     console = output()
     table = Table(title=f"{optimisation.section.objective.name}, {optimisation.section.window:g} s")
     parameters = optimisation.parameters
-    units = [p.dimension.shown if p.dimension else "" for p in parameters.values()]
+    units = [p.shown_in[0] for p in parameters.values()]
     unit = optimisation.unit
     columns = ["", unit.shown, *(f"{path} [{unit}]" for path, unit in zip(parameters, units, strict=True))]
     for column in (*columns, "evaluations", "run [s]", "compile [s]"):
@@ -83,10 +84,10 @@ def print_optimisation(optimisation: Optimisation) -> None:
     for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
         if flat:
             words = ", ".join(f"{path} {share:+.2f}" for path, share in zip(around.paths, direction, strict=True))
-            console.print(f"flat: 10 deg along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
+            console.print(f"flat: {around.told(FLAT_STEP)} along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
     for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
         console.print(
-            f"assembled with errors of up to {deviation / deg:g} deg: {mean / unit.per_shown:.4f} {unit.shown} "
+            f"assembled with errors of up to {around.told(deviation)}: {mean / unit.per_shown:.4f} {unit.shown} "
             f"on average, {worst / unit.per_shown:.4f} at worst",
             soft_wrap=True,
         )

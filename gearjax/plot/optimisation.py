@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from gearjax.analysis import order_spectrum
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure
 from gearjax.results import Case, Optimisation, required_run
+from gearjax.studies.sensitivity import FLAT_STEP
 from gearjax.units import arcmin
 
 NAMED_VALLEYS = 5
@@ -49,16 +50,17 @@ def _spectra(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> No
     turn = 2 * np.pi / orders["output"]
     dynamic = cases["before"].analysis == "dynamic"
     start = int(np.searchsorted(theta, run.settle * float(scene.system.input_speed))) if dynamic else 0
-    fastest = max(order for name, order in orders.items() if name != "mesh")
+    fastest, drawn = max(order for name, order in orders.items() if name != "mesh"), 0.0
     for stage, case in cases.items():
         spectrum = order_spectrum(case.record[start:], theta[start:], turn=turn, window="hann")
-        ax.semilogy(
-            spectrum.order, np.asarray(spectrum.amplitude) / arcmin, label=stage, linewidth=0.9, color=COLOURS[stage]
-        )
+        height = np.asarray(spectrum.amplitude) / arcmin
+        ax.plot(spectrum.order, height, label=stage, linewidth=0.9, color=COLOURS[stage])
+        drawn = max(drawn, height.max())
     highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)
     ax.set_xlim(0, min(6 * fastest / orders["output"], highest))
-    top = ax.get_ylim()[1]
-    ax.set_ylim(1e-5 * top, 2 * top)
+    if drawn > 0:  # without errors there is no TE without load
+        ax.set_yscale("log")
+        ax.set_ylim(1e-5 * drawn, 3 * drawn)
     finish(ax, f"{cases['before'].title}: spectrum", x="order [cycles per turn of the output]", y="amplitude [arcmin]")
     ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
 
@@ -131,7 +133,12 @@ def _directions(ax: Axes, optimisation: Optimisation) -> None:
         for rise, flat in zip(around.rises, around.flat, strict=True)
     ]
     ax.set_xticks(place, costs)
-    finish(ax, "Directions of curvature", x="cost of 10 deg along the direction", y="share of each number [-]")
+    finish(
+        ax,
+        "Directions of curvature",
+        x=f"cost of {around.told(FLAT_STEP)} along the direction",
+        y="share of each number [-]",
+    )
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
 
 
@@ -140,10 +147,10 @@ def _deviations(ax: Axes, optimisation: Optimisation) -> None:
     names = [_short(path) for path in around.paths]
     place = np.arange(len(names) + 2)
     width = 0.8 / len(around.deviations)
-    for index, deviation in enumerate(np.rad2deg(around.deviations)):
+    for index, deviation in enumerate(around.deviations):
         single = around.single[index].max(axis=1)
         heights = np.array([*single, around.mean[index], around.worst[index]]) / unit.per_shown
-        ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"off by {deviation:g} deg")
+        ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"off by {around.told(deviation)}")
     ax.axhline(around.objective / unit.per_shown, color="black", linewidth=0.9, label="as optimised")
     if (grid := optimisation.grid) is not None:
         ax.axhline(grid.objective / unit.per_shown, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])

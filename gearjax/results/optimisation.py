@@ -53,8 +53,7 @@ class Optimisation:
 
     def shown(self, path: str, value: float) -> float:
         """A free number in the unit that it is shown in."""
-        dimension = self.parameters[path].dimension
-        return value / dimension.per_shown if dimension else value
+        return value / self.parameters[path].shown_in[1]
 
     def as_json(self) -> dict:
         """The object that ``gearjax optimise --json`` prints."""
@@ -109,7 +108,7 @@ class Optimisation:
             "phases_deg": {path: value for path, value in shown.items() if periodic[path]},
         }
         others = {
-            path: {"value": value, "unit": dimension.shown if (dimension := self.parameters[path].dimension) else ""}
+            path: {"value": value, "unit": self.parameters[path].shown_in[0]}
             for path, value in shown.items()
             if not periodic[path]
         }
@@ -122,7 +121,8 @@ class Optimisation:
             self._key("hessian_eigenvalues"): (around.eigenvalues / size).tolist(),
             "directions": around.directions.tolist(),
             "flat": around.flat.tolist(),
-            "deviations_deg": np.rad2deg(around.deviations).tolist(),
+            **({"deviations_deg": np.rad2deg(around.deviations).tolist()} if any(around.angles) else {}),
+            **({} if all(around.angles) else {"deviations_of_bounds": around.deviations.tolist()}),
             self._key("worst"): (around.worst / size).tolist(),
             self._key("mean"): (around.mean / size).tolist(),
         }
@@ -177,7 +177,7 @@ def save_optimisation(optimisation: Optimisation, config: str, folder: Path) -> 
     """
     search = optimisation.gradient
     parameters = optimisation.parameters
-    header = [f"{path} [{p.dimension.shown if p.dimension else '-'}]" for path, p in parameters.items()]
+    header = [f"{path} [{p.shown_in[0] or '-'}]" for path, p in parameters.items()]
     unit = optimisation.unit
     lines = [",".join(["start", *header, f"objective [{unit.shown}]", "valley", "result"])]
     for index, end in enumerate(search.ends):

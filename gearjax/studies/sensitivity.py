@@ -32,6 +32,7 @@ class LocalSensitivity(eqx.Module):
 
     Args:
         paths: the free numbers.
+        angles: which of them are angles.
         point: their values, shape (free,), SI.
         objective: the objective there.
         gradient: of the hard objective; at a kink the shortest of its subgradients, zero at an optimum, shape (free,).
@@ -47,6 +48,7 @@ class LocalSensitivity(eqx.Module):
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
+    angles: tuple[bool, ...] = eqx.field(static=True)
     point: np.ndarray
     objective: float
     gradient: np.ndarray
@@ -63,6 +65,13 @@ class LocalSensitivity(eqx.Module):
     def flat(self) -> np.ndarray:
         """Which directions cost nothing: less than 1 % of the objective, shape (free,)."""
         return self.rises < FLAT
+
+    def told(self, deviation: float) -> str:
+        """A deviation [rad or spans] in words, such as ``5 deg``, or ``8.7 % of the span between the bounds``."""
+        angle, share = f"{deviation / deg:g} deg", f"{100 * deviation:.2g} % of the span between the bounds"
+        if all(self.angles):
+            return angle
+        return f"{angle}, or {share}" if any(self.angles) else share
 
 
 @arguments.checked()
@@ -127,6 +136,7 @@ def local_sensitivity(
     all_of_them = np.concatenate([rest, np.full((len(deviations), 1), here)], axis=1)
     return LocalSensitivity(
         paths=free.paths,
+        angles=tuple(free.periodic.tolist()),
         point=point,
         objective=here,
         temperature=temperature,
