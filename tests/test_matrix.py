@@ -423,7 +423,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
     },
     "tradeoff": None,  # some forty settings: tests/test_tradeoff.py
     "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
-    "reproduce": None,  # of papers, not of a configuration: test_published.py, test_involute_rv_published.py
+    "reproduce": None,  # of papers, not of a configuration: test_published.py and others
 }
 
 

@@ -207,8 +207,12 @@ def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar
 
     whole = jnp.zeros((), jnp.int32), jnp.full((), number, jnp.int32)
     reaches, _ = jax.lax.fori_loop(0, number.bit_length(), halve, whole)
+    # Half way from the last place before: XLA may work positions out anew here, rounded otherwise than those sorted, of
+    # which many are all but equal where flanks are not modified.
+    before = jnp.where(reaches > 0, places[jnp.maximum(reaches, 1) - 1], -jnp.inf)
     place = jnp.where(reaches < number, places[jnp.minimum(reaches, number - 1)], jnp.inf)
-    return jnp.where(lever < 0, touch >= place, touch < place)
+    between = 0.5 * (before + place)
+    return jnp.where(lever < 0, touch > between, touch < between)
 
 
 def _added_one_by_one(values: Float[Array, " contact"]) -> Scalar:

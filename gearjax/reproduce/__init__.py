@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gearjax.progress import Progress
-from gearjax.reproduce import involute_rv, rv_cycloidal, two_kv
+from gearjax.reproduce import helical, involute_rv, rv_cycloidal, two_kv
 from gearjax.reproduce.figures import save_loads_figure
 from gearjax.reproduce.rows import Row
 
@@ -28,6 +28,7 @@ PAPERS = {
     "two_kv": Paper(two_kv.PAPER, two_kv.rows),
     "rv_cycloidal": Paper(rv_cycloidal.PAPER, rv_cycloidal.rows),
     "involute_rv": Paper(involute_rv.PAPER, involute_rv.rows, save_loads_figure),
+    "helical": Paper(helical.PAPER, helical.rows),
 }
 
 __all__ = ["PAPERS", "Paper", "Row"]

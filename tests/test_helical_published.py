@@ -1,0 +1,56 @@
+"""Guo and Fang (2018): what `gearjax reproduce helical` prints."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.cli import main
+from gearjax.reproduce import helical
+from gearjax.units import um
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return {row.item: row for row in helical.rows()}
+
+
+def test_frequencies_and_run_outs_are_reproduced(rows):
+    """All that rests on printed numbers; what does not says which are missing."""
+    missed = {item for item, row in rows.items() if row.published and row.status != "reproduced"}
+    assert missed == {
+        f"{table}, {speed} rpm, simulation {simulation}, {name}"
+        for table, speed in (("Table 4", "50.8"), ("Table 6", "2104"))
+        for simulation, names in ((1, ("f_g", "f_p", "f_m")), (2, ("f_m",)), (3, ("f_g", "f_p", "f_m")))
+        for name in names
+    }
+    assert all(rows[item].why for item in missed)
+    assert len(rows) == 44
+
+
+def test_run_outs_are_seen_in_full_and_make_no_sidebands(rows):
+    """Along the base tangent a run-out is its own amplitude, whatever the load does."""
+    for name, amplitude in (("f_g", 20.0), ("f_p", 15.0)):
+        assert rows[f"Table 4, 50.8 rpm, simulation 2, {name}"].computed == pytest.approx(amplitude, rel=1e-9)
+    assert all(row.computed < 1e-9 for item, row in rows.items() if "height" in item)
+
+
+def test_the_mesh_order_is_that_of_one_mesh_without_run_outs(rows):
+    """Another record and no run-outs: 32 angles of one mesh."""
+    gears = helical.scene()
+    alone = gj.Scene(gears.system, compliance=gears.compliance)
+    theta = 2 * math.pi / 19 / 32 * np.arange(32)
+    te = np.asarray(gj.transmission_error(alone, theta, helical.TORQUE).te)
+    height = np.abs(np.fft.rfft(te)[1]) / 16 * 0.134264 / um
+    assert rows["Table 4, 50.8 rpm, simulation 2, f_m"].computed == pytest.approx(height, rel=0.02)
+
+
+def test_the_command_prints_them(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["reproduce", "helical", "--json"])
+    assert ended.value.code == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["paper"] == helical.PAPER
+    assert {row["status"] for row in printed["rows"]} == {"reproduced", "not reproduced", "not published"}
