@@ -307,9 +307,9 @@ class Scene(eqx.Module):
         if isinstance(self.compliance, AbstractSliceCompliance):
             return self.compliance.springs(self._shown(pose, pose.slices, Request(back, slices=True)).slices)
         if stiffness == "mean":
-            return LinearSprings(layout.per_contact(self.compliance.mean_stiffness(layout.teeth)))
+            return LinearSprings(layout.per_contact(layout.apiece(self.compliance.mean_stiffness(layout.teeth))))
         angle = self._shown(pose, pose.mesh_angle, Request(back, mesh=True)).mesh_angle
-        return LinearSprings(layout.per_contact(self.compliance.stiffness(angle)))
+        return LinearSprings(layout.per_contact(layout.apiece(self.compliance.stiffness(angle))))
 
     def _shown(self, pose: Pose, part: Any, request: Request) -> Any:
         """The pose, or where a part of it was not asked for, one with it."""

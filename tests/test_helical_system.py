@@ -270,11 +270,30 @@ def test_bearings_take_the_components_of_the_force_along_the_normal():
 
 def test_slices_move_as_one_contact_and_are_refused_by_themselves():
     moving = {"load": gj.ConstantLoad(), "inertia": gj.MomentOfInertia(0.39), "damping": gj.DampingRatio(0.07)}
+    per_pair = gj.HarmonicStiffness(8e8, jnp.zeros(0), jnp.zeros(0))
+    for compliance, slices in ((TEETH, 6), (per_pair, 6), (per_pair, 1)):
+        scene = dataclasses.replace(scene_of(GUO_1, compliance=compliance, slices=slices), **moving)
+        with pytest.raises(gj.SceneError, match="one_contact"):
+            gj.simulate(scene, np.linspace(0.0, 0.1, 11), torque=830.0)
     scene = dataclasses.replace(scene_of(GUO_1, compliance=TEETH, slices=6), **moving)
-    with pytest.raises(gj.SceneError, match="one_contact"):
-        gj.simulate(scene, np.linspace(0.0, 0.1, 11), torque=830.0)
     one = gj.one_contact(scene, 830.0)
     assert one.error(830.0) < 2e-3 * gj.units.arcmin
+
+
+def test_slices_share_the_stiffness_of_their_pair():
+    """Of spur teeth all slices touch at once: however many there are, a pair is as stiff as it is said to be."""
+    angles = meshes_of(system_of(SPUR, slices=1), 24) + 0.003
+    per_pair = gj.HarmonicStiffness(3e8, jnp.zeros(0), jnp.zeros(0))
+    one, few, many = (
+        np.asarray(gj.transmission_error(scene_of(SPUR, compliance=per_pair, slices=slices), angles, 200.0).te)
+        for slices in (1, 4, 40)
+    )
+    np.testing.assert_allclose(few, one, rtol=1e-12)
+    np.testing.assert_allclose(many, one, rtol=1e-12)
+    base = float(system_of(SPUR).pair.gears[1].base_radius)
+    pairs = 200.0 / base / (3e8 * -one * base)
+    np.testing.assert_allclose(pairs, np.round(pairs), rtol=1e-9)
+    assert set(np.round(pairs)) == {1.0, 2.0}
 
 
 # gradients

@@ -11,6 +11,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.typing import Array, Scalar
+from tests.test_matrix import KINDS, Case
 
 
 class Shuffled(gj.AbstractSystem):
@@ -122,3 +123,24 @@ def test_a_layout_says_what_it_is_given():
 def test_layouts_that_cannot_be(side, pair, words):
     with pytest.raises(ValueError, match=words):
         gj.Layout(side, pair)
+
+
+def test_contacts_across_a_face_share_the_stiffness_of_their_pair():
+    whole = gj.Layout((1, 1, 1, 1), (0, 0, 1, 1), across=2)
+    np.testing.assert_array_equal(whole.per_contact(whole.apiece(jnp.asarray([6.0, 8.0]))), [3.0, 3.0, 4.0, 4.0])
+    with pytest.raises(ValueError, match="3 across the face: must divide the 2 contacts"):
+        gj.Layout((1, 1, 1, 1), (0, 0, 1, 1), across=3)
+
+
+def test_points_across_the_face_of_an_involute_reducer_change_no_stiffness():
+    """At rest and in motion, as they all touch at once."""
+    scene = Case("involute_rv", *KINDS).moved
+    one, three = (
+        dataclasses.replace(scene, system=dataclasses.replace(scene.system, face_points=points), run=None)
+        for points in (1, 3)
+    )
+    theta, ts = np.linspace(0.0, 0.1, 11), np.linspace(0.0, 0.01, 21)
+    rest = [np.asarray(gj.transmission_error(each, theta, 20.0).te) for each in (one, three)]
+    np.testing.assert_allclose(rest[1], rest[0], rtol=1e-9)
+    motion = [np.asarray(gj.simulate(each, ts, 20.0).te) for each in (one, three)]
+    np.testing.assert_allclose(motion[1], motion[0], rtol=1e-9)

@@ -74,7 +74,7 @@ class GearSet:
     def tables(self) -> dict[str, Any]:
         found = read_tables(read_file(ROOT / "configs" / self.file))
         found["system"] |= self.changes["system"]
-        return found | {key: part for key, part in self.changes.items() if key != "system"} | {"run": RUN}
+        return found | {"run": RUN} | {key: part for key, part in self.changes.items() if key != "system"}
 
     @property
     def scene(self) -> gj.Scene:
@@ -149,6 +149,7 @@ GEAR_SETS["helical_pair"] = GearSet(
         "backlash": {"initial": "20 um"},
         "inertia": {"moment_of_inertia": "0.4 kg*m^2"},
         "damping": {"ratio": 0.05},
+        "run": RUN | {"analyses": ["no_load", "backlash", "static"]},
     },
     {
         "phase": Number("errors.pinion.phase"),
@@ -309,12 +310,14 @@ OF_NO_GEAR_SET = {
     "total_pitch_tolerance",
     "xla_options",
 }
+MOTION = ("chosen_steps", "growth_rate", "harmonic_balance", "periodic_motion", "shooting", "simulate", "speed_sweep")
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("contact_pressure", "two_kv", ""): "line contacts",
     **{
         ("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")
     },
     ("allocate", "", "phase"): "is no tolerance",
+    **{(name, "helical_pair", ""): "makes one contact of them" for name in MOTION},
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
     **{
         (name, kind, "element"): "does not depend on it"

@@ -15,6 +15,8 @@ from gearjax.typing import Array, Float, Number, Scalar
 class HarmonicStiffness(AbstractCompliance):
     """Stiffness of one pair, ``k = mean (1 + sum_n a_n cos(n psi + phase_n))`` (Wang et al. 2020, eq. 20).
 
+    Contacts across the face of a pair, such as slices of it, share its stiffness evenly.
+
     Args:
         mean: mean stiffness of one pair along the line of action [N/m].
         relative_amplitudes: a_n of the harmonics of the mesh frequency, shape (harmonic,); empty for constant.

@@ -23,6 +23,8 @@ class Layout:
         pair: of each contact, the pair of teeth whose flank it is, counted from 0: its flanks share one stiffness and
             one damper. Every pair has as many contacts as any other.
         mesh: of each contact, the mesh of a train that it is in, counted from the input; all in one without.
+        across: how many contacts of a pair lie beside each other across its face, each with its part of the pair's
+            stiffness.
 
     Raises:
         ValueError: sides and pairs of contacts that cannot be.
@@ -31,6 +33,7 @@ class Layout:
     side: tuple[int, ...]
     pair: tuple[int, ...]
     mesh: tuple[int, ...] = ()
+    across: int = 1
 
     def __post_init__(self):
         if len(self.side) != len(self.pair) or not self.side:
@@ -42,6 +45,8 @@ class Layout:
         counts = np.bincount(self.pair)
         if counts.min() != counts.max():
             raise ValueError(f"pairs have {counts.min()} to {counts.max()} contacts: every pair needs as many")
+        if self.across < 1 or counts[0] % self.across:
+            raise ValueError(f"{self.across} across the face: must divide the {counts[0]} contacts of a pair")
 
     @classmethod
     @functools.cache  # by analyses too, each time that they are called
@@ -114,8 +119,11 @@ class Layout:
         order = np.argsort(np.argsort(-np.asarray(self.side), kind="stable"))
         return together if (order == np.arange(len(order))).all() else together[order]
 
+    def apiece(self, of_pairs: Array) -> Array:
+        """What one contact has of the stiffness of each pair: those across the face share it."""
+        return of_pairs if self.across == 1 else of_pairs / self.across
+
     def per_contact(self, of_pairs: Array) -> Array:
-        """Numbers of each pair at each of its contacts, along the first axis."""
         repeats = len(self.pair) // self.teeth
         if self.pair == tuple(range(self.teeth)) * repeats:  # a copy, which compiles to less than a choice of places
             return of_pairs if repeats == 1 else jnp.concatenate([of_pairs] * repeats)

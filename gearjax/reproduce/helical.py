@@ -117,7 +117,7 @@ def _frequency(item: str, published: str, computed: float) -> Row:
 
 def _frequencies(speed: str) -> list[Row]:
     named = zip(("f_g", "f_p", "f_m"), FREQUENCIES[speed], _of(speed), strict=True)
-    return [_frequency(f"{TABLES[speed][0]}, {speed} rpm, {name}", *pair) for name, *pair in named]
+    return [_frequency(f"{TABLES[speed][0]}, {speed} rpm, {name}", text, own) for name, text, own in named]
 
 
 def _sidebands(speed: str) -> list[Row]:

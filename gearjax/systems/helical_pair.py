@@ -258,4 +258,5 @@ def _layout(pairs: int, slices: int, back: bool) -> Layout:
     """Every flank of a pair of teeth is a pair of its own: driving and back flanks touch on different teeth."""
     sides = (1, -1) if back else (1,)
     side = tuple(side for side in sides for _ in range(pairs * slices))
-    return Layout(side, tuple(pair for pair in range(len(sides) * pairs) for _ in range(slices)))
+    pair = tuple(pair for pair in range(len(sides) * pairs) for _ in range(slices))
+    return Layout(side, pair, across=slices)

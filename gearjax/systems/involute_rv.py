@@ -206,7 +206,7 @@ class InvoluteRV(AbstractSystem):
         return jnp.asarray(0.0 if first is None else first.with_output, self.module.dtype)
 
     def layout(self, request: Request) -> Layout:
-        return _layout(self.gears, self.pairs, self.profile_points * self.face_points, request.back)
+        return _layout(self.gears, self.pairs, self.profile_points, self.face_points, request.back)
 
     def candidates(self, theta: Scalar, back: bool) -> Candidates:
         """Points on flanks that may touch at an input angle [rad]."""
@@ -340,8 +340,9 @@ class InvoluteRV(AbstractSystem):
 
 
 @functools.cache  # by analyses too, each time that they are called
-def _layout(gears: int, pairs: int, points: int, back: bool) -> Layout:
+def _layout(gears: int, pairs: int, profile_points: int, face_points: int, back: bool) -> Layout:
     """Every flank of a pair is a pair of its own: driving and back flanks of a gear touch on different teeth."""
-    sides = (1, -1) if back else (1,)
+    sides, points = (1, -1) if back else (1,), profile_points * face_points
     side = tuple(side for side in sides for _ in range(gears * pairs * points))
-    return Layout(side, tuple(pair for pair in range(len(sides) * gears * pairs) for _ in range(points)))
+    pair = tuple(pair for pair in range(len(sides) * gears * pairs) for _ in range(points))
+    return Layout(side, pair, across=face_points)

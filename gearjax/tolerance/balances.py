@@ -131,7 +131,7 @@ def _flat(scene: Scene, varied: Sequence[str]) -> Float[Array, " number"]:
 
 def _applied(scene: Scene, torque: float) -> Scalar:
     """Generalised force on the output over the stiffness of a contact, which is the same for all [m^2/rad]."""
-    return -torque / scene.linear_compliance.mean_stiffness(1)[0]
+    return -torque / scene.layout.apiece(scene.linear_compliance.mean_stiffness(1))[0]
 
 
 def _edges(lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], analysis: str) -> Float[Array, " lane"]:

@@ -43,7 +43,7 @@ class Slow(NamedTuple):
 
 
 class Fast(NamedTuple):
-    """What drives a step and follows the teeth or the load: stiffness of each pair [N/m], load torque [N m]."""
+    """What drives a step and follows the teeth or the load: stiffness of a contact of each pair [N/m], load [N m]."""
 
     stiffness: Numbers
     torque: Array
@@ -165,7 +165,7 @@ def _total(parts: list[Array], nothing: Array) -> Array:
 
 
 class Harmonics(NamedTuple):
-    """Stiffness of each pair as a Fourier series of its mesh phase.
+    """Stiffness of a contact of each pair as a Fourier series of its mesh phase.
 
     Args:
         mean: shape (pair,) [N/m].
@@ -183,7 +183,8 @@ class Harmonics(NamedTuple):
         number = 2 * compliance.harmonics + 1
         angles = 2 * np.pi * np.arange(number) / number
         dtype = equation.scene.dtype
-        sampled = jnp.stack([compliance.stiffness(jnp.full((pairs,), angle, dtype)) for angle in angles])
+        of_pairs = jnp.stack([compliance.stiffness(jnp.full((pairs,), angle, dtype)) for angle in angles])
+        sampled = equation.layout.apiece(of_pairs)
         order = np.arange(1, compliance.harmonics + 1)[:, None] * angles[None, :]
         waves = [jnp.asarray(2 / number * wave, dtype) for wave in (np.cos(order), np.sin(order))]
         cosine, sine = ((wave[:, :, None] * sampled[None, :, :]).sum(axis=1) for wave in waves)

@@ -59,7 +59,8 @@ class Lines(eqx.Module):
         jacobian, coefficient = now.jacobian, equation.coefficient
         contacts, coordinates = jacobian.shape
         apart = not equation.levers_turn and contacts <= coordinates
-        mean = equation.layout.per_contact(equation.scene.linear_compliance.mean_stiffness(equation.layout.teeth))
+        layout = equation.layout
+        mean = layout.per_contact(layout.apiece(equation.scene.linear_compliance.mean_stiffness(layout.teeth)))
         if equation.layout.sides_turn:
             carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0
         else:
