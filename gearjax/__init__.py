@@ -73,6 +73,7 @@ from gearjax.contact import (
 )
 from gearjax.errors import (
     AbstractError,
+    AbstractRelief,
     Crowning,
     CumulativePitch,
     Eccentricity,
@@ -154,6 +155,7 @@ __all__ = [
     "AbstractError",
     "AbstractLineContact",
     "AbstractLoad",
+    "AbstractRelief",
     "AbstractSliceCompliance",
     "AbstractSystem",
     "AbstractToothCompliance",

@@ -3,7 +3,7 @@
 from gearjax.errors.base import AbstractError
 from gearjax.errors.eccentricity import Eccentricity
 from gearjax.errors.helix import Crowning, EndRelief, HelixSlope
-from gearjax.errors.profile import ProfileForm, ProfileSlope, RootRelief, TipRelief
+from gearjax.errors.profile import AbstractRelief, ProfileForm, ProfileSlope, RootRelief, TipRelief
 from gearjax.errors.rim import CumulativePitch, Positions, Sizes
 
 ERRORS: tuple[type[AbstractError], ...] = (
@@ -23,6 +23,7 @@ ERRORS: tuple[type[AbstractError], ...] = (
 __all__ = [
     "ERRORS",
     "AbstractError",
+    "AbstractRelief",
     "Crowning",
     "CumulativePitch",
     "Eccentricity",
