@@ -127,7 +127,7 @@ def require(scene: Scene, what: str, *slots: str) -> None:
     if scene.compliance is not None and couples(scene.compliance):
         words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) makes one of them"
         raise SceneError(f'"{what}" needs springs one by one: {words}')
-    if scene.system.has_slices:  # they leave their flanks faster than steps resolve
+    if scene.system.has_slices:  # contacts come onto the path and leave it within a step
         words = "gj.one_contact(scene, torque) makes one contact of them"
         raise SceneError(f'"{what}" is not for slices of contact lines yet: {words}')
     coordinates = scene.moving.coordinates

@@ -10,9 +10,8 @@ import pytest
 
 import gearjax as gj
 from tests.helical_pairs import GUO_1, TEETH, scene_of
-from tests.test_matrix import GEAR_SETS, KINDS, MOTION, REFUSED, TORQUE, Case
+from tests.test_matrix import KINDS, MOVES, TORQUE, Case
 
-MOVES = [name for name in GEAR_SETS if (MOTION[-2], name, "") not in REFUSED]
 APART = 2e-3  # of the peak-to-peak
 
 

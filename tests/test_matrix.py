@@ -325,6 +325,7 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
         for kind in ("two_kv", "involute_rv", "helical_pair")
     },
 }
+MOVES = [name for name in GEAR_SETS if ("simulate", name, "") not in REFUSED]  # by their own contacts
 
 
 def refusal(function: str, gear_set: str, kind: str) -> str | None:

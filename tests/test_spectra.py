@@ -138,11 +138,11 @@ def test_shipped_configurations_run_without_a_warning(tmp_path, word, name):
     if (word, name) == ("tolerance", "two_kv/wang_2020_tolerance.toml"):
         answers_everything(done.stdout, json.loads((tmp_path / "out" / "tolerance.json").read_text(encoding="utf-8")))
     if (word, name) == ("optimise", "helical/guo_2018_optimise.toml"):
-        runs_quietly(done.stdout, tmp_path / "out")
+        swings_less(done.stdout, tmp_path / "out")
 
 
-def runs_quietly(printed: str, folder: Path) -> None:
-    """Reliefs in micrometres that make the pair run a third as loud, and what errors of them cost."""
+def swings_less(printed: str, folder: Path) -> None:
+    """Reliefs in micrometres, with which the TE swings a third as far, and what errors of them cost."""
     assert "8.7 % of the span between the bounds: " in printed
     with (folder / "starts.csv").open(encoding="utf-8") as file:
         first = next(csv.DictReader(file))

@@ -12,7 +12,7 @@ from gearjax.config import loads
 from gearjax.studies.tradeoff import STEPS, WIDTHS, accurate_step, static_choices, tradeoff
 from gearjax.units import arcmin
 from tests.test_cli import command
-from tests.test_matrix import GEAR_SETS, RUN
+from tests.test_matrix import GEAR_SETS, MOVES, RUN
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_tradeoff(short, tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gear_set", ["rv_cycloidal", "involute_rv"])  # that of two_kv is above
+@pytest.mark.parametrize("gear_set", [name for name in MOVES if name != "two_kv"])  # whose report is that above
 def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     """Every kind of setting; of step lengths and widths the ends."""
     monkeypatch.setattr("gearjax.studies.tradeoff.STEPS", STEPS[::4])

@@ -207,8 +207,8 @@ def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar
 
     whole = jnp.zeros((), jnp.int32), jnp.full((), number, jnp.int32)
     reaches, _ = jax.lax.fori_loop(0, number.bit_length(), halve, whole)
-    # Half way from the last place before: XLA may work positions out anew here, rounded otherwise than those sorted, of
-    # which many are all but equal where flanks are not modified.
+    # They are told apart half way between two places, not at one: XLA may work positions out again for this comparison,
+    # rounded otherwise than the sorted ones, and on flanks without modification many are equal to rounding.
     before = jnp.where(reaches > 0, places[jnp.maximum(reaches, 1) - 1], -jnp.inf)
     place = jnp.where(reaches < number, places[jnp.minimum(reaches, number - 1)], jnp.inf)
     between = 0.5 * (before + place)

@@ -124,6 +124,7 @@ class Layout:
         return of_pairs if self.across == 1 else of_pairs / self.across
 
     def per_contact(self, of_pairs: Array) -> Array:
+        """Numbers of each pair at each of its contacts, along the first axis."""
         repeats = len(self.pair) // self.teeth
         if self.pair == tuple(range(self.teeth)) * repeats:  # a copy, which compiles to less than a choice of places
             return of_pairs if repeats == 1 else jnp.concatenate([of_pairs] * repeats)

@@ -222,13 +222,9 @@ class InvolutePair(eqx.Module):
         return InternalPair(*self.gears, self.centre_distance)
 
     @property
-    def _radii(self) -> tuple[Scalar, Scalar]:
-        return _both(0.5 * teeth * self.transverse_module for teeth in self.teeth)
-
-    @property
     def reference_diameters(self) -> tuple[Scalar, Scalar]:
         """``d = z m_n / cos beta`` [m]."""
-        return _both(2 * radius for radius in self._radii)
+        return _both(2 * gear.reference_radius for gear in self.gears)
 
     @property
     def base_diameters(self) -> tuple[Scalar, Scalar]:

@@ -195,7 +195,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         result = case.result
         if not isinstance(result, TransmissionError) or result.forces is None:
             continue
-        if type(scene.system) in OF_GEAR_SETS:
-            name, figure = OF_GEAR_SETS[type(scene.system)]
-            figures[name] = figure(scene, result)
+        for gear_set, (name, figure) in OF_GEAR_SETS.items():
+            if isinstance(scene.system, gear_set):
+                figures[name] = figure(scene, result)
     return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]

@@ -56,7 +56,7 @@ BANDS = (
 )
 
 
-def scene(speed: float = SPEEDS["50.8"], slices: int = 20) -> Scene:
+def scene(speed: float = SPEEDS["50.8"]) -> Scene:
     """The pair of table 1 with the run-outs of simulation 2 and flanks without modification; bores are fitted."""
     errors = {
         body: Eccentricity(body=body, amplitude=amplitude, phase=phase * deg)
@@ -71,7 +71,7 @@ def scene(speed: float = SPEEDS["50.8"], slices: int = 20) -> Scene:
         face_width=75 * mm,
         centre_distance=201 * mm,
         input_speed=speed,
-        slices=slices,
+        slices=20,
     )
     teeth = ToothSlices(youngs_modulus=206e9, poissons_ratio=0.3, pinion_bore=40 * mm, wheel_bore=80 * mm)
     return Scene(pair, errors, compliance=teeth)

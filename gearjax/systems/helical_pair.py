@@ -38,6 +38,9 @@ class HelicalPair(AbstractSystem):
     share of it that is on the path, at the middle of that. Or they go on at the corner of a tip, with the gap between
     it and the other flank, by which loaded teeth come into contact early.
 
+    Slices come onto the path and leave it faster than steps of a motion resolve: analyses of motion are of the one
+    contact that `gearjax.one_contact` makes of them.
+
     Bodies: ``pinion`` and ``wheel``. Run-out turns with its gear, phase counted as the gear turns from the line towards
     the other's axis (of an internal gear from the line towards the pinion). Teeth are counted from 0, in the order in
     which they come into mesh; tooth 0 touches at the pitch point, in the middle of the face, at input angle 0.

@@ -43,7 +43,8 @@ class Slow(NamedTuple):
 
 
 class Fast(NamedTuple):
-    """What drives a step and follows the teeth or the load: stiffness of a contact of each pair [N/m], load [N m]."""
+    """What drives a step and follows the teeth or the load: stiffness of a contact of each pair [N/m], load torque
+    [N m]."""
 
     stiffness: Numbers
     torque: Array

@@ -55,13 +55,13 @@ class Lines(eqx.Module):
     @classmethod
     def of(cls, equation: StructureEquation, start: Scalar) -> "Lines":
         """Lines that suit a scene, with the springs that carry at the start."""
-        now, first = equation.excitation(start), equation.layout.flanks[0]
+        layout = equation.layout
+        now, first = equation.excitation(start), layout.flanks[0]
         jacobian, coefficient = now.jacobian, equation.coefficient
         contacts, coordinates = jacobian.shape
         apart = not equation.levers_turn and contacts <= coordinates
-        layout = equation.layout
         mean = layout.per_contact(layout.apiece(equation.scene.linear_compliance.mean_stiffness(layout.teeth)))
-        if equation.layout.sides_turn:
+        if layout.sides_turn:
             carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0
         else:
             carries = equation.loaded(jacobian, now.torque)
@@ -69,7 +69,7 @@ class Lines(eqx.Module):
         if not apart:
             unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
             if coefficient is not None:
-                acts = jnp.where(carries[first], coefficient, 0.0) if equation.layout.sides_turn else coefficient
+                acts = jnp.where(carries[first], coefficient, 0.0) if layout.sides_turn else coefficient
                 damping = jacobian[first].T @ (acts[:, None] * jacobian[first])
             return cls(equation, unit, unit, jacobian.T @ (held[:, None] * jacobian), damping, apart)
         columns = [jacobian.T, jnp.zeros((coordinates, 1), jacobian.dtype).at[0].set(-1.0)]
@@ -77,7 +77,7 @@ class Lines(eqx.Module):
             columns.append(equation.structure.push[:, None])
         damping = None
         if coefficient is not None:
-            damping = jnp.diag(equation.layout.on_first(coefficient))
+            damping = jnp.diag(layout.on_first(coefficient))
         return cls(equation, jacobian, jnp.concatenate(columns, axis=1), jnp.diag(held), damping, apart)
 
     @property
