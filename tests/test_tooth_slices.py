@@ -12,7 +12,10 @@ from gearjax.units import mm, um
 from tests.helical_pairs import (
     GUO_1,
     GUO_2,
+    INTERNAL,
+    RING,
     SPUR,
+    SPUR_RING,
     STEEL,
     TEETH,
     meshes_of,
@@ -90,22 +93,28 @@ def test_foundation_is_near_that_of_an_elastic_layer():
             assert (own / other < high).all()
 
 
-def test_energy_of_a_tooth_is_that_of_fine_quadrature():
-    """Bending, shear and compression by scipy, of the pinion of the published pair, at three heights."""
+@pytest.mark.parametrize(
+    ("given", "number"),
+    [(GUO_1, 0), (SPUR, 1), (INTERNAL, 1), (RING, 1), (SPUR_RING, 1)],
+    ids=["pinion", "wheel", "internal", "shifted ring", "spur ring"],
+)
+def test_energy_of_a_tooth_is_that_of_fine_quadrature(given, number):
+    """Bending, shear and compression by scipy, of external and internal gears, at three heights."""
     from scipy.integrate import quad
 
-    gear = system_of(GUO_1).pair.gears[0]
+    gear = system_of(given).pair.gears[number]
     modulus, rigidity = 206e9 / (1 - 0.09), 206e9 / 2.6
-    base, root = float(gear.base_radius), float(gear.root_radius)
-    root_angle = float(gear.half_angle(jnp.maximum(gear.root_radius, base * (1 + 1e-12))))
+    base, root, tip = float(gear.base_radius), float(gear.root_radius), float(gear.tip_radius)
 
     def half_angle(radius):
         return float(gear.half_angle(jnp.asarray(max(radius, base * (1 + 1e-12)))))
 
     for share in (0.3, 0.6, 1.0):
-        radius = base + share * (float(gear.tip_radius) - base)
-        half, slant = half_angle(radius), math.acos(base / radius) - half_angle(radius)
-        foot, height = root * math.cos(root_angle), radius * math.cos(half)
+        lowest = max(base, root) if not gear.internal else root
+        radius = lowest + share * (tip - lowest)
+        half = half_angle(radius)
+        slant = math.acos(base / radius) + (half if gear.internal else -half)
+        foot, height = root * math.cos(half_angle(root)), radius * math.cos(half)
 
         def energy(level, at=(height, radius * math.sin(half), slant)):
             # the flank's radius at this height, by bisection
@@ -114,12 +123,12 @@ def test_energy_of_a_tooth_is_that_of_fine_quadrature():
                 middle = 0.5 * (low + high)
                 low, high = (middle, high) if middle * math.cos(half_angle(middle)) < level else (low, middle)
             thick = 2 * low * math.sin(half_angle(low))
-            moment = math.cos(at[2]) * (at[0] - level) - math.sin(at[2]) * at[1]
+            moment = math.cos(at[2]) * abs(at[0] - level) - math.sin(at[2]) * at[1]
             bent = 12 * moment**2 / thick**3 / modulus
             return bent + (1.2 * math.cos(at[2]) ** 2 / rigidity + math.sin(at[2]) ** 2 / modulus) / thick
 
         points = [base * math.cos(half_angle(base))] if base > root else None
-        exact = quad(energy, foot, height, points=points, epsrel=1e-8)[0]
+        exact = quad(energy, *sorted((foot, height)), points=points, epsrel=1e-8)[0]
         found = TEETH._tooth(gear, jnp.asarray(math.sqrt((radius / base) ** 2 - 1))) / TEETH.line_contact.plane_modulus
         assert float(found) == pytest.approx(exact, rel=2e-3)  # the height of a flank goes by its own angle there
 

@@ -140,8 +140,8 @@ class ToothSlices(AbstractSliceCompliance):
         foot, sign = _foot(gear), -1.0 if gear.internal else 1.0
         arm = sign * (height - foot)
         # below the base circle flanks are straight: the integral has two parts, each of a smooth function
-        bent = jnp.maximum(sign * (gear.base_radius * jnp.cos(gear.half_angle(gear.first_radius)) - foot), 0.0)
-        middle, rigidity = bent + 0.0 * arm, 2 / (1 - self.poissons_ratio)
+        middle = jnp.clip(sign * (gear.base_radius * jnp.cos(gear.half_angle(gear.first_radius)) - foot), 0.0, arm)
+        rigidity = 2 / (1 - self.poissons_ratio)
         parts = (0.0 * arm, middle), (middle, arm)
         low, high = (_energy(gear, foot, ends, (arm, half, slant), rigidity) for ends in parts)
         return low + high
