@@ -40,7 +40,7 @@ from gearjax.analysis import (
     transmission_error,
 )
 from gearjax.analysis.metrics import Extremes
-from gearjax.checks import FewCandidates, GearjaxError, ParameterError, SceneError
+from gearjax.checks import FewCandidates, GearjaxError, ParameterError, RepairedData, SceneError
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
     AbstractCompliance,
@@ -59,10 +59,11 @@ from gearjax.compliance import (
     ToothSlices,
     iso6336_stiffness,
 )
-from gearjax.config import load, loads
+from gearjax.config import load, loads, read_flank, read_pitch
 from gearjax.contact import (
     AbstractContact,
     BodyView,
+    GearSize,
     HardContact,
     Layout,
     Pose,
@@ -73,12 +74,15 @@ from gearjax.contact import (
 )
 from gearjax.errors import (
     AbstractError,
+    AbstractMeasured,
     AbstractRelief,
     Crowning,
     CumulativePitch,
     Eccentricity,
     EndRelief,
     HelixSlope,
+    MeasuredFlank,
+    MeasuredPitch,
     Positions,
     ProfileForm,
     ProfileSlope,
@@ -133,12 +137,14 @@ from gearjax.tolerance import (
     TruncatedNormal,
     Uniform,
     UniformPhase,
+    flank_tolerance,
     it_tolerance,
     monte_carlo,
     run_out_tolerance,
     single_pitch_tolerance,
     total_pitch_tolerance,
 )
+from gearjax.tolerance.accuracy import GradedDeviation, accuracy_grades
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
 from gearjax.tolerance.statistics import Estimate
@@ -155,6 +161,7 @@ __all__ = [
     "AbstractError",
     "AbstractLineContact",
     "AbstractLoad",
+    "AbstractMeasured",
     "AbstractRelief",
     "AbstractSliceCompliance",
     "AbstractSystem",
@@ -186,7 +193,9 @@ __all__ = [
     "FewAngles",
     "FewCandidates",
     "FixedStep",
+    "GearSize",
     "GearjaxError",
+    "GradedDeviation",
     "GridSearch",
     "HardContact",
     "HarmonicStiffness",
@@ -211,6 +220,8 @@ __all__ = [
     "LostMotion",
     "MatchedAssembly",
     "Measure",
+    "MeasuredFlank",
+    "MeasuredPitch",
     "MeshStiffness",
     "Minimisation",
     "MomentOfInertia",
@@ -229,6 +240,7 @@ __all__ = [
     "RVCycloidal",
     "Rayleigh",
     "Reduction",
+    "RepairedData",
     "Request",
     "Rim",
     "RootRelief",
@@ -257,12 +269,14 @@ __all__ = [
     "UniformPhase",
     "Windows",
     "ZeroAtStart",
+    "accuracy_grades",
     "allocate",
     "backlash",
     "chosen_steps",
     "compensate",
     "contact_pressure",
     "export_profile",
+    "flank_tolerance",
     "grid_search",
     "growth_rate",
     "harmonic_balance",
@@ -282,7 +296,9 @@ __all__ = [
     "one_contact",
     "order_spectrum",
     "periodic_motion",
+    "read_flank",
     "read_influence",
+    "read_pitch",
     "register",
     "run_out_tolerance",
     "save_influence",

@@ -46,6 +46,10 @@ class FewCandidates(UserWarning):
     """Candidates are too few: more teeth would carry, or forces on single nodes tell of finite elements."""
 
 
+class RepairedData(UserWarning):
+    """Measured data have gaps, which were filled in, or values that do not go with their neighbours."""
+
+
 class SceneError(GearjaxError):
     """An analysis was asked for that the scene, as listed, does not allow."""
 

@@ -168,14 +168,15 @@ def angle(**bounds: Any) -> Any:
     return number(units.ANGLE, **bounds)
 
 
-def series(dimension: units.Dimension, **bounds: Any) -> Any:
+def series(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
     """A list of numbers of the given dimension, of any length; one number is a list of it."""
 
     def listed(given: Any) -> Any:
         leaf = as_leaf(given)
         return leaf.reshape(1) if isinstance(leaf, jax.Array) and not leaf.ndim else leaf
 
-    return _field(Parameter(dimension, "series", **bounds), converter=listed)
+    keywords = {} if default is dataclasses.MISSING else {"default": default}
+    return _field(Parameter(dimension, "series", **bounds), converter=listed, **keywords)
 
 
 def count(

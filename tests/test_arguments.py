@@ -30,6 +30,7 @@ OTHERS = {  # arguments that a function needs besides those that are tried
     "step": 0.1,
     "bounds": {},
     "distributions": {},
+    "body": "planet_1",
 }
 FUNCTIONS = {name: f for name in gj.__all__ if inspect.isfunction(f := getattr(gj, name))}
 PUBLIC = {"Tolerances": gj.Tolerances, **FUNCTIONS}

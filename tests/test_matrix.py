@@ -210,6 +210,7 @@ QUICK = ("lost_motion", "order_spectrum", "torsion", "transmission_error")
 OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "backlash": lambda case: gj.backlash(case.moved, case.theta),
     "chosen_steps": lambda case: gj.chosen_steps(case.moved, case.ts, TORQUE).step,
+    "accuracy_grades": lambda case: gj.accuracy_grades(case.scene, case.scene.system.bodies[0]),
     "contact_pressure": lambda case: gj.contact_pressure(case.moved, case.te(TORQUE), STEEL),
     "interference": lambda case: gj.interference(case.moved, case.theta),
     "export_profile": lambda case: np.loadtxt(_written(gj.export_profile, case.moved), delimiter=",", skiprows=1),
@@ -295,6 +296,9 @@ OF_NUMBERS: dict[str, Callable[[Case], Any]] = {
     ],
 }
 OF_NO_GEAR_SET = {
+    "flank_tolerance",
+    "read_flank",
+    "read_pitch",
     "influence_between",
     "influence_on_grid",
     "read_influence",
@@ -312,6 +316,7 @@ OF_NO_GEAR_SET = {
 }
 MOTION = ("chosen_steps", "growth_rate", "harmonic_balance", "periodic_motion", "shooting", "simulate", "speed_sweep")
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
+    ("accuracy_grades", "", ""): "lists no measured_flank",
     ("contact_pressure", "two_kv", ""): "line contacts",
     **{
         ("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")

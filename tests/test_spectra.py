@@ -96,6 +96,7 @@ COMMANDS = [
     ("run", "involute_rv/yang_2019.toml"),
     ("run", "helical/guo_2018.toml"),
     ("run", "helical/blankenship_1995.toml"),
+    ("run", "helical/guo_2018_measured.toml"),
     ("optimise", "two_kv/wang_2020_phases.toml"),
     ("optimise", "rv_cycloidal/hu_2020_phases.toml"),
     ("tolerance", "two_kv/wang_2020_tolerance.toml"),
@@ -105,6 +106,7 @@ COMMANDS = [
 ]
 WRITTEN = {
     ("run", "rv_cycloidal/hu_2020.toml"): {"stage.png", "contact_forces.png", "disc.csv", "disc.dxf", "results.nc"},
+    ("run", "helical/guo_2018_measured.toml"): {"plane_of_action.png", "measured.png", "results.nc"},
     ("run", "involute_rv/yang_2019.toml"): {"pair.png", "contact_forces.png", "results.nc"},
     ("tolerance", "two_kv/wang_2020_tolerance.toml"): {
         "histograms.png",

@@ -3,6 +3,7 @@
 import atexit
 import gc
 import sys
+import warnings
 
 import jax
 import typer
@@ -25,11 +26,17 @@ def _collect_seldom() -> None:
     atexit.register(gc.freeze)
 
 
+def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """A warning as one line, without the code that it came from."""
+    print(f"gearjax: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the command ``gearjax``."""
     stopping.say_when_stopped(stopping.nothing_kept)
     if arguments is None:
         stopping.listen()
+        warnings.showwarning = _say_warning
     jax.config.update("jax_enable_x64", True)
     programs.leave_out_where_from()
     folder, given = programs.kept_in(), sys.argv[1:] if arguments is None else arguments

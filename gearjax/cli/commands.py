@@ -11,12 +11,21 @@ import typer
 from rich.console import Console
 
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
-from gearjax.cli.tables import print_cases, print_optimisation, print_rows, print_shifts, print_tradeoff
-from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables
+from gearjax.cli.tables import (
+    print_accuracy,
+    print_cases,
+    print_optimisation,
+    print_rows,
+    print_shifts,
+    print_tradeoff,
+)
+from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables, self_contained
 from gearjax.files import writable, write_file
 from gearjax.reproduce import PAPERS, Row
 from gearjax.results import (
+    GradedGear,
     clash_of,
+    graded_gears,
     growth_remark,
     remarks,
     run_cases,
@@ -97,18 +106,31 @@ def run(
     words = None if overlap is None else overlap.told(scene)
     if words is not None:
         _progress.print(f"warning: {words}", soft_wrap=True)
+    graded = _graded(scene)
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
 
-        written = save(scene, cases, text, folder) + save_figures(scene, cases, folder)
+        written = save(scene, cases, self_contained(text, config.parent), folder) + save_figures(scene, cases, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
         told = {"config": str(config), "cases": [case.as_json() for case in cases]}
         if overlap is not None and words is not None:
             told["interference"] = overlap.as_json(scene)
+        if graded:
+            told["accuracy"] = [gear.as_json() for gear in graded]
         print(json.dumps(told, allow_nan=False))
     else:
         print_cases(cases, scene.system.told_of_forces)
+        print_accuracy(graded)
+
+
+def _graded(scene: Scene) -> list[GradedGear]:
+    """Gears that were measured, with their grades; none, and a note, where the standard does not cover their sizes."""
+    try:
+        return graded_gears(scene)
+    except ParameterError as fault:
+        _progress.print(f"note: no grades of accuracy: {fault}", soft_wrap=True)
+        return []
 
 
 def _papers(incomplete: str) -> list[str]:
@@ -169,7 +191,8 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
-        written = save_optimisation(optimisation, text, folder) + save_optimisation_figures(optimisation, folder)
+        written = save_optimisation(optimisation, text, folder, config.parent)
+        written += save_optimisation_figures(optimisation, folder)
         _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
     if json_:
         print(json.dumps(optimisation.as_json(), allow_nan=False))
@@ -247,7 +270,8 @@ def tolerance(
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
 
-        written = save_tolerance(results, work, text, folder) + save_tolerance_figures(results, folder)
+        written = save_tolerance(results, work, text, folder, config.parent)
+        written += save_tolerance_figures(results, folder)
         _say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
         print(json.dumps(results.as_json(), allow_nan=False))

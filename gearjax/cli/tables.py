@@ -7,14 +7,14 @@ from rich.console import Console
 from rich.table import Table
 
 from gearjax.reproduce import Row
-from gearjax.results import Case, Optimisation, highest_load_sharing
+from gearjax.results import Case, GradedGear, Optimisation, highest_load_sharing
 from gearjax.run import METRICS
 from gearjax.studies.minimise import UNIMPROVED
 from gearjax.studies.select import pick
 from gearjax.studies.sensitivity import FLAT_STEP
 from gearjax.studies.tradeoff import Tradeoff
 from gearjax.tolerance.precision import PrecisionShift
-from gearjax.units import arcmin
+from gearjax.units import arcmin, um
 
 
 def print_tradeoff(comparison: Tradeoff) -> None:
@@ -42,6 +42,19 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         console.print(f"no setting is within {allowed}", soft_wrap=True)
     else:
         console.print(f"cheapest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
+
+
+def print_accuracy(gears: list[GradedGear]) -> None:
+    """Deviations and grades of gears that were measured; nothing without such."""
+    if not gears:
+        return
+    table = Table(title="Measured deviations in um, grades of ISO 1328-1:2013")
+    for column in ("deviation", *(f"{gear.body}, {gear.flank} flanks" for gear in gears)):
+        table.add_column(column, justify="left" if column == "deviation" else "right")
+    for name in dict.fromkeys(name for gear in gears for name in gear.deviations):
+        each = [gear.deviations.get(name) for gear in gears]
+        table.add_row(name, *("" if one is None else f"{one.value / um:.1f}, {one.words}" for one in each))
+    output().print(table)
 
 
 def print_optimisation(optimisation: Optimisation) -> None:

@@ -2,9 +2,10 @@
 
 from gearjax.config.build import load, loads, loads_optimise, loads_tolerance, read_file, read_tables
 from gearjax.config.commented import template
+from gearjax.config.measured import read_flank, read_pitch
 from gearjax.config.optimise import OptimiseSection
 from gearjax.config.tolerance import ToleranceSection
-from gearjax.config.write import with_numbers
+from gearjax.config.write import self_contained, with_numbers
 
 __all__ = [
     "OptimiseSection",
@@ -14,7 +15,10 @@ __all__ = [
     "loads_optimise",
     "loads_tolerance",
     "read_file",
+    "read_flank",
+    "read_pitch",
     "read_tables",
+    "self_contained",
     "template",
     "with_numbers",
 ]

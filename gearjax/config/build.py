@@ -11,9 +11,10 @@ from typing import Any
 from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractToothCompliance
+from gearjax.config.measured import READERS
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
-from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys
+from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys, written
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
@@ -26,7 +27,7 @@ from gearjax.supports import Support
 from gearjax.systems import flank_radii
 
 _LARGEST_FILE = 1_000_000  # bytes
-_LONGEST_SERIES = 1000
+_LONGEST_SERIES = 1_000_000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
 CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
 REFERENCE_KEYS = {"zero": Key('"start" or "absolute"', '"start"', required=True)}
@@ -123,7 +124,7 @@ def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
     Raises:
         ParameterError: naming the key, what was given and what would be right.
     """
-    scene = _scene(_with_files(tables, Path(folder)))
+    scene = _scene(with_files(tables, Path(folder)))
     if "optimise" in tables:
         read_optimise(tables["optimise"], scene)
     if "tolerance" in tables:
@@ -131,9 +132,16 @@ def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
     return scene
 
 
-def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables with the files and folders that a compliance names looked for from a folder on, in full: what is
-    written of them again, or sent to other processes, means the same."""
+def with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The tables of a configuration that mean the same wherever they are read: values of errors that files hold stand
+    in them, files and folders that a compliance names are looked for from a folder on and named in full.
+
+    Raises:
+        GearjaxError: a file cannot be read, or something in it is wrong.
+    """
+    errors = tables.get("errors")
+    if isinstance(errors, dict):
+        tables = {**tables, "errors": {name: _read_in(name, table, folder) for name, table in errors.items()}}
     given = tables.get("compliance")
     if not isinstance(given, dict):
         return tables
@@ -142,6 +150,27 @@ def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     named = {key: given[key] for key in files if isinstance(given.get(key), str) and given[key]}
     full = {key: os.path.abspath(folder / os.path.expanduser(name)) for key, name in named.items()}
     return {**tables, "compliance": {**given, **full}} if full else tables
+
+
+def _read_in(name: str, table: Any, folder: Path) -> Any:
+    """The table of an error with the values of its file, if it names one."""
+    if not isinstance(table, dict) or "file" not in table or table.get("kind") not in READERS:
+        return table
+    key, kind = f"errors.{name}", table["kind"]
+    if not isinstance(table["file"], str):
+        raise ParameterError(f"{key}.file", table["file"], "must be the name of a CSV file in quotes")
+    part = next(known for known in kinds("gearjax.errors") if known.kind == kind)
+    try:
+        values = READERS[kind](folder / os.path.expanduser(table["file"]), table.get("flank", "both"))
+    except ParameterError as fault:
+        raise ParameterError(f"{key}.{fault.key}", fault.given, fault.right) from fault
+    except GearjaxError as fault:
+        raise GearjaxError(f"{key}: {fault}") from fault
+    both = [value for value in values if value in table and value != "flank"]
+    if both:
+        raise ParameterError(f"{key}.{both[0]}", table[both[0]], "is in the file too: give one of them")
+    read = {value: written(given, declared(part)[value]) for value, given in values.items()}
+    return {value: given for value, given in table.items() if value != "file"} | read
 
 
 def _scene(tables: dict[str, Any]) -> Scene:
@@ -211,7 +240,7 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
     Raises:
         GearjaxError: something in it is wrong, or there is no such section; one line that says where.
     """
-    tables = _with_files(read_tables(text), Path(folder))
+    tables = with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
     if "optimise" not in tables:
         raise GearjaxError(
@@ -227,7 +256,7 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
     Raises:
         GearjaxError: something in it is wrong, or there is no such section; one line that says where.
     """
-    tables = _with_files(read_tables(text), Path(folder))
+    tables = with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
     if "tolerance" not in tables:
         raise GearjaxError(

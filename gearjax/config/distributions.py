@@ -1,22 +1,17 @@
 """Distributions from the tables of a configuration, and measured values from columns of CSV files."""
 
-import csv
 import dataclasses
-import math
-import re
 from pathlib import Path
 from typing import Any
 
-from gearjax.checks import MISSING, GearjaxError, ParameterError, check_path, nearest
+from gearjax.checks import MISSING, ParameterError, check_path, nearest
+from gearjax.config.csv_files import MOST_ROWS, read_rows, some
 from gearjax.config.quantities import unit_size
 from gearjax.config.tables import Key, as_toml, in_words, known_keys, read_parameter, read_whole, require_keys
 from gearjax.parameters import Parameter
 from gearjax.tolerance import DISTRIBUTIONS, AbstractDistribution, Empirical
 from gearjax.tolerance.distributions import renamed
 
-_MOST_VALUES = 1_000_000
-_LARGEST_FILE = 1_000_000_000  # bytes
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 COLUMN_KEYS = {
     "file": Key("the name of a CSV file in quotes", '"measured.csv"', required=True),
     "column": Key("the name of a column in quotes", '"run_out"', required=True),
@@ -82,8 +77,8 @@ def _value(key: str, given: Any, declared: Parameter, leaf: Parameter) -> Any:
         return read_whole(key, given, int(declared.at_least), int(declared.at_most))
     own = dataclasses.replace(declared, dimension=declared.dimension or leaf.dimension)
     if declared.kind == "series":
-        if not isinstance(given, list | tuple) or not given or len(given) > _MOST_VALUES:
-            raise ParameterError(key, given, f"must be a list of 1 to {_MOST_VALUES} values")
+        if not isinstance(given, list | tuple) or not given or len(given) > MOST_ROWS:
+            raise ParameterError(key, given, f"must be a list of 1 to {MOST_ROWS} values")
         return tuple(
             v if isinstance(given, tuple) else read_parameter(f"{key}[{i}]", v, own) for i, v in enumerate(given)
         )
@@ -108,35 +103,10 @@ def _column(key: str, table: dict[str, Any], parameter: Parameter, folder: Path)
 
 
 def _numbers(key: str, path: Path, column_key: str, column: str) -> list[float]:
-    """The numbers in a column. Messages tell where a fault is, and nothing of what the file holds: it may be another
-    file than was meant."""
-    try:
-        if path.exists() and not path.is_file():
-            raise GearjaxError(f"{key}: {path}: cannot be read (not a file)")
-        if path.stat().st_size > _LARGEST_FILE:
-            raise GearjaxError(f"{key}: {path}: has more than {_LARGEST_FILE} bytes")
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(rows, [])]
-            if header.count(column) != 1:
-                how_many = "two columns or more" if column in header else f"none of the {len(header)} columns"
-                raise ParameterError(column_key, column, f"{how_many} in line 1 of {path} have this name, must be one")
-            place, values = header.index(column), []
-            for row in rows:
-                if not row:  # an empty line, such as the last
-                    continue
-                where = f"{key}: {path}: line {rows.line_num}"
-                if len(row) != len(header):
-                    raise GearjaxError(f"{where} has {len(row)} values, the first line has {len(header)}")
-                if not _NUMBER.fullmatch(row[place]) or not math.isfinite(float(row[place])):
-                    raise GearjaxError(f"{where}, column {place + 1}: is no number such as 0.5 or 5e-1")
-                values.append(float(row[place]))
-                if len(values) > _MOST_VALUES:
-                    raise GearjaxError(f"{key}: {path}: has more than {_MOST_VALUES} rows")
-    except OSError as fault:
-        raise GearjaxError(f"{key}: {path}: cannot be read ({fault.strerror or fault})") from fault
-    except (UnicodeDecodeError, csv.Error) as fault:
-        raise GearjaxError(f"{key}: {path}: not a CSV file in UTF-8") from fault
-    if not values:
-        raise GearjaxError(f"{key}: {path}: has no rows below its first line")
-    return values
+    """The numbers in a column."""
+    header, rows = read_rows(key, path)
+    if header.count(column) != 1:
+        how_many = "two columns or more" if column in header else f"none of the {len(header)} columns"
+        raise ParameterError(column_key, column, f"{how_many} in line 1 of {path} have this name, must be one")
+    place = header.index(column)
+    return [row.number(place) for row in some(key, path, rows)]

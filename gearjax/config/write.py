@@ -3,29 +3,48 @@
 import copy
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from gearjax.config.build import read_tables
+from gearjax.config.build import read_tables, with_files
 from gearjax.config.tables import written
 from gearjax.parameters import Parameter
 
 STUDIES = ("optimise", "tolerance", "published")  # sections that do not hold for the changed scene
 
 
-def with_numbers(text: str, values: Mapping[str, float], parameters: Mapping[str, Parameter]) -> str:
+def self_contained(text: str, folder: str | Path) -> str:
+    """The text of a configuration as it means the same in any folder: as it is, where it names no files.
+
+    Args:
+        text: the configuration.
+        folder: that files named in it are relative to.
+
+    Raises:
+        GearjaxError: the text is not TOML, or a file that it names cannot be read.
+    """
+    tables = read_tables(text)
+    whole = with_files(tables, Path(folder))
+    return text if whole == tables else tomli_w.dumps(whole)
+
+
+def with_numbers(
+    text: str, values: Mapping[str, float], parameters: Mapping[str, Parameter], folder: str | Path = "."
+) -> str:
     """The text of a configuration with other numbers, without the sections of studies and published values.
 
     Args:
         text: the configuration.
         values: numbers by path, such as ``errors.planet_1.phase``, SI.
         parameters: their declarations.
+        folder: that files named in it are relative to; the new text, which may be kept elsewhere, does not need it.
 
     Raises:
-        GearjaxError: the text is not TOML.
+        GearjaxError: the text is not TOML, or a file that it names cannot be read.
     """
-    tables: dict[str, Any] = copy.deepcopy(read_tables(text))
+    tables: dict[str, Any] = copy.deepcopy(with_files(read_tables(text), Path(folder)))
     for section in STUDIES:
         tables.pop(section, None)
     for path, value in values.items():

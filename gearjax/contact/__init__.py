@@ -5,7 +5,18 @@ from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
 from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
 from gearjax.contact.layout import Layout
-from gearjax.contact.pose import BodyView, Moved, Movements, Places, Pose, ProfilePlace, Request, Rim, even_parts
+from gearjax.contact.pose import (
+    BodyView,
+    GearSize,
+    Moved,
+    Movements,
+    Places,
+    Pose,
+    ProfilePlace,
+    Request,
+    Rim,
+    even_parts,
+)
 from gearjax.contact.slices import Slices
 from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs
 
@@ -15,6 +26,7 @@ __all__ = [
     "ContactSet",
     "CoupledSprings",
     "Equilibrium",
+    "GearSize",
     "HardContact",
     "Layout",
     "LineSprings",

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -111,6 +111,24 @@ def even_parts(number: int, dtype: jnp.dtype) -> Float[Array, " number"]:
     return jnp.asarray(parts, dtype)
 
 
+class GearSize(NamedTuple):
+    """What deviations of a gear are measured by.
+
+    Args:
+        teeth: tooth number.
+        module: normal module [m].
+        diameter: of the reference circle [m].
+        width: of the face [m].
+        pressure_angle: in a transverse section, at the reference circle [rad].
+    """
+
+    teeth: int
+    module: Scalar
+    diameter: Scalar
+    width: Scalar
+    pressure_angle: Scalar
+
+
 class ProfilePlace(eqx.Module):
     """Where along their profile the contacts of a body are, and where across its face.
 
@@ -122,6 +140,11 @@ class ProfilePlace(eqx.Module):
             tell.
         width: of the face [m].
         normal: change of gap per material that a transverse section shows, ``cos beta_b``; ``None`` of spur gears.
+        roll: length of roll of each contact from the base circle, shape (contact,) [m]; ``None`` of gears that do not
+            tell.
+        side: of each contact, 1 on flanks that drive, -1 on their backs, shape (contact,); ``None`` as before.
+        ahead: change of gap per length along the reference circle by which a flank is ahead, as its gear turns, shape
+            (contact,) [-]; ``None`` as before.
     """
 
     to_tip: Float[Array, " contact"]
@@ -129,6 +152,9 @@ class ProfilePlace(eqx.Module):
     across: Float[Array, " contact"] | None = None
     width: Scalar | None = None
     normal: Scalar | None = None
+    roll: Float[Array, " contact"] | None = None
+    side: Float[Array, " contact"] | None = None
+    ahead: Float[Array, " contact"] | None = None
 
     def seen(self, removed: Array) -> Array:
         """Change of gap by material that is removed along the base tangent of a transverse section [m]."""

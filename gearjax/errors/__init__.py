@@ -3,6 +3,7 @@
 from gearjax.errors.base import AbstractError
 from gearjax.errors.eccentricity import Eccentricity
 from gearjax.errors.helix import Crowning, EndRelief, HelixSlope
+from gearjax.errors.measured import AbstractMeasured, MeasuredFlank, MeasuredPitch
 from gearjax.errors.profile import AbstractRelief, ProfileForm, ProfileSlope, RootRelief, TipRelief
 from gearjax.errors.rim import CumulativePitch, Positions, Sizes
 
@@ -18,17 +19,22 @@ ERRORS: tuple[type[AbstractError], ...] = (
     HelixSlope,
     Crowning,
     EndRelief,
+    MeasuredFlank,
+    MeasuredPitch,
 )
 
 __all__ = [
     "ERRORS",
     "AbstractError",
+    "AbstractMeasured",
     "AbstractRelief",
     "Crowning",
     "CumulativePitch",
     "Eccentricity",
     "EndRelief",
     "HelixSlope",
+    "MeasuredFlank",
+    "MeasuredPitch",
     "Positions",
     "ProfileForm",
     "ProfileSlope",

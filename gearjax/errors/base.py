@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from gearjax.contact import BodyView
+from gearjax.contact import BodyView, GearSize
 from gearjax.typing import Array, Float
 
 
@@ -20,6 +20,14 @@ class AbstractError(eqx.Module):
     @abc.abstractmethod
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         """Change of the gaps, shape (contact,) [m]."""
+
+    def check(self, gear: GearSize | None) -> None:
+        """Refuse what cannot be on a gear of that size, if the gear set tells it.
+
+        Raises:
+            ParameterError: naming the key, what was given and what would be right.
+        """
+        del gear
 
     def proportional(self) -> "AbstractError":
         """The same error by numbers that its gaps are in proportion to, where there are such."""

@@ -9,9 +9,11 @@ from matplotlib.figure import Figure
 
 from gearjax.analysis import Motion, TransmissionError
 from gearjax.coordinates import unit_of
+from gearjax.errors import AbstractMeasured
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import stage_figure
 from gearjax.plot.involute import pair_figure
+from gearjax.plot.measured import measured_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
@@ -191,6 +193,8 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "order_spectrum.png": spectrum_figure(scene, cases),
         "support_displacements.png": moved_figure(scene, cases),
     }
+    if any(isinstance(error, AbstractMeasured) for error in scene.errors.values()):
+        figures["measured.png"] = measured_figure(scene)
     for case in cases:
         result = case.result
         if not isinstance(result, TransmissionError) or result.forces is None:

@@ -1,5 +1,6 @@
 """Results of a run or of a study, and the files that hold them."""
 
+from gearjax.results.accuracy import GradedGear, graded_gears
 from gearjax.results.cases import (
     Case,
     clash_of,
@@ -18,9 +19,11 @@ from gearjax.results.tradeoff import save_tradeoff
 
 __all__ = [
     "Case",
+    "GradedGear",
     "Optimisation",
     "OrderLines",
     "clash_of",
+    "graded_gears",
     "growth_remark",
     "highest_load_sharing",
     "optimise",

@@ -164,13 +164,14 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
     return Optimisation(section, scene, before, grid, gradient, best, around, cases)
 
 
-def save_optimisation(optimisation: Optimisation, config: str, folder: Path) -> list[Path]:
+def save_optimisation(optimisation: Optimisation, config: str, folder: Path, base: Path) -> list[Path]:
     """Write ``starts.csv`` (every start's end), ``metrics.csv`` (before, grid, after), and ``optimised.toml``.
 
     Args:
         optimisation: the optimisation.
         config: text of the configuration that it started from.
         folder: where to.
+        base: folder that files named in the configuration are relative to.
 
     Raises:
         GearjaxError: the folder cannot be written.
@@ -197,6 +198,6 @@ def save_optimisation(optimisation: Optimisation, config: str, folder: Path) -> 
     texts = {
         "starts.csv": "\n".join(lines) + "\n",
         "metrics.csv": "\n".join(rows) + "\n",
-        "optimised.toml": with_numbers(config, best, parameters),
+        "optimised.toml": with_numbers(config, best, parameters, base),
     }
     return [write_file(folder / name, text) for name, text in texts.items()]

@@ -310,8 +310,15 @@ def _missed(section: ToleranceSection, work: Work) -> dict[str, float]:
     return dict(zip(closer.names, np.nanmean(exact - known, axis=0).tolist(), strict=True))
 
 
-def save_tolerance(results: ToleranceResults, work: Work, config: str, folder: Path) -> list[Path]:
+def save_tolerance(results: ToleranceResults, work: Work, config: str, folder: Path, base: Path) -> list[Path]:
     """Write ``tolerance.json``, and the worst sample of each measure as ``worst_MEASURE.toml``.
+
+    Args:
+        results: of the study.
+        work: that it did.
+        config: text of the configuration.
+        folder: where to.
+        base: folder that files named in the configuration are relative to.
 
     Raises:
         GearjaxError: the folder cannot be written.
@@ -325,5 +332,5 @@ def save_tolerance(results: ToleranceResults, work: Work, config: str, folder: P
         if index >= 0:
             row = work.inputs(index, index + 1)[0].tolist()
             values = dict(zip(work.sample.paths, row, strict=True))
-            texts[f"worst_{name}.toml"] = with_numbers(config, values, parameters)
+            texts[f"worst_{name}.toml"] = with_numbers(config, values, parameters, base)
     return [write_file(folder / name, text) for name, text in texts.items()]

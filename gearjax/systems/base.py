@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from gearjax.contact import Layout, Moved, Movements, Places, Pose, Request
+from gearjax.contact import GearSize, Layout, Moved, Movements, Places, Pose, Request
 from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
 from gearjax.geometry.involute import InvoluteGear
@@ -110,6 +110,10 @@ class AbstractSystem(eqx.Module):
     def told_of_forces(self) -> str | None:
         """What a reader of the single contact forces should know."""
         return None
+
+    def gear_size(self, body: str) -> GearSize | None:
+        """What deviations of a gear are measured by; ``None`` of bodies on which none were."""
+        del body
 
     def contact_name(self, contact: int) -> str:
         """Name of a contact, for messages."""

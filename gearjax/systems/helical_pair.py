@@ -11,7 +11,7 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
-from gearjax.contact import BodyView, Layout, Pose, ProfilePlace, Request, Rim, Slices
+from gearjax.contact import BodyView, GearSize, Layout, Pose, ProfilePlace, Request, Rim, Slices
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
 from gearjax.geometry.plane_of_action import SlicePoints, slice_points
@@ -163,6 +163,11 @@ class HelicalPair(AbstractSystem):
     def cycle(self) -> float:
         return 2 * math.pi * self.wheel_teeth / math.gcd(self.pinion_teeth, self.wheel_teeth)
 
+    def gear_size(self, body: str) -> GearSize:
+        pair, number = self.pair, self.bodies.index(body)
+        diameter, angle = pair.reference_diameters[number], pair.transverse_pressure_angle
+        return GearSize(pair.gears[number].teeth, self.normal_module, diameter, self.face_width, angle)
+
     def contact_name(self, contact: int) -> str:
         block, place = divmod(contact, self._pairs * self.slices)
         pair, part = divmod(place, self.slices)
@@ -245,7 +250,18 @@ class HelicalPair(AbstractSystem):
         path = pair.contact_path
         tip = gear.base_radius * gear.tip_roll
         to_tip = jnp.abs(tip - roll).ravel()
-        flank = ProfilePlace(to_tip, path.end - path.begin, at.across.ravel(), pair.face_width, normal)
+        # a turn moves a flank by r_b along the base tangent, and by r along the reference circle
+        ahead = spread[1] * (2 * gear.base_radius / pair.reference_diameters[number])
+        flank = ProfilePlace(
+            to_tip,
+            path.end - path.begin,
+            at.across.ravel(),
+            pair.face_width,
+            normal,
+            roll.ravel(),
+            jnp.broadcast_to(side, roll.shape).ravel(),
+            ahead,
+        )
         return BodyView(turn, spread[0], spread[1], rim, flank=flank)
 
 

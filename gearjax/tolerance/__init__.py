@@ -12,7 +12,13 @@ from gearjax.tolerance.distributions import (
     UniformPhase,
 )
 from gearjax.tolerance.graded import Iso286, Iso1328RunOut
-from gearjax.tolerance.grades import it_tolerance, run_out_tolerance, single_pitch_tolerance, total_pitch_tolerance
+from gearjax.tolerance.grades import (
+    flank_tolerance,
+    it_tolerance,
+    run_out_tolerance,
+    single_pitch_tolerance,
+    total_pitch_tolerance,
+)
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import Study, Work, monte_carlo
 from gearjax.tolerance.population import Correlation, Tolerances
@@ -48,6 +54,7 @@ __all__ = [
     "Uniform",
     "UniformPhase",
     "Work",
+    "flank_tolerance",
     "it_tolerance",
     "monte_carlo",
     "run_out_tolerance",

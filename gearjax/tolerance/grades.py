@@ -76,6 +76,46 @@ def run_out_tolerance(grade: int, module: float, diameter: float, edition: str =
     )
 
 
+def flank_tolerance(deviation: str, grade: int, module: float, diameter: float, width: float) -> float:
+    """Limit of a deviation of profile or helix, of slopes either way (ISO 1328-1:2013, 5.3.4 to 5.3.9) [m].
+
+    At grade 5, in um, of sizes in mm: profile slope ``f_H_alpha`` 0.4 m + 0.001 d + 4, profile form ``f_f_alpha``
+    0.55 m + 5, helix slope ``f_H_beta`` 0.05 sqrt(d) + 0.35 sqrt(b) + 4, helix form ``f_f_beta`` 0.07 sqrt(d) +
+    0.45 sqrt(b) + 4; the total deviations ``F_alpha`` and ``F_beta`` by the root of the sum of the squares of both.
+    Each grade allows ``sqrt(2)`` times as much as the one before.
+
+    Args:
+        deviation: its name, as above.
+        grade: accuracy grade, 1 to 11.
+        module: normal module [m].
+        diameter: reference diameter [m].
+        width: face width [m].
+
+    Raises:
+        ParameterError: there is no such deviation, or a value is outside of what the standard covers.
+    """
+    if deviation not in _OF_FLANKS:
+        raise ParameterError("deviation", deviation, nearest(deviation, _OF_FLANKS))
+    if not _WIDTHS[0] <= width / mm <= _WIDTHS[1]:
+        raise ParameterError("width", f"{width / mm:g} mm", f"must be {_WIDTHS[0]} to {_WIDTHS[1]} mm")
+
+    def at_grade_5(m: float, d: float) -> float:
+        return math.hypot(*(formula(m, d, width / mm) for formula in _OF_FLANKS[deviation]))
+
+    return _iso_1328((grade, module, diameter, "2013"), at_grade_5, at_grade_5)
+
+
+_SINGLE: dict[str, Callable[[float, float, float], float]] = {
+    "f_H_alpha": lambda m, d, _: 0.4 * m + 0.001 * d + 4,
+    "f_f_alpha": lambda m, _d, _b: 0.55 * m + 5,
+    "f_H_beta": lambda _, d, b: 0.05 * math.sqrt(d) + 0.35 * math.sqrt(b) + 4,
+    "f_f_beta": lambda _, d, b: 0.07 * math.sqrt(d) + 0.45 * math.sqrt(b) + 4,
+}
+_OF_FLANKS = {name: (formula,) for name, formula in _SINGLE.items()} | {
+    f"F_{way}": (_SINGLE[f"f_H_{way}"], _SINGLE[f"f_f_{way}"]) for way in ("alpha", "beta")
+}
+_WIDTHS = (4, 1200)  # mm
+
 Formula = Callable[[float, float], float]
 
 

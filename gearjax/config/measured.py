@@ -1,0 +1,238 @@
+"""Files of measuring machines: deviations of flanks on a grid, and of pitches tooth by tooth."""
+
+import dataclasses
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import GearjaxError, ParameterError, RepairedData, check_path, nearest
+from gearjax.config.csv_files import Row, read_rows, some
+from gearjax.config.quantities import unit_size
+from gearjax.errors import MeasuredFlank, MeasuredPitch
+from gearjax.errors.measured import FLANKS
+
+MOST_MISSING = 0.1  # of the points of a grid, that may be filled in
+FAR = 10.0  # times the usual distance from its neighbours, that an outlier is away
+STANDS_OUT = 0.2  # of the spread of the grid, that it is away too
+PLACES = 1e-9  # that tell points of a grid apart [m]
+_COLUMN = re.compile(r"(\w+)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Columns:
+    """Columns of a file by name, lengths with the size of their unit."""
+
+    place: dict[str, int]
+    size: dict[str, float]
+
+    def length(self, name: str, row: Row) -> float:
+        """A length in a row [m]."""
+        return self.size[name] * row.number(self.place[name])
+
+    def tooth(self, row: Row) -> int:
+        """Number of the tooth that a row is of."""
+        number = row.number(self.place["tooth"])
+        if number < 0 or number != round(number):
+            raise GearjaxError(
+                f"{row.where}, column {self.place['tooth'] + 1}: is no number of a tooth, counted from 0"
+            )
+        return int(number)
+
+    def flank(self, row: Row) -> str:
+        """Which flank a row is of."""
+        cell = row.cells[self.place["flank"]].strip()
+        if cell not in FLANKS:
+            words = f"must be {' or '.join(FLANKS)}"
+            raise GearjaxError(f"{row.where}, column {self.place['flank'] + 1}: {words}")
+        return cell
+
+
+def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
+    """Numbers of a `MeasuredFlank` from a CSV file, one point of a flank in each row.
+
+    Its first line names the columns, lengths with their units: ``roll [mm]`` from the base circle and ``deviation
+    [um]``, then ``across [mm]`` from the middle of the face, ``tooth``, counted from 0, and ``flank``, ``driving`` or
+    ``back``, where there are such. Rows may come in any order. Points without a number, or whose rows are missing, are
+    filled in from their neighbours, up to a tenth of a grid, and outliers are counted; both are warned of
+    (`RepairedData`).
+
+    Args:
+        file: name of the file.
+        flank: which rows to read, of a file that tells flanks apart.
+
+    Returns:
+        ``roll``, ``across``, ``deviation``, ``teeth`` and ``flank``, as `MeasuredFlank` takes them.
+
+    Raises:
+        GearjaxError: the file cannot be read, or something in it is wrong; one line that says where.
+
+    Example:
+        >>> import gearjax as gj
+        >>> numbers = gj.read_flank("configs/helical/pinion_flank.csv")
+        >>> error = gj.MeasuredFlank("pinion", **numbers)
+    """
+    columns, rows = _open(file, ("roll", "deviation"), ("across", "tooth", "flank"), flank)
+    key = f"file {file}"
+    found: dict[tuple[int, int, int], float] = {}
+    known: tuple[dict[int, float], dict[int, float]] = {}, {}
+    for row in rows:
+        tooth = columns.tooth(row) if "tooth" in columns.place else 0
+        at = [columns.length(name, row) if name in columns.place else 0.0 for name in ("roll", "across")]
+        first, second = (round(value / PLACES) for value in at)
+        for places, number, value in zip(known, (first, second), at, strict=True):
+            places.setdefault(number, value)
+        if (tooth, first, second) in found:
+            raise GearjaxError(f"{row.where}: tells of a point that an earlier line told of")
+        missing = row.cells[columns.place["deviation"]].strip().lower() in ("", "nan")
+        found[tooth, first, second] = np.nan if missing else columns.length("deviation", row)
+    teeth = sorted({tooth for tooth, _, _ in found})
+    orders = [{number: place for place, number in enumerate(sorted(numbers))} for numbers in (teeth, *known)]
+    grid = np.full([len(order) for order in orders], np.nan)
+    for point, value in found.items():
+        grid[tuple(order[number] for order, number in zip(orders, point, strict=True))] = value
+    filled = _filled(key, grid)
+    _warn_of_outliers(key, grid)
+    roll, across = (np.array([places[number] for number in sorted(places)]) for places in known)
+    numbers = {"roll": roll, "across": across, "deviation": filled.ravel(), "flank": flank}
+    return numbers | {"teeth": np.array(teeth if "tooth" in columns.place else [], float)}
+
+
+def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
+    """Numbers of a `MeasuredPitch` from a CSV file, one tooth in each row.
+
+    Its first line names the columns: ``tooth``, counted from 0, and ``cumulative [um]``, or ``single [um]`` for the
+    deviation of the pitch from each tooth to the next, and ``flank`` where there are both.
+
+    Args:
+        file: name of the file.
+        flank: which rows to read, of a file that tells flanks apart.
+
+    Returns:
+        ``deviation`` and ``flank``, as `MeasuredPitch` takes them.
+
+    Raises:
+        GearjaxError: the file cannot be read, or something in it is wrong; one line that says where.
+    """
+    columns, rows = _open(file, ("tooth",), ("cumulative", "single", "flank"), flank)
+    told = [name for name in ("cumulative", "single") if name in columns.place]
+    if len(told) != 1:
+        raise GearjaxError(f"file {file}: line 1 must name cumulative [um] or single [um], one of them")
+    found: dict[int, float] = {}
+    for row in rows:
+        tooth = columns.tooth(row)
+        if tooth in found:
+            raise GearjaxError(f"{row.where}: tells of a tooth that an earlier line told of")
+        found[tooth] = columns.length(told[0], row)
+    lacking = sorted(set(range(max(found) + 1)) - set(found))
+    if lacking:
+        raise GearjaxError(f"file {file}: lacks tooth {lacking[0]}: all of 0 to {max(found)} must be there")
+    values = np.array([found[tooth] for tooth in range(len(found))])
+    if told == ["single"]:
+        if abs(values.sum()) > 1e-2 * np.abs(values).sum() + 1e-9:
+            words = f"the single deviations add up to {values.sum() / units.um:.3g} um around the gear, not to 0"
+            warnings.warn(f"file {file}: {words}: each is taken less their mean", RepairedData, stacklevel=2)
+        values = np.concatenate([np.zeros(1), np.cumsum(values - values.mean())[:-1]])
+    return {"deviation": values, "flank": flank}
+
+
+READERS: Mapping[str, Callable[[str | Path, str], dict[str, Any]]] = {
+    MeasuredFlank.kind: read_flank,
+    MeasuredPitch.kind: read_pitch,
+}
+
+
+def _open(
+    file: str | Path, required: tuple[str, ...], optional: tuple[str, ...], flank: str
+) -> tuple[_Columns, list[Row]]:
+    """The columns of a file, and the rows of a flank."""
+    check_path("file", file)
+    key = f"file {file}"
+    header, rows = read_rows("file", Path(file))
+    place: dict[str, int] = {}
+    size: dict[str, float] = {}
+    for number, text in enumerate(header):
+        match = _COLUMN.fullmatch(text)
+        name = match[1].lower() if match else text
+        if match is None or name not in (*required, *optional):
+            words = f"column {number + 1} is not known; {nearest(name, (*required, *optional))}"
+            raise GearjaxError(f"{key}: line 1: {words}")
+        if name in place:
+            raise GearjaxError(f"{key}: line 1: two columns are named {name}")
+        place[name] = number
+        if name not in ("tooth", "flank"):
+            if not match[2]:
+                raise GearjaxError(f"{key}: line 1: {name} needs its unit, such as {name} [um]")
+            size[name] = _size(f"{key}: line 1: {text}", match[2])
+    lacking = [name for name in required if name not in place]
+    if lacking:
+        raise GearjaxError(f"{key}: line 1 must name a column {lacking[0]}; it has {', '.join(place) or 'none'}")
+    columns, rows = _Columns(place, size), some("file", Path(file), rows)
+    if flank not in ("both", *FLANKS):
+        raise ParameterError("flank", flank, nearest(flank, ("both", *FLANKS)))
+    if "flank" in place:
+        if flank == "both" and len({columns.flank(row) for row in rows}) > 1:
+            raise ParameterError("flank", flank, f'must be "driving" or "back": {key} tells them apart')
+        rows = [row for row in rows if flank in ("both", columns.flank(row))]
+        if not rows:
+            raise GearjaxError(f"{key}: has no rows of the {flank} flank")
+    return columns, rows
+
+
+def _size(where: str, unit: str) -> float:
+    """Size of a unit of length [m]."""
+    try:
+        return unit_size("unit", unit, unit, units.LENGTH)
+    except ParameterError as fault:
+        raise GearjaxError(f"{where}: {fault.right}") from fault
+
+
+def _filled(key: str, grid: np.ndarray) -> np.ndarray:
+    """A grid without gaps: what is missing as halfway between its neighbours along both ways, if there are such."""
+    missing = np.isnan(grid)
+    if not missing.any():
+        return grid
+    if missing.mean() > MOST_MISSING:
+        words = f"{missing.sum()} of {grid.size} points are missing, more than a tenth"
+        raise GearjaxError(f"{key}: {words}: the points of each tooth must be on one grid of roll and across")
+    ways = []
+    for axis in (1, 2):
+        whole = grid.copy()
+        lines = np.moveaxis(whole, axis, -1)
+        places = np.arange(lines.shape[-1])
+        for line in np.ndindex(lines.shape[:-1]):
+            there = ~np.isnan(lines[line])
+            if there.any():
+                lines[line] = np.interp(places, places[there], lines[line][there])
+        ways.append(whole)
+    known = ~np.isnan(ways)
+    filled = np.where(missing, np.where(known, ways, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), grid)
+    if not known.any(axis=0).all():
+        raise GearjaxError(f"{key}: a point, and all others of its row and its column of the grid, are missing")
+    warnings.warn(f"{key}: {missing.sum()} of {grid.size} points are missing: filled in", RepairedData, stacklevel=3)
+    return filled
+
+
+def _warn_of_outliers(key: str, grid: np.ndarray) -> None:
+    """Tell of points that are off the lines through their neighbours, along the profile and across the face."""
+    ways = [_off_line(np.moveaxis(grid, axis, -1)) for axis in (1, 2) if grid.shape[axis] > 2]
+    if not ways:
+        return
+    away = np.minimum.reduce([np.moveaxis(off, -1, axis) for off, axis in zip(ways, (1, 2), strict=False)])
+    usual, spread = np.nanmedian(away), np.nanpercentile(grid, 95) - np.nanpercentile(grid, 5)
+    far = away > max(FAR * usual, STANDS_OUT * spread)
+    if far.any():
+        words = f"{far.sum()} of {grid.size} points are outliers, up to {away[far].max() / units.um:.3g} um from"
+        warnings.warn(f"{key}: {words} their neighbours: they are taken as they are", RepairedData, stacklevel=3)
+
+
+def _off_line(lines: np.ndarray) -> np.ndarray:
+    """How far each value along the last axis is from the line through its neighbours on both sides, the outermost ones
+    from that through the next two; nan where one of these is missing."""
+    inner = lines[..., 1:-1] - 0.5 * (lines[..., :-2] + lines[..., 2:])
+    ends = [lines[..., [i]] - 2 * lines[..., [j]] + lines[..., [k]] for i, j, k in ((0, 1, 2), (-1, -2, -3))]
+    return np.abs(np.concatenate([ends[0], inner, ends[1]], axis=-1))

@@ -1,0 +1,164 @@
+"""Flanks and pitches of single teeth as a measuring machine tells them (ISO 1328-1; Guo and Fang 2018)."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import ParameterError, is_concrete
+from gearjax.contact import BodyView, GearSize, ProfilePlace
+from gearjax.errors.base import AbstractError
+from gearjax.errors.profile import profile_of
+from gearjax.errors.rim import spread
+from gearjax.geometry.spline import ENDS, GridSpline, surface
+from gearjax.parameters import check_parameters, name, series
+from gearjax.typing import Array, Float, Int, Number
+from gearjax.units import mm
+
+FLANKS = {"driving": 1, "back": -1}
+
+
+class AbstractMeasured(AbstractError):
+    """Deviations of flanks that were measured, of driving flanks, back flanks or both."""
+
+    on_rim: ClassVar[bool] = True
+    deviation: eqx.AbstractVar[Number]
+    flank: eqx.AbstractVar[str]
+
+    def of_flank(self, place: ProfilePlace, gap: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """The gaps of the contacts on the flank that was measured; nothing on the other."""
+        if self.flank == "both":
+            return gap
+        if place.side is None:
+            raise ParameterError("flank", self.flank, 'must be "both": the flanks of its contacts are not told apart')
+        return jnp.where(place.side == FLANKS[self.flank], gap, 0.0)
+
+    def check(self, gear: GearSize | None) -> None:
+        if gear is None or not is_concrete(self.deviation):
+            return
+        largest, half = float(np.max(np.abs(self.deviation))), 0.5 * float(gear.module)
+        if largest > half:
+            words = f"must be at most half a module, {half / mm:.4g} mm: is its unit right?"
+            raise ParameterError("deviation", f"up to {largest / mm:.4g} mm", words)
+
+
+class MeasuredFlank(AbstractMeasured):
+    """Flanks from a measuring machine: deviations on a grid over length of roll and face, for one tooth or several, and
+    bicubic splines between (Guo and Fang 2018, section 2.1). A configuration may name a CSV file instead of roll,
+    across, deviation and teeth: file = "pinion.csv", with the columns roll [mm], deviation [um] and, where there are
+    such, across [mm], tooth and flank.
+
+    Where nothing was measured, beyond the grid, the flank is as at the nearest measured place; a tooth that was not
+    measured has the mean of those that were. One place across the face tells a profile that is the same over all of
+    it, one length of roll a helix that is the same at all heights.
+
+    Args:
+        body: gear that carries it.
+        roll: lengths of roll from the base circle, in rising order, shape (row,) [m].
+        across: places from the middle of the face, in rising order along the axis about which the pinion turns, shape
+            (column,) [m].
+        deviation: material beyond the ideal flank, along the base tangent of a transverse section, shape (tooth * row *
+            column,), columns counting fastest [m].
+        teeth: numbers of the teeth that were measured, from 0, in the order of ``deviation``; without them one is for
+            all, or each tooth has its own.
+        flank: ``"both"``, ``"driving"`` or ``"back"``: which of them touch as the pinion drives, or the others.
+        ends: of the splines, ``"not_a_knot"``, or as in the paper ``"double_vertices"``.
+    """
+
+    kind: ClassVar[str] = "measured_flank"
+    body: str = name()
+    roll: Number = series(units.LENGTH, at_least=0.0, at_most=10.0, example=["10 mm", "30 mm"])
+    deviation: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um", "2 um"])
+    across: Number = series(units.LENGTH, at_least=-10.0, at_most=10.0, default=(0.0,), example=["0 mm"])
+    teeth: Number = series(units.RATIO, at_least=0.0, at_most=1e5, default=(), example=[0])
+    flank: str = name(default="both", names=("both", *FLANKS))
+    ends: str = name(default=ENDS[0], names=ENDS)
+
+    def __check_init__(self):
+        check_parameters(self)
+        for key in ("roll", "across"):
+            places = getattr(self, key)
+            if not places.size:
+                raise ParameterError(key, "no values", "must have one or more")
+            if is_concrete(places) and not (np.diff(np.asarray(places, float)) > 0).all():
+                raise ParameterError(key, f"{places.size} values", "must rise from each to the next")
+        points = self.roll.size * self.across.size
+        if not self.deviation.size or self.deviation.size % points:
+            words = f"must be {self.roll.size} x {self.across.size} = {points} for each tooth, as roll and across"
+            raise ParameterError("deviation", f"{self.deviation.size} values", words)
+        if self.teeth.size not in (0, self.grids):
+            raise ParameterError("teeth", f"{self.teeth.size} values", f"must be {self.grids}, as many as deviation")
+        if is_concrete(self.teeth) and len({*np.asarray(self.teeth).tolist()}) < self.teeth.size:
+            raise ParameterError("teeth", f"{self.teeth.size} values", "must tell each tooth once")
+
+    @property
+    def grids(self) -> int:
+        """How many teeth were measured."""
+        return self.deviation.size // (self.roll.size * self.across.size)
+
+    @property
+    def grid(self) -> Float[Array, "tooth row column"]:
+        """Deviations by tooth, length of roll and place across the face [m]."""
+        return self.deviation.reshape(self.grids, self.roll.size, self.across.size)
+
+    def check(self, gear: GearSize | None) -> None:
+        super().check(gear)
+        if gear is None or not is_concrete(self.teeth) or not self.teeth.size:
+            return
+        known = np.asarray(self.teeth)
+        if (known >= gear.teeth).any() or (known != np.round(known)).any():
+            odd = known[(known >= gear.teeth) | (known != np.round(known))][0]
+            raise ParameterError("teeth", f"{odd:g}", f"must be whole numbers from 0 to {gear.teeth - 1}")
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        place = profile_of(self.body, view)
+        if place.roll is None or place.across is None:
+            raise ParameterError("body", self.body, "does not show where on its flanks its contacts are")
+        values, grid = self._of_teeth(view)
+        splines = GridSpline(self.roll, self.ends), GridSpline(self.across, self.ends)
+        return self.of_flank(place, place.seen(-surface(*splines, values, grid, (place.roll, place.across))))
+
+    def _of_teeth(self, view: BodyView) -> tuple[Float[Array, "grid row column"], Int[Array, " contact"]]:
+        """Grids, and which one each contact is on."""
+        grid, rim = self.grid, view.rim
+        if self.grids == 1:
+            return grid, jnp.zeros(view.influence.shape, jnp.int32)
+        if rim is None or rim.element is None or rim.elements is None:
+            raise ParameterError("deviation", f"{self.grids} teeth", "give one: its teeth are not told apart")
+        if self.teeth.size:
+            same = rim.element[:, None].astype(self.teeth.dtype) == self.teeth[None, :]
+            number = jnp.where(same.any(axis=1), jnp.argmax(same, axis=1), self.grids)
+            return jnp.concatenate([grid, grid.mean(axis=0, keepdims=True)]), number
+        if self.grids != rim.elements:
+            words = f"needs those of one tooth, of {rim.elements}, or teeth to tell which they are of"
+            raise ParameterError("deviation", f"{self.grids} teeth", words)
+        return grid, rim.element
+
+
+class MeasuredPitch(AbstractMeasured):
+    """Cumulative pitch deviations of single teeth from a measuring machine (ISO 1328-1): how far each flank is ahead,
+    as its gear turns, along the reference circle. A configuration may name a CSV file instead of deviation: file =
+    "pitch.csv", with the columns tooth and cumulative [um], or single [um] for the deviations from each tooth to the
+    next, and flank where there are both.
+
+    Args:
+        body: gear that carries it.
+        deviation: shape (tooth,), or one value for all [m].
+        flank: ``"both"``, ``"driving"`` or ``"back"``: which of them touch as the pinion drives, or the others.
+    """
+
+    kind: ClassVar[str] = "measured_pitch"
+    body: str = name()
+    deviation: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um"])
+    flank: str = name(default="both", names=("both", *FLANKS))
+
+    def __check_init__(self):
+        check_parameters(self)
+
+    def gap(self, view: BodyView) -> Float[Array, " contact"]:
+        place = profile_of(self.body, view)
+        if place.ahead is None:
+            raise ParameterError("body", self.body, "has no reference circle to measure its pitch on")
+        return self.of_flank(place, spread("deviation", self.deviation, view) * place.ahead)

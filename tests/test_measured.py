@@ -1,0 +1,433 @@
+"""Measured flanks and pitches: against formulas and closed forms, and as files tell them."""
+
+import dataclasses
+import math
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tomli_w
+
+import gearjax as gj
+from gearjax.checks import GearjaxError, ParameterError, SceneError
+from gearjax.units import arcmin, mm, um
+from tests.conftest import ROOT
+from tests.helical_pairs import GUO_1, RING, SPUR, TEETH, meshes_of, scene_of
+
+MEASURED = ROOT / "configs" / "helical" / "guo_2018_measured.toml"
+
+
+def on_grid(system, number, deviation, rows=9, columns=7):
+    """A measured flank from a function of the share of the way from the tip, and of the face from its middle."""
+    pair = system.pair
+    path, gear = pair.contact_path, pair.gears[number]
+    tip = float(gear.base_radius * gear.tip_roll)
+    inward = -1.0 if gear.internal else 1.0
+    length = float(path.end - path.begin)
+    s = np.linspace(1.0, 0.0, rows) if inward > 0 else np.linspace(0.0, 1.0, rows)
+    z = np.linspace(-0.5, 0.5, columns)
+    values = deviation(s[:, None], z[None, :]) * np.ones((rows, columns))
+    return gj.MeasuredFlank(
+        ("pinion", "wheel")[number], tip - inward * s * length, values.ravel(), z * float(system.face_width)
+    )
+
+
+@pytest.mark.parametrize("given", [GUO_1, RING, SPUR], ids=["external", "internal", "spur"])
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_grid_of_a_formula_is_the_formula(given, number):
+    """Slopes and crowning are polynomials, which a spline goes through: no-load and loaded TE to rounding."""
+    scene = scene_of(given, {}, TEETH, slices=8)
+    body = scene.system.bodies[number]
+    grid = on_grid(scene.system, number, lambda s, z: 5 * um * (0.5 - s) + 4 * um * z - 6 * um * (2 * z) ** 2)
+    formulas = {
+        "profile": gj.ProfileSlope(body, 5 * um),
+        "helix": gj.HelixSlope(body, 4 * um),
+        "crowning": gj.Crowning(body, 6 * um),
+    }
+    theta = meshes_of(scene.system, 5)
+    for torque in (0.0, 300.0):
+        both = [
+            gj.transmission_error(dataclasses.replace(scene, errors=errors), theta, torque=torque).te
+            for errors in ({"grid": grid}, formulas)
+        ]
+        np.testing.assert_allclose(*both, atol=1e-10 * arcmin)
+
+
+def test_teeth_have_their_own_flanks_and_others_the_mean():
+    """A flank that is higher all over is a flank ahead: single teeth by their no-load TE, tooth by tooth."""
+    scene = scene_of(GUO_1 | {"helix_angle": 0.0, "centre_distance": None}, {}, TEETH, slices=2)
+    heights = np.array([3.0, 9.0]) * um
+    values = np.repeat(heights, 4)
+    flank = gj.MeasuredFlank("pinion", [1 * mm, 40 * mm], values, [-30 * mm, 30 * mm], teeth=[2, 5])
+    each = np.full(19, heights.mean())
+    each[[2, 5]] = heights
+    own = gj.MeasuredFlank("pinion", [1 * mm], each)
+    assert flank.grids == 2
+    assert own.grids == 19
+    theta = meshes_of(scene.system, 19, of=19.0) + 0.003
+    found, expected = (
+        gj.transmission_error(dataclasses.replace(scene, errors={"flank": one}), theta).te for one in (flank, own)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    # of two pairs that may touch the higher one does: a tooth is ahead by its height over the wheel's base radius
+    pair = scene.system.pair
+    ahead = np.asarray(found) * float(pair.gears[1].base_radius) / um
+    assert ahead.max() == pytest.approx(9.0, rel=1e-9)
+    assert ahead.min() == pytest.approx(3.0, rel=1e-9)  # tooth 2, where it is alone
+
+
+def test_flanks_are_told_apart():
+    scene = scene_of(GUO_1, {}, TEETH, gj.InitialBacklash(60 * um), slices=4)
+    theta = meshes_of(scene.system, 5)
+    plain = [gj.transmission_error(scene, theta, torque=torque).te for torque in (200.0, -200.0)]
+    for place, flank in enumerate(("driving", "back")):
+        high = gj.MeasuredFlank("pinion", [10 * mm], [8 * um], flank=flank)
+        one = dataclasses.replace(scene, errors={"high": high})
+        found = [gj.transmission_error(one, theta, torque=torque).te for torque in (200.0, -200.0)]
+        np.testing.assert_allclose(found[1 - place], plain[1 - place], atol=1e-15)
+        # pressed by the other gear either way: to the wheel it is ahead on driving flanks, behind on back flanks
+        moved = (1, -1)[place] * 8 * um / float(scene.system.pair.gears[1].base_radius)
+        np.testing.assert_allclose(found[place] - plain[place], moved, rtol=1e-9)
+
+
+@pytest.mark.parametrize("given", [GUO_1, RING], ids=["external", "internal"])
+def test_a_common_pitch_deviation_is_a_turn(given):
+    """A gear whose flanks are all ahead has turned by that over its reference radius."""
+    scene = scene_of(given, {}, TEETH, slices=4)
+    theta = meshes_of(scene.system, 3)
+    plain = gj.transmission_error(scene, theta, torque=100.0).te
+    radii = [float(diameter) / 2 for diameter in scene.system.pair.reference_diameters]
+    ratio = scene.system.orders["output"]
+    for body, turned in (("pinion", 3 * um / radii[0] * ratio), ("wheel", -3 * um / radii[1])):
+        ahead = dataclasses.replace(scene, errors={"pitch": gj.MeasuredPitch(body, 3 * um)})
+        np.testing.assert_allclose(gj.transmission_error(ahead, theta, torque=100.0).te - plain, turned, rtol=1e-9)
+
+
+def test_pitches_of_single_teeth_are_those_of_teeth_that_are_displaced():
+    """Against displacements of single teeth along the circumference, at the reference circle where both agree."""
+    scene = scene_of(GUO_1 | {"helix_angle": 0.0, "centre_distance": None}, {}, None, slices=2)
+    deviation = np.random.default_rng(3).normal(0, 3 * um, 19)
+    errors = {"pitch": gj.MeasuredPitch("pinion", deviation)}, {"teeth": gj.Positions("pinion", [], deviation)}
+    theta = meshes_of(scene.system, 19, of=19.0)  # a tooth of each touches at the pitch point
+    found, expected = (gj.transmission_error(dataclasses.replace(scene, errors=one), theta).te for one in errors)
+    np.testing.assert_allclose(found, expected, rtol=0.03)
+
+
+# --- Accuracy grades
+
+
+def test_run_out_of_an_eccentric_gear_is_twice_the_eccentricity():
+    """Its flanks are displaced along the circumference by e sin(phi -+ alpha) / cos alpha; a ball by e sin phi."""
+    size = scene_of(GUO_1, slices=2).system.gear_size("wheel")
+    e, space = 10 * um, 2 * math.pi * np.arange(47) / 47
+    alpha = float(size.pressure_angle)
+    # a space of the driven gear is between its driving flank and the back flank of the next tooth
+    driving, back = (e / math.cos(alpha) * np.sin(space + sign * alpha) for sign in (1, -1))
+    deviations = {"driving": driving, "back": np.roll(back, 1)}
+    errors = {f: gj.MeasuredPitch("wheel", value, flank=f) for f, value in deviations.items()}
+    found = gj.accuracy_grades(scene_of(GUO_1, errors, slices=2), "wheel")
+    assert found["F_r"].value == pytest.approx(2 * e, rel=2e-3)  # of 47 places
+    assert found["F_p"].value == pytest.approx(2 * e / math.cos(alpha), rel=2e-3)
+
+
+def test_deviations_and_grades():
+    """A straight slope with a wave: slope, form and total as defined; grades by the formulas of ISO 1328-1."""
+    system = scene_of(GUO_1, slices=2).system
+    wave = lambda s, z: 9 * um * (0.5 - s) + 2 * um * np.sin(8 * math.pi * s) - 7 * um * z  # noqa: E731
+    scene = scene_of(GUO_1, {"flank": on_grid(system, 0, wave, 401, 41)}, slices=2)
+    found = gj.accuracy_grades(scene, "pinion")
+    even = np.linspace(-0.5, 0.5, 20001)
+    trace = 9 * um * even + 2 * um * np.sin(8 * math.pi * (0.5 - even))
+    slope, _ = np.polyfit(even, trace, 1)
+    assert found["f_H_alpha"].value == pytest.approx(slope, rel=2e-3)
+    assert found["f_f_alpha"].value == pytest.approx(np.ptp(trace - slope * even), rel=2e-3)
+    assert found["F_alpha"].value == pytest.approx(np.ptp(trace), rel=2e-3)
+    assert found["f_H_beta"].value == pytest.approx(-7 * um, rel=1e-9)
+    assert found["f_f_beta"].value == pytest.approx(0.0, abs=1e-12)
+    assert found["F_beta"].value == pytest.approx(7 * um, rel=1e-9)
+    assert found["f_f_beta"].grade == 1
+    # limits at grade 5, m = 6, d = 115.7, b = 75 mm: 6.5, 8.5 and 7.5 um
+    for name, at_5 in (("f_H_alpha", 6.5), ("f_f_alpha", 8.5), ("f_H_beta", 7.5)):
+        assert gj.flank_tolerance(name, 5, 6 * mm, 115.727 * mm, 75 * mm) == pytest.approx(at_5 * um)
+    assert found["f_H_beta"].grade == 5
+    assert gj.flank_tolerance("F_alpha", 5, 6 * mm, 115.727 * mm, 75 * mm) == pytest.approx(11 * um)
+    ratios = [gj.flank_tolerance("F_beta", grade, 6 * mm, 0.3, 75 * mm) for grade in (6, 8, 10)]
+    np.testing.assert_allclose(np.diff(np.log2(ratios)), 1.0, atol=0.05)  # rounded to whole um
+    rough = scene_of(GUO_1, {"flank": on_grid(system, 0, lambda s, z: 900 * um * s + 0 * z)}, slices=2)
+    assert gj.accuracy_grades(rough, "pinion")["F_alpha"].grade is None
+
+
+def test_grades_of_what_was_not_measured_are_refused(scene):
+    with pytest.raises(SceneError, match="lists no measured_flank or measured_pitch of the driving flanks"):
+        gj.accuracy_grades(scene, "planet_1")
+    measured = gj.load(MEASURED)
+    with pytest.raises(SceneError, match="of the back flanks of wheel"):
+        gj.accuracy_grades(measured, "wheel", "back")
+    with pytest.raises(ParameterError, match="pinion"):
+        gj.accuracy_grades(measured, "pinio")
+    with pytest.raises(ParameterError, match="driving"):
+        gj.accuracy_grades(measured, "pinion", "left")
+    with pytest.raises(ParameterError, match="f_H_alpha"):
+        gj.flank_tolerance("f_H", 5, 6 * mm, 0.1, 75 * mm)
+    with pytest.raises(ParameterError, match="4 to 1200 mm"):
+        gj.flank_tolerance("F_beta", 5, 6 * mm, 0.1, 3 * mm)
+
+
+# --- What does not fit
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"roll": [2 * mm, 1 * mm]}, "roll .*must rise"),
+        ({"roll": []}, "roll .*one or more"),
+        ({"deviation": [0.0, 0.0, 0.0]}, "deviation = .3 values.*2 x 1 = 2"),
+        ({"deviation": []}, "deviation"),
+        ({"teeth": [1, 2]}, "teeth .*must be 1"),
+        ({"teeth": [3, 3], "deviation": [0.0] * 4}, "each tooth once"),
+        ({"flank": "left"}, "driving"),
+        ({"ends": "natural"}, "not_a_knot"),
+    ],
+)
+def test_measured_flanks_that_make_no_grid_are_refused(changes, words):
+    given = {"roll": [1 * mm, 2 * mm], "deviation": [0.0, 1 * um]} | changes
+    with pytest.raises(ParameterError, match=words):
+        gj.MeasuredFlank("pinion", **given)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (gj.MeasuredFlank("pinion", [10 * mm], [12 * mm]), r"errors.m.deviation .*12 mm.*half a module, 3 mm"),
+        (gj.MeasuredPitch("wheel", 4 * mm), r"errors.m.deviation .*half a module"),
+        (gj.MeasuredFlank("pinion", [10 * mm], [0.0], teeth=[19]), "errors.m.teeth = .*19.*0 to 18"),
+        (gj.MeasuredFlank("pinion", [10 * mm], [0.0], teeth=[1.5]), "errors.m.teeth = .*1.5"),
+        (gj.MeasuredFlank("pinion", [10 * mm], [0.0, 0.0]), "2 teeth.*of 19, or teeth to tell"),
+        (gj.MeasuredPitch("wheel", [0.0, 0.0]), "needs 47"),
+    ],
+)
+def test_measurements_of_another_gear_are_refused(error, words):
+    with pytest.raises(ParameterError, match=words):
+        scene_of(GUO_1, {"m": error}, slices=2)
+
+
+def test_other_gear_sets_refuse_them_in_one_line(scene):
+    yang = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
+    with pytest.raises(ParameterError, match=r"errors.m.body .*where on its flanks"):
+        dataclasses.replace(yang, errors={"m": gj.MeasuredFlank("gear_1", [1 * mm], [0.0])})
+    with pytest.raises(ParameterError, match=r"errors.m.body .*reference circle"):
+        dataclasses.replace(yang, errors={"m": gj.MeasuredPitch("gear_1", 0.0)})
+    with pytest.raises(ParameterError, match=r"errors.m.body .*involute profile"):
+        dataclasses.replace(scene, errors={"m": gj.MeasuredFlank("planet_1", [1 * mm], [0.0])})
+
+
+# --- Files
+
+HEADER = "tooth,flank,roll [mm],across [mm],deviation [um]"
+
+
+def rows_of(teeth=(0, 4), flanks=("driving",), rows=6, columns=5):
+    """Rows of a file, of a smooth flank."""
+    return [
+        [str(tooth), flank, f"{roll:g}", f"{across:g}", f"{tooth + 0.1 * (roll - 15) ** 2 + 0.2 * across:.4f}"]
+        for tooth in teeth
+        for flank in flanks
+        for roll in np.linspace(6, 30, rows)
+        for across in np.linspace(-30, 30, columns)
+    ]
+
+
+def written(folder, rows, header=HEADER, name="flank.csv"):
+    path = folder / name
+    path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_rows_come_in_any_order(tmp_path, rng):
+    rows = rows_of()
+    plain = gj.read_flank(written(tmp_path, rows), "driving")
+    shuffled = [rows[place] for place in rng.permutation(len(rows))]
+    again = gj.read_flank(written(tmp_path, shuffled, name="shuffled.csv"), "driving")
+    for key in ("roll", "across", "deviation", "teeth"):
+        np.testing.assert_array_equal(plain[key], again[key])
+    flank = gj.MeasuredFlank("pinion", **plain)
+    assert flank.grid.shape == (2, 6, 5)
+    np.testing.assert_allclose(flank.grid[1, :, 0], (4 + 0.1 * (np.linspace(6, 30, 6) - 15) ** 2 - 6) * um, atol=1e-10)
+    np.testing.assert_array_equal(flank.teeth, [0, 4])
+
+
+def test_columns_may_be_left_out_and_have_any_unit(tmp_path):
+    path = written(tmp_path, [["10", "0.5"], ["20", "1.5"]], "roll (mm), deviation [1e-6 m]".replace("1e-6 m", "µm"))
+    read = gj.read_flank(path)
+    np.testing.assert_allclose(read["deviation"], [0.5e-6, 1.5e-6])
+    np.testing.assert_array_equal(read["across"], [0.0])
+    assert read["teeth"].size == 0
+
+
+def test_missing_points_are_filled_in_and_told(tmp_path):
+    rows = rows_of()
+    whole = gj.read_flank(written(tmp_path, rows), "driving")["deviation"]
+    rows[7][-1], rows[12][-1] = "", "nan"
+    del rows[3]
+    with pytest.warns(gj.RepairedData, match="3 of 60 points are missing: filled in"):
+        filled = gj.read_flank(written(tmp_path, rows), "driving")["deviation"]
+    assert np.isfinite(filled).all()
+    np.testing.assert_allclose(filled, whole, atol=3.5 * um)  # of flanks that change by 10 um from row to row
+    assert (filled != whole).sum() == 3
+
+
+def test_outliers_are_told(tmp_path):
+    rows = rows_of()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gj.read_flank(written(tmp_path, rows), "driving")
+    rows[17][-1] = "80"
+    with pytest.warns(gj.RepairedData, match="1 of 60 points are outliers, up to"):
+        gj.read_flank(written(tmp_path, rows), "driving")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: [*rows, rows[3]], r"line 62: tells of a point that an earlier line told of"),
+        (lambda rows: rows[::2], "more than a tenth"),
+        (lambda rows: [*rows[:5], ["0", "driving", "7", "-30", "two"], *rows[5:]], "line 7, column 5: is no number"),
+        (lambda rows: [["-1", *row[1:]] for row in rows], "line 2, column 1: is no number of a tooth"),
+        (lambda rows: [[row[0], "left", *row[2:]] for row in rows], "line 2, column 2: must be driving or back"),
+        (lambda rows: [row[:4] for row in rows], "line 2 has 4 values"),
+        (lambda _: [], "no rows"),
+    ],
+)
+def test_files_with_faults_are_refused_in_one_line(tmp_path, change, words):
+    with pytest.raises(GearjaxError, match=words) as caught:
+        gj.read_flank(written(tmp_path, change(rows_of())), "driving")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("tooth,flank,roll,across [mm],deviation [um]", r"roll needs its unit, such as roll \[um\]"),
+        ("tooth,flank,roll [mm],across [mm],deviation [N]", "is a force; needs a length"),
+        ("tooth,flank,roll [mm],across [mm],depth [um]", "column 5 is not known"),
+        ("tooth,flank,roll [mm],roll [mm],deviation [um]", "two columns are named roll"),
+    ],
+)
+def test_columns_that_are_not_known_are_refused(tmp_path, header, words):
+    with pytest.raises(GearjaxError, match=words):
+        gj.read_flank(written(tmp_path, rows_of(), header), "driving")
+
+
+def test_a_file_without_a_column_is_refused(tmp_path):
+    with pytest.raises(GearjaxError, match="must name a column deviation"):
+        gj.read_flank(written(tmp_path, [["1"]], "roll [mm]"))
+    with pytest.raises(GearjaxError, match="cannot be read"):
+        gj.read_flank(tmp_path / "none.csv")
+    with pytest.raises(ParameterError, match='must be "driving" or "back"'):
+        gj.read_flank(written(tmp_path, rows_of(flanks=("driving", "back"))))
+    with pytest.raises(GearjaxError, match="has no rows of the back flank"):
+        gj.read_flank(written(tmp_path, rows_of()), "back")
+
+
+def test_pitches_of_files(tmp_path):
+    path = written(tmp_path, [["1", "2"], ["0", "0"], ["2", "-1"]], "tooth,cumulative [um]")
+    np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6])
+    path = written(tmp_path, [["0", "2"], ["1", "-3"], ["2", "1"]], "tooth,single [um]")
+    np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6], atol=1e-18)
+    path = written(tmp_path, [["0", "3"], ["1", "-2"], ["2", "2"]], "tooth,single [um]")
+    with pytest.warns(gj.RepairedData, match="add up to 3 um"):
+        np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6], atol=1e-18)
+    for rows, header, words in (
+        ([["0", "1"], ["2", "1"]], "tooth,single [um]", "lacks tooth 1: all of 0 to 2"),
+        ([["0", "1"], ["0", "1"]], "tooth,single [um]", "line 3: tells of a tooth that"),
+        ([["0"]], "tooth", "cumulative .um. or single"),
+        ([["0", "1", "1"]], "tooth,single [um],cumulative [um]", "one of them"),
+    ):
+        with pytest.raises(GearjaxError, match=words):
+            gj.read_pitch(written(tmp_path, rows, header))
+
+
+def test_configurations_name_files(tmp_path):
+    """Next to the configuration, in the same numbers as by hand; faults by the section that names the file."""
+    tables = gj.config.read_tables(MEASURED.read_text(encoding="utf-8"))
+    tables["errors"] = {"m": {"kind": "measured_flank", "body": "wheel", "file": "flank.csv", "flank": "driving"}}
+    path = written(tmp_path, rows_of())
+    (tmp_path / "pair.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
+    error = gj.load(tmp_path / "pair.toml").errors["m"]
+    by_hand = gj.MeasuredFlank("wheel", **gj.read_flank(path, "driving"))
+    for found, expected in zip(jax.tree.leaves(error), jax.tree.leaves(by_hand), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-14)
+    again = gj.loads(gj.config.self_contained(tomli_w.dumps(tables), tmp_path)).errors["m"]
+    np.testing.assert_array_equal(again.deviation, error.deviation)
+    for change, words in (
+        ({"file": "other.csv"}, "errors.m: file: .*cannot be read"),
+        ({"file": 3}, "errors.m.file = 3"),
+        ({"roll": ["1 mm"]}, "errors.m.roll .*in the file too"),
+        ({"flank": "back"}, "errors.m: file .*no rows of the back"),
+    ):
+        tables["errors"]["m"] = tables["errors"]["m"] | {"file": "flank.csv", "flank": "driving"} | change
+        with pytest.raises(GearjaxError, match=words):
+            gj.loads(tomli_w.dumps(tables), tmp_path)
+        tables["errors"]["m"].pop("roll", None)
+
+
+def test_points_of_a_grid_are_numbers_like_others(tmp_path):
+    """Sensitivity to a point that a file holds, and the configuration with another one."""
+    scene = gj.load(MEASURED)
+    around = gj.local_sensitivity(
+        "static_peak_to_peak",
+        scene,
+        where=["errors.pinion_flank.deviation[97]"],
+        bounds={"errors.pinion_flank.deviation[97]": (-20 * um, 20 * um)},
+        theta=meshes_of(scene.system, 21),
+        torque=830.0,
+    )
+    assert np.isfinite(around.gradient).all()
+    text, path = MEASURED.read_text(encoding="utf-8"), "errors.pinion_flank.deviation[97]"
+    changed = gj.config.with_numbers(text, {path: 5 * um}, {path: _declared(scene)}, MEASURED.parent)
+    again = gj.loads(changed, tmp_path).errors["pinion_flank"]
+    assert float(again.deviation[97]) == pytest.approx(5 * um)
+    np.testing.assert_allclose(np.delete(again.deviation, 97), np.delete(scene.errors["pinion_flank"].deviation, 97))
+
+
+def _declared(scene):
+    from gearjax.parameters import declared
+
+    return declared(scene.errors["pinion_flank"])["deviation"]
+
+
+@pytest.mark.slow
+def test_vibration_of_the_measured_pair_has_gradients():
+    """From a point of the measured grid, tip relief, crowning, torque and speed to the first mesh harmonic at 2,104
+    rpm: by way of the loaded analysis and one contact, against differences."""
+    measured = gj.load(MEASURED)
+    flank = measured.errors["pinion_flank"]
+    flank = gj.MeasuredFlank("pinion", flank.roll, flank.grid[0].ravel(), flank.across)
+    turning = dataclasses.replace(measured.system, input_speed=2104 * gj.units.rpm, slices=10, pairs=3)
+    parts = {"inertia": gj.MomentOfInertia(0.0587), "damping": gj.DampingRatio(0.07)}
+    scene = dataclasses.replace(measured, system=turning, **parts)
+
+    def harmonic(numbers):
+        point, tip, crowning, load, speed = numbers
+        errors = {
+            "flank": dataclasses.replace(flank, deviation=flank.deviation.at[13 * 17 + 6].add(point * um)),
+            "tip": gj.TipRelief("wheel", (5 + tip) * um, 4 * mm),
+            "crowning": gj.Crowning("wheel", (4 + crowning) * um),
+        }
+        rate = 2104 * gj.units.rpm * (1 + speed)
+        whole = dataclasses.replace(scene, errors=errors, system=dataclasses.replace(turning, input_speed=rate))
+        torque = 830.0 * (1 + load)
+        one = gj.one_contact(whole, torque, samples=64, harmonics=16)
+        motion = gj.shooting(one.scene, torque, 2 * math.pi / (19 * rate))
+        return 2 / motion.te.shape[0] * jnp.abs(jnp.fft.rfft(motion.te)[1]) / arcmin
+
+    at = jnp.zeros(5)
+    slopes, value = jax.jit(jax.grad(harmonic))(at), jax.jit(harmonic)
+    assert float(value(at)) > 1e-3
+    for place, step in enumerate((1e-3, 1e-3, 1e-3, 1e-4, 2e-5)):
+        way = np.zeros(5)
+        way[place] = step
+        difference = (value(at + way) - value(at - way)) / (2 * step)
+        assert float(slopes[place]) == pytest.approx(float(difference), rel=1e-5)
