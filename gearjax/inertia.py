@@ -83,6 +83,9 @@ OF_WAY = {"x": "mass", "y": "mass", "z": "mass", "rx": "transverse", "ry": "tran
 class DampingRatio(eqx.Module):
     """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``.
 
+    Slices of contact lines have dampers in proportion to their stiffness, ``c = b k``: altogether, on average, as many
+    times that of a pair as pairs touch, ``b K = ratio sqrt(2 eps_gamma K m)`` with the mean stiffness K of the mesh.
+
     Args:
         ratio: damping ratio [-]; k is the mean stiffness of the pair, m the equivalent mass.
         acting: ``"contact"`` while one of its flanks is in contact, or ``"always"``, through the clearance too.
@@ -94,6 +97,6 @@ class DampingRatio(eqx.Module):
     def __check_init__(self):
         check_parameters(self)
 
-    def coefficient(self, stiffness: Float[Array, " pair"], mass: Float[Array, "..."]) -> Float[Array, " pair"]:
+    def coefficient(self, stiffness: Float[Array, "*pair"], mass: Float[Array, "..."]) -> Float[Array, "*pair"]:
         """Damping coefficient of each pair [N s/m]."""
         return self.ratio * jnp.sqrt(2.0 * stiffness * mass)

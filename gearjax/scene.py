@@ -223,6 +223,7 @@ class Scene(eqx.Module):
             radii=stiffness != "rigid" and line,
             places=stiffness != "rigid" and isinstance(self.compliance, AbstractToothCompliance),
             slices=stiffness != "rigid" and isinstance(self.compliance, AbstractSliceCompliance),
+            moving=stiffness == "varying" and isinstance(self.compliance, AbstractSliceCompliance),
             coordinates=self._coordinates(stiffness).asked,
         )
 

@@ -128,9 +128,11 @@ def require(scene: Scene, what: str, *slots: str) -> None:
     if scene.compliance is not None and couples(scene.compliance):
         words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) makes one of them"
         raise SceneError(f'"{what}" needs springs one by one: {words}')
-    if scene.system.has_slices:  # contacts come onto the path and leave it within a step
-        words = "gj.one_contact(scene, torque) makes one contact of them"
-        raise SceneError(f'"{what}" is not for slices of contact lines yet: {words}')
+    own = scene.compliance
+    if scene.system.has_slices and own is not None and not (isinstance(own, AbstractSliceCompliance) and own.linear):
+        words = "[compliance] of slices that are linear springs, such as line_stiffness, or tooth_slices with contact ="
+        words = f'{words} "constant"; gj.one_contact(scene, torque) makes one contact of all'
+        raise SceneError(f'"{what}" of a {scene.system.kind} needs {words}')
     coordinates = scene.moving.coordinates
     if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
         raise SceneError(f'"{what}" is for one output that turns unevenly, without shafts or cranks before it')
@@ -139,6 +141,17 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         for key in coordinates.needs(body):
             if given is None or getattr(given, key) is None:
                 raise SceneError(f'"{what}" needs [inertia.{body}] with {key}, which this scene does not list')
+
+
+def require_springs_apart(scene: Scene, what: str) -> None:
+    """Refuse an analysis of scenes whose bodies give way, or whose contacts are slices.
+
+    Raises:
+        SceneError: naming what is in the way.
+    """
+    require_output_alone(scene, what)
+    if not scene.springs_apart:
+        raise SceneError(f'"{what}" is for springs of pairs of teeth, which slices of contact lines are not')
 
 
 def require_output_alone(scene: Scene, what: str) -> None:

@@ -268,11 +268,11 @@ def test_bearings_take_the_components_of_the_force_along_the_normal():
     np.testing.assert_allclose(softer, work, rtol=0.02)  # teeth are loaded a little otherwise along the face
 
 
-def test_slices_move_as_one_contact_and_are_refused_by_themselves():
+def test_slices_move_as_one_contact_and_are_refused_with_a_stiffness_per_pair():
     moving = {"load": gj.ConstantLoad(), "inertia": gj.MomentOfInertia(0.39), "damping": gj.DampingRatio(0.07)}
     per_pair = gj.HarmonicStiffness(8e8, jnp.zeros(0), jnp.zeros(0))
-    for compliance, slices in ((TEETH, 6), (per_pair, 6), (per_pair, 1)):
-        scene = dataclasses.replace(scene_of(GUO_1, compliance=compliance, slices=slices), **moving)
+    for slices in (6, 1):
+        scene = dataclasses.replace(scene_of(GUO_1, compliance=per_pair, slices=slices), **moving)
         with pytest.raises(gj.SceneError, match="one_contact"):
             gj.simulate(scene, np.linspace(0.0, 0.1, 11), torque=830.0)
     scene = dataclasses.replace(scene_of(GUO_1, compliance=TEETH, slices=6), **moving)

@@ -218,6 +218,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
     "mesh_stiffness": lambda case: gj.mesh_stiffness(case.moved, case.theta, TORQUE),
+    "natural_modes": lambda case: gj.natural_modes(case.moved, TORQUE).frequencies,
     "one_contact": lambda case: gj.one_contact(case.still, TORQUE).error(0.8 * TORQUE),
     "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
@@ -314,7 +315,10 @@ OF_NO_GEAR_SET = {
     "total_pitch_tolerance",
     "xla_options",
 }
-MOTION = ("chosen_steps", "growth_rate", "harmonic_balance", "periodic_motion", "shooting", "simulate", "speed_sweep")
+MOTION = (
+    *("chosen_steps", "growth_rate", "harmonic_balance", "natural_modes", "periodic_motion", "shooting", "simulate"),
+    "speed_sweep",
+)
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("accuracy_grades", "", ""): "lists no measured_flank",
     ("contact_pressure", "two_kv", ""): "line contacts",
@@ -322,7 +326,7 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
         ("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")
     },
     ("allocate", "", "phase"): "is no tolerance",
-    **{(name, "helical_pair", ""): "makes one contact of them" for name in MOTION},
+    **{(name, "helical_pair", ""): "makes one contact of all" for name in MOTION},
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
     **{
         (name, kind, "element"): "does not depend on it"

@@ -67,7 +67,7 @@ def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     assert json.loads(out)
 
 
-def test_slices_of_contact_lines_do_not_move(tmp_path, capsys):
+def test_slices_do_not_move_with_a_stiffness_per_pair(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     path.write_text(tomli_w.dumps(GEAR_SETS["helical_pair"].tables | {"run": RUN}), encoding="utf-8")
     code, out, err = command(capsys, "tradeoff", path)

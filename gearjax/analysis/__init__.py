@@ -8,6 +8,7 @@ from gearjax.analysis.harmonic_balance import harmonic_balance
 from gearjax.analysis.metrics import FewAngles
 from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
+from gearjax.analysis.natural_modes import NaturalModes, natural_modes
 from gearjax.analysis.one_contact import Reduction, one_contact
 from gearjax.analysis.periodic import Periodic, Sweep, shooting, speed_sweep
 from gearjax.analysis.quasi_static import (
@@ -36,6 +37,7 @@ __all__ = [
     "LostMotion",
     "MeshStiffness",
     "Motion",
+    "NaturalModes",
     "Periodic",
     "QuasiStatic",
     "Reduction",
@@ -53,6 +55,7 @@ __all__ = [
     "interference",
     "lost_motion",
     "mesh_stiffness",
+    "natural_modes",
     "one_contact",
     "order_spectrum",
     "periodic_motion",

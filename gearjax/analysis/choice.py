@@ -16,8 +16,9 @@ from gearjax.analysis.integrate import Even
 from gearjax.analysis.modes import Spacing, StructureEquation
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
+from gearjax.compliance import AbstractCompliance
 from gearjax.scene import Scene
-from gearjax.scene_checks import require_output_alone
+from gearjax.scene_checks import require_springs_apart
 from gearjax.typing import Array
 
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
@@ -80,7 +81,7 @@ def known_limits(physics: Scene) -> Limits | None:
 @eqx.filter_jit
 def limits_of(physics: Scene) -> Limits:
     nothing = jnp.zeros((), physics.dtype)
-    if not physics.output_alone:  # what windows forget is not known: none
+    if not physics.springs_apart:  # what windows forget is not known: none
         equation = StructureEquation.of(physics, nothing)
         return Limits(equation.fastest_rate(modes=True), nothing, equation.scale[0], equation.fastest_rate())
     equation = Equation.of(physics, nothing)
@@ -131,7 +132,7 @@ def method_of(
             shorter = 1.0 if limits is None or limits.whole is None else float(limits.fastest / limits.whole)
             stepper = FixedStep(stepper.step * shorter, solver=RungeKutta4())
     if isinstance(stepper, QuasiStatic):
-        require_output_alone(scene, "QuasiStatic")
+        require_springs_apart(scene, "QuasiStatic")
     if isinstance(stepper, AdaptiveStep | QuasiStatic):
         return stepper
     steps = stepper.steps(ts)
@@ -142,9 +143,10 @@ def method_of(
             "ts is not evenly spaced, as the exponentially fitted steps need: give "
             "stepper=FixedStep(step=..., solver=RungeKutta4())"
         )
-    if not scene.output_alone:
+    if not scene.springs_apart:
         if stepper.windows is not None:
-            raise SceneError("windows are for a scene whose output alone moves: give FixedStep(...) without")
+            words = "windows are for a scene whose output alone moves, on springs of pairs of teeth"
+            raise SceneError(f"{words}: give FixedStep(...) without")
         return Modes(Spacing.of(ts.shape[0], steps, phase_of(scene, ts, steps), ts.dtype))
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
@@ -188,6 +190,8 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
         given = "the stepper was given" if stepper is not None else "the samples are not evenly spaced"
         return ChosenSteps(type(method.solver).__name__, given, step)
     if isinstance(method, Modes):
+        if scene.output_alone:
+            return ChosenSteps("constant modes", "slices of contact lines come and go", step)
         moving = ", ".join(scene.coordinates[1:4]) + (", ..." if len(scene.coordinates) > 4 else "")
         return ChosenSteps("constant modes", f"more moves than the output: {moving}", step)
     reason = "the output alone moves, on springs one by one"
@@ -207,8 +211,8 @@ def _load_changes(scene: Scene) -> bool:
 def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
     """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known."""
     assert scene.load is not None
-    system, compliance = scene.system, scene.linear_compliance
-    if not is_concrete((ts, system.input_speed, scene.load)):
+    system, compliance = scene.system, scene.compliance
+    if not isinstance(compliance, AbstractCompliance) or not is_concrete((ts, system.input_speed, scene.load)):
         return None
     with jax.ensure_compile_time_eval():
         mesh = compliance.harmonics * system.orders["mesh"]

@@ -212,7 +212,7 @@ class OfStructure:
 
 
 def _posed(problem: Problem, series: Series) -> OfOutput | OfStructure:
-    return (OfOutput if problem.scene.output_alone else OfStructure)(problem, series)
+    return (OfOutput if problem.scene.springs_apart else OfStructure)(problem, series)
 
 
 @eqx.filter_jit

@@ -84,7 +84,8 @@ def recorded(
     if isinstance(equation, Equation):
         return Motion(ts, *states, forces, *extremes, settle, failed, whole, layout)
     place, speed, highest, lowest = (part if part.ndim == 1 else part[:, 0] for part in (*states, *extremes))
-    moved, names = states[0][:, 1:], equation.structure.names
+    names = equation.structure.names
+    moved = states[0][:, 1:] if len(names) > 1 else None
     return Motion(ts, place, speed, forces, highest, lowest, settle, failed, whole, layout, None, moved, names)
 
 

@@ -149,7 +149,7 @@ class OfStructure(eqx.Module):
 
 def return_map(problem: Problem, steps: int) -> OfOutput | OfStructure:
     """The map that suits a scene, worked out once: it is part of a program several times."""
-    return (OfOutput if problem.scene.output_alone else OfStructure).of(problem, steps)
+    return (OfOutput if problem.scene.springs_apart else OfStructure).of(problem, steps)
 
 
 def eigenvalues(matrix: Float[Array, "state state"]) -> Array:

@@ -106,6 +106,11 @@ class AbstractSliceCompliance(eqx.Module):
         """Whether its slices move each other."""
         return False
 
+    @property
+    def linear(self) -> bool:
+        """Whether their forces are in proportion to their overlaps, one by one: so they are in motion."""
+        return not self.couples
+
     @abc.abstractmethod
     def springs(self, slices: Slices) -> Springs:
         """Springs of the contacts, along the normals of the flanks.

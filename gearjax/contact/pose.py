@@ -26,6 +26,8 @@ class Request:
         radii: whether the radii of curvature count.
         places: whether it counts where on their teeth the contacts are.
         slices: whether it counts which slices of contact lines they are.
+        moving: whether gaps are followed in time, so that they must not jump where slices come onto the path of contact
+            and leave it; there their stiffness is zero.
         coordinates: of the bodies that have supports, such as ``disc_1.x``.
     """
 
@@ -35,6 +37,7 @@ class Request:
     radii: bool = False
     places: bool = False
     slices: bool = False
+    moving: bool = False
     coordinates: tuple[str, ...] = ()
 
 

@@ -49,7 +49,7 @@ MISSING = {
     3: "the phases of the run-outs against the pitch errors of eq. (33) are not printed: 16 to 57 um (wheel) and 13 to "
     "44 um (pinion) can come of it",
 }
-MOVING = "slices in motion are not computed yet, and the modification of the pinion is a curve without numbers"
+MOVING = "the modification of the pinion, which decides it, is a curve without numbers"
 BANDS = (
     "the paper prints where sidebands are, not how high. Run-outs alone make none, to first order: its series (eq. 28) "
     "makes 1 to 1.5 um of them, as the stiffness changes under run-outs that its deflection leaves out"

@@ -22,7 +22,7 @@ from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
 from gearjax.progress import Progress, silent
 from gearjax.run import METRICS, Run
 from gearjax.scene import Scene
-from gearjax.scene_checks import require_output_alone
+from gearjax.scene_checks import require_springs_apart
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 from gearjax.units import arcmin
@@ -165,7 +165,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
 def _dynamic(scene: Scene) -> Run:
     if scene.run is None or "dynamic" not in scene.run.analyses:
         raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
-    require_output_alone(scene, "accuracy")
+    require_springs_apart(scene, "accuracy")
     return scene.run
 
 

@@ -38,8 +38,8 @@ class HelicalPair(AbstractSystem):
     share of it that is on the path, at the middle of that. Or they go on at the corner of a tip, with the gap between
     it and the other flank, by which loaded teeth come into contact early.
 
-    Slices come onto the path and leave it faster than steps of a motion resolve: analyses of motion are of the one
-    contact that `gearjax.one_contact` makes of them.
+    In motion slices need springs whose stiffness goes by their share on the path, such as `LineStiffness` or
+    `ToothSlices` with constant contact. `gearjax.one_contact` makes one contact of any compliance.
 
     Bodies: ``pinion`` and ``wheel``. Run-out turns with its gear, phase counted as the gear turns from the line towards
     the other's axis (of an internal gear from the line towards the pinion). Teeth are counted from 0, in the order in
@@ -196,9 +196,9 @@ class HelicalPair(AbstractSystem):
         for coordinate in request.coordinates:
             body, _, way = coordinate.partition(".")
             jacobian.append(self._column(body, way, pair, side, at))
-        gap = at.gap + jnp.where(side < 0, pair.backlash, 0.0)
-        # slices that are off the path: no jump where they come onto it
-        gap = normal * gap + at.beyond
+        gap = normal * (at.gap + jnp.where(side < 0, pair.backlash, 0.0))
+        if not request.moving or self.tip_contact == "corner":
+            gap = gap + at.beyond  # off the path
         views = {body: self._view(body, theta, pair, sides, at) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         slices = Slices(pair, at.roll, at.across, at.share) if request.slices else None

@@ -2,8 +2,9 @@
 
     M q'' + C q' + K q + J^T f = Q(t) - M r phi'',     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
 
-with a damper per pair along its first flank, ``c overlap'``. Coordinates are scaled by `LENGTH_SCALE` on the line of
-action, time by the highest natural frequency, as in `gearjax.analysis.equation`, which is the case of one coordinate.
+with a damper per pair along its first flank, ``c overlap'``, or one on each slice of a contact line, in proportion to
+its stiffness. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the highest natural frequency, as
+in `gearjax.analysis.equation`, which is the case of one coordinate and of springs that do not come and go.
 """
 
 from typing import NamedTuple
@@ -15,11 +16,14 @@ import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from gearjax.analysis.equation import LENGTH_SCALE, turning_rate
+from gearjax.analysis.modes.springs import MeanSprings
 from gearjax.contact import ContactSet, Layout, LinearSprings, equilibrium
 from gearjax.dependence import depends
 from gearjax.scene import Scene
 from gearjax.structure import Structure
 from gearjax.typing import Array, Bool, Float, Int, Scalar
+
+OFF = 0.01  # m, between flanks where slices are off the path of contact
 
 
 class Excitation(NamedTuple):
@@ -51,7 +55,8 @@ class StructureEquation(eqx.Module):
         jacobian: of the contacts at the start, shape (contact, coordinate) [m/rad, -].
         free: how many coordinates, the first ones, nothing but contacts holds.
         holds: of each contact the one that it holds, as in a `ContactSet`.
-        coefficient: of the damper of each pair [N s/m]; ``None`` without.
+        springs: what is known of them at all times.
+        coefficient: of the damper of each pair [N s/m], of slices over their stiffness, shape () [s]; ``None`` without.
         scale: each coordinate per scaled one, shape (coordinate,) [rad, m].
         frequency: highest natural frequency with all contacts closed [rad/s]; scales time.
         contact_rate: fastest rate that forces of the contacts make by themselves, the bodies free [rad/s].
@@ -64,7 +69,8 @@ class StructureEquation(eqx.Module):
     torque: Scalar
     structure: Structure
     jacobian: Float[Array, "contact coordinate"]
-    coefficient: Float[Array, " pair"] | None
+    springs: MeanSprings
+    coefficient: Float[Array, "*pair"] | None
     scale: Float[Array, " coordinate"]
     frequency: Scalar
     contact_rate: Scalar
@@ -79,7 +85,7 @@ class StructureEquation(eqx.Module):
         """The equation, scaled for the scene."""
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
-        structure, layout = scene.structure, scene.layout
+        structure, layout, springs = scene.structure, scene.layout, MeanSprings.of(scene)
         contacts = scene.contacts(start, "varying")
         jacobian = contacts.jacobian
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time, "varying").jacobian, start)
@@ -89,23 +95,22 @@ class StructureEquation(eqx.Module):
             mass = _at_pairs(jacobian[layout.flanks[0], :free], structure.mass[:free, :free])
             if contacts.free == 1:
                 mass = scene.inertia.at_contacts(contacts.output_levers)
-            coefficient = scene.damping.coefficient(scene.linear_compliance.mean_stiffness(layout.teeth), mass)
+            coefficient = springs.damping(scene.damping, mass)
         reach = jnp.abs(jacobian).max(axis=0)
         arms = jnp.where(np.array(scene.moving.coordinates.turns) & (reach > 0), reach, 1.0)
         arms = arms.at[0].set(jnp.mean(jnp.abs(contacts.output_levers)))
         scale = LENGTH_SCALE / arms
-        first = jacobian[layout.flanks[0]]
-        teeth = scene.linear_compliance.peak_stiffness() * first.T @ first
+        teeth = springs.stiffest(jacobian)
         own = jnp.diagonal(structure.stiffness)  # that of a fast crank's body may be below zero
         held = structure.stiffness + jnp.diag(jnp.abs(own) - own)
         whole = _fastest(structure.mass, teeth + held)
         contact = _fastest(structure.mass, teeth)
         if coefficient is not None:
-            drag = _fastest(structure.mass, first.T @ (coefficient[:, None] * first)) ** 2
+            drag = _fastest(structure.mass, springs.dampers(jacobian, coefficient)) ** 2
             contact = jnp.maximum(contact, drag)
         rates = whole, contact, turn
         return cls(
-            *(scene, torque, structure, jacobian, coefficient, scale, *rates, layout),
+            *(scene, torque, structure, jacobian, springs, coefficient, scale, *rates, layout),
             *(scene.system.turns_evenly, contacts.free, contacts.holds),
         )
 
@@ -139,41 +144,47 @@ class StructureEquation(eqx.Module):
         return Excitation(jacobian, gap, rates[0], rates[1], stiffness, self.torque_at(time))
 
     def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
-        """Forces on the contacts: elastic, shape (contact,), and of the damper of each pair along its first flank,
-        shape (pair,), ``None`` without dampers [N].
+        """Forces on the contacts: elastic, shape (contact,), and of the dampers, shape (damper,), ``None`` without [N].
 
         Args:
             now: what drives the motion.
             place, speed: of the coordinates, shape (coordinate,).
         """
         overlap = now.jacobian @ place - now.gap
-        return self.elastic(now, overlap), self.resistance(overlap, self.approach(now, place, speed))
+        return self.elastic(now, overlap), self.resistance(now.stiffness, overlap, self.approach(now, place, speed))
 
     def elastic(self, now: Excitation, overlap: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Elastic forces [N]."""
         return now.stiffness * self.scene.contact.penetration(overlap)
 
-    def approach(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " pair"] | None:
-        """Rate of overlap of the first flank of each pair [m/s]; ``None`` without dampers."""
+    def approach(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " damper"] | None:
+        """Rate of overlap of the contacts that have dampers [m/s]; ``None`` without."""
         if self.coefficient is None:
             return None
         assert now.jacobian_rate is not None
         assert now.gap_rate is not None
-        first = self.layout.flanks[0]
+        first = self.springs.damped
         return now.jacobian[first] @ speed + now.jacobian_rate[first] @ place - now.gap_rate[first]
 
-    def resistance(self, overlap: Array, approach: Array | None) -> Float[Array, " pair"] | None:
+    def resistance(self, stiffness: Array, overlap: Array, approach: Array | None) -> Float[Array, " damper"] | None:
         """Forces of the dampers [N]; ``None`` without."""
         if approach is None or self.coefficient is None:
             return None
-        return self.coefficient * self.engaged(overlap) * approach
+        return self.drag(stiffness) * self.engaged(overlap) * approach
 
-    def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " pair"]:
-        """How far the damper of each pair acts, 0 to 1: while any of its flanks is in contact, or always."""
+    def drag(self, stiffness: Float[Array, " contact"]) -> Float[Array, " damper"]:
+        """Coefficients of the dampers [N s/m]."""
+        assert self.coefficient is not None
+        return self.coefficient * stiffness if self.springs.sliced else self.coefficient
+
+    def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " damper"]:
+        """How far the dampers act, 0 to 1: while any flank of the pair, or the slice, is in contact, or always."""
         assert self.scene.damping is not None
+        closed = self.scene.contact.closed(overlap)
+        if self.springs.sliced:
+            return closed if self.scene.damping.acting == "contact" else jnp.ones_like(closed)
         if self.scene.damping.acting == "always":
             return jnp.ones((self.layout.teeth,), overlap.dtype)
-        closed = self.scene.contact.closed(overlap)
         left = jnp.ones((self.layout.teeth,), overlap.dtype)
         for flank in self.layout.flanks:
             left = left * (1.0 - closed[flank])
@@ -184,7 +195,7 @@ class StructureEquation(eqx.Module):
         pull = now.jacobian.T @ elastic
         if damping is None:
             return pull
-        return pull + now.jacobian[self.layout.flanks[0]].T @ damping
+        return pull + now.jacobian[self.springs.damped].T @ damping
 
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
         """Forces on the coordinates that do not depend on them [N m, N]."""
@@ -226,10 +237,13 @@ class StructureEquation(eqx.Module):
         if free < len(pushed):
             supports = self.structure.stiffness[free:, free:]
             pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
-        contacts = ContactSet(jacobian, gap - jacobian @ pushed, springs, self.layout, supports, self.holds)
+        gap = gap - jacobian @ pushed
+        if self.springs.sliced:  # off the path a slice touches nothing
+            gap = gap + jnp.where(stiffness > 0, 0.0, OFF)
+        contacts = ContactSet(jacobian, gap, springs, self.layout, supports, self.holds)
         rest = equilibrium(contacts, -torque, self.scene.contact)
-        assert rest.moved is not None
-        place = jnp.concatenate([rest.position[None], rest.moved]) + pushed
+        moved = jnp.zeros(0, gap.dtype) if rest.moved is None else rest.moved
+        place = jnp.concatenate([rest.position[None], moved]) + pushed
         return jnp.where(rest.result == 0, place, jnp.nan), rest.forces
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2 coordinate"]:
@@ -255,7 +269,7 @@ class StructureEquation(eqx.Module):
         speed = scene.system.input_speed
         rates = [
             self.contact_rate if modes else jnp.maximum(self.contact_rate, self.frequency),
-            scene.linear_compliance.harmonics * orders["mesh"] * speed,
+            self.springs.harmonics * orders["mesh"] * speed,
             scene.load.rate(speed, orders),
             turning_rate(scene),
         ]

@@ -19,8 +19,9 @@ class Driving(NamedTuple):
     Args:
         lever: J, shape (coordinate, contact) [m/rad, -]; ``None`` where lines are contacts.
         gap: shape (contact,) [m].
-        lever_rate: of first flanks, shape (coordinate, pair) [m/rad s, 1/s]; ``None`` with ``lever``, or no dampers.
-        gap_rate: of first flanks, shape (pair,) [m/s]; ``None`` without dampers.
+        lever_rate: of contacts with dampers, shape (coordinate, damper) [m/rad s, 1/s]; ``None`` with ``lever``, or no
+            dampers.
+        gap_rate: of the same, shape (damper,) [m/s]; ``None`` without dampers.
         stiffness: shape (contact,) [N/m].
         torque: load torque [N m].
     """
@@ -55,19 +56,22 @@ class Lines(eqx.Module):
     @classmethod
     def of(cls, equation: StructureEquation, start: Scalar) -> "Lines":
         """Lines that suit a scene, with the springs that carry at the start."""
-        layout = equation.layout
-        now, first = equation.excitation(start), layout.flanks[0]
-        jacobian, coefficient = now.jacobian, equation.coefficient
+        layout, springs = equation.layout, equation.springs
+        now, coefficient = equation.excitation(start), equation.coefficient
+        jacobian = now.jacobian
         contacts, coordinates = jacobian.shape
-        apart = not equation.levers_turn and contacts <= coordinates
-        mean = layout.per_contact(layout.apiece(equation.scene.linear_compliance.mean_stiffness(layout.teeth)))
+        apart = not equation.levers_turn and contacts <= coordinates and not springs.sliced
+        unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
+        if springs.matrix is not None:
+            held = springs.matrix
+            damping = None if coefficient is None else coefficient * held
+            return cls(equation, unit, unit, held, damping, apart)
         if layout.sides_turn:
             carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0
         else:
             carries = equation.loaded(jacobian, now.torque)
-        held = jnp.where(carries, mean, 0.0)
+        held, first = jnp.where(carries, springs.mean, 0.0), springs.damped
         if not apart:
-            unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
             if coefficient is not None:
                 acts = jnp.where(carries[first], coefficient, 0.0) if layout.sides_turn else coefficient
                 damping = jacobian[first].T @ (acts[:, None] * jacobian[first])
@@ -75,7 +79,6 @@ class Lines(eqx.Module):
         columns = [jacobian.T, jnp.zeros((coordinates, 1), jacobian.dtype).at[0].set(-1.0)]
         if equation.pushed:
             columns.append(equation.structure.push[:, None])
-        damping = None
         if coefficient is not None:
             damping = jnp.diag(layout.on_first(coefficient))
         return cls(equation, jacobian, jnp.concatenate(columns, axis=1), jnp.diag(held), damping, apart)
@@ -102,18 +105,18 @@ class Lines(eqx.Module):
         """
         if not self.hears_speed:
             return self.seen @ place
-        heard = self.seen[self.equation.layout.flanks[0]] if self.apart else self.seen
+        heard = self.seen[self.equation.springs.damped] if self.apart else self.seen
         return jnp.concatenate([self.seen @ place, heard @ speed])
 
     def sight(self, seen: Float[Array, " line"], rate: Float[Array, " line"]) -> Array:
         """The same of s and its rate at all lines."""
         if not self.hears_speed:
             return seen
-        return jnp.concatenate([seen, rate[self.equation.layout.flanks[0]] if self.apart else rate])
+        return jnp.concatenate([seen, rate[self.equation.springs.damped] if self.apart else rate])
 
     def driving(self, time: Scalar) -> Driving:
         """What drives the steps at a time [s]: without what stands still."""
-        now, first = self.equation.excitation(time), self.equation.layout.flanks[0]
+        now, first = self.equation.excitation(time), self.equation.springs.damped
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
             return Driving(None, now.gap, None, heard, now.stiffness, now.torque)
@@ -125,7 +128,7 @@ class Lines(eqx.Module):
         seen = sight[: len(self.seen)]
         return (seen if now.lever is None else total(now.lever, seen)) - now.gap
 
-    def approach(self, now: Driving, sight: Array) -> Float[Array, " pair"] | None:
+    def approach(self, now: Driving, sight: Array) -> Float[Array, " damper"] | None:
         """Rate of overlap along the dampers [m/s]; where they always act, without the part of the moving structure."""
         if now.gap_rate is None:
             return None
@@ -135,7 +138,7 @@ class Lines(eqx.Module):
         if now.lever is None:
             return heard - now.gap_rate
         assert now.lever_rate is not None
-        return total(now.lever[:, self.equation.layout.flanks[0]], heard) + total(now.lever_rate, seen) - now.gap_rate
+        return total(now.lever[:, self.equation.springs.damped], heard) + total(now.lever_rate, seen) - now.gap_rate
 
     def known(self, now: Driving) -> Float[Array, " known"]:
         """Inputs that do not depend on the motion, where lines are contacts: load torque and centrifugal forces."""
@@ -153,9 +156,9 @@ class Lines(eqx.Module):
         equation, seen = self.equation, sight[: len(self.seen)]
         overlap = self.overlap(now, sight)
         force = now.stiffness * equation.scene.contact.penetration(overlap)
-        damping = equation.resistance(overlap, self.approach(now, sight))
+        damping = equation.resistance(now.stiffness, overlap, self.approach(now, sight))
         if damping is not None:
-            force = force + equation.layout.on_first(damping)
+            force = force + equation.springs.at_contacts(damping)
         kept = self._of_mean(self.stiffness, seen)
         if self.hears_speed and self.damping is not None:
             heard = sight[len(self.seen) :]
@@ -184,13 +187,10 @@ class Lines(eqx.Module):
         kink = jnp.where(crossed, -now.stiffness * size * (1 / 12 - 0.5 * share * (1 - share)), 0.0)
         if equation.scene.damping is not None and equation.scene.damping.acting == "contact":
             turn = equation.engaged(before) - equation.engaged(overlap)
-            when = share[equation.layout.flanks[0]]
-            for flank in equation.layout.flanks[1:]:
-                when = jnp.minimum(when, share[flank])
             approach = self.approach(now, sight)
             assert approach is not None
-            assert equation.coefficient is not None
-            kink = kink + equation.layout.on_first(equation.coefficient * turn * approach * (0.5 - when))
+            push = equation.drag(now.stiffness) * turn * approach * (0.5 - equation.springs.earliest(share))
+            kink = kink + equation.springs.at_contacts(push)
         return kink if now.lever is None else now.lever @ kink
 
 
