@@ -22,6 +22,7 @@ from gearjax.analysis import (
     Sweep,
     Torsion,
     TransmissionError,
+    Waterfall,
     Windows,
     backlash,
     chosen_steps,
@@ -40,6 +41,7 @@ from gearjax.analysis import (
     speed_sweep,
     torsion,
     transmission_error,
+    waterfall,
 )
 from gearjax.analysis.metrics import Extremes
 from gearjax.checks import FewCandidates, GearjaxError, ParameterError, RepairedData, SceneError
@@ -270,6 +272,7 @@ __all__ = [
     "TwoKV",
     "Uniform",
     "UniformPhase",
+    "Waterfall",
     "Windows",
     "ZeroAtStart",
     "accuracy_grades",
@@ -316,5 +319,6 @@ __all__ = [
     "total_pitch_tolerance",
     "transmission_error",
     "units",
+    "waterfall",
     "xla_options",
 ]

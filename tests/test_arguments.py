@@ -128,6 +128,8 @@ def test_shapes_of_one_number(scene):
         ("speed_sweep", {"speeds": [-1.0]}, "speeds = -1: must be above 0"),
         ("speed_sweep", {"speeds": []}, r"speeds = \(0,\): is a shape"),
         ("speed_sweep", {"order": "crnk"}, 'order = "crnk": did you mean "crank"'),
+        ("waterfall", {"order": "crnk"}, 'order = "crnk": did you mean "crank"'),
+        ("waterfall", {"steps": 24, "harmonics": 8}, "at least 32 for these harmonics"),
         ("speed_sweep", {"steps": 100}, "multiple of 8"),
         ("minimise", {"loss": 3.0}, "loss = 3.0: must be a name"),
         ("minimise", {"loss": [1.0]}, "loss = .*: must be a name"),

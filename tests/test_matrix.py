@@ -227,6 +227,9 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
     "torsion": lambda case: gj.torsion(case.moved, case.theta[:3], np.array([-TORQUE, TORQUE])),
     "transmission_error": lambda case: [case.te(), case.te(TORQUE)],
+    "waterfall": lambda case: (
+        gj.waterfall(case.still, TORQUE, np.array([20.0, 30.0]), harmonics=2, steps=32).peak_to_peak
+    ),
 }
 OF_NUMBERS: dict[str, Callable[[Case], Any]] = {
     "allocate": lambda case: (
@@ -317,7 +320,7 @@ OF_NO_GEAR_SET = {
 }
 MOTION = (
     *("chosen_steps", "growth_rate", "harmonic_balance", "natural_modes", "periodic_motion", "shooting", "simulate"),
-    "speed_sweep",
+    *("speed_sweep", "waterfall"),
 )
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("accuracy_grades", "", ""): "lists no measured_flank",

@@ -24,6 +24,7 @@ from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windo
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
 from gearjax.analysis.stiffness import MeshStiffness, mesh_stiffness
 from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost_motion, torsion
+from gearjax.analysis.waterfall import Waterfall, waterfall
 
 __all__ = [
     "AdaptiveStep",
@@ -46,6 +47,7 @@ __all__ = [
     "Sweep",
     "Torsion",
     "TransmissionError",
+    "Waterfall",
     "Windows",
     "backlash",
     "chosen_steps",
@@ -64,4 +66,5 @@ __all__ = [
     "speed_sweep",
     "torsion",
     "transmission_error",
+    "waterfall",
 ]

@@ -197,7 +197,7 @@ def speed_sweep(
     return dataclasses.replace(sweep, ends=sweep.ends[..., 0]) if scene.output_alone else sweep
 
 
-def _at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Problem:
+def at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Problem:
     """A period of an order at an input speed."""
     turning = eqx.tree_at(lambda s: s.system.input_speed, scene, speed)
     return Problem(turning, torque, 2 * jnp.pi / (turns * speed))
@@ -206,7 +206,7 @@ def _at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Prob
 @eqx.filter_jit
 def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, steps: int, turns: float) -> Sweep:
     def at(state: Array, speed: Scalar) -> tuple[Array, tuple[Array, Array, Array]]:
-        motion = return_map(_at_speed(scene, torque, turns, speed), steps)
+        motion = return_map(at_speed(scene, torque, turns, speed), steps)
         state = jax.lax.scan(
             lambda state, _: (motion.end(state), None), state / motion.scale, None, length=periods - 1
         )[0]
@@ -216,6 +216,6 @@ def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, step
         state = course.states[-1] * motion.scale
         return state, (path.std() * output, spread * output, state)
 
-    first = return_map(_at_speed(scene, torque, turns, scene.system.input_speed), steps)
+    first = return_map(at_speed(scene, torque, turns, scene.system.input_speed), steps)
     _, (std, spread, ends) = jax.lax.scan(at, first.resting() * first.scale, speeds)
     return Sweep(speeds, std, spread, ends)

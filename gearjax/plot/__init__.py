@@ -8,6 +8,7 @@ from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_fi
 from gearjax.plot.stiffness import stiffness_figure
 from gearjax.plot.tolerance import save_tolerance_figures
 from gearjax.plot.tradeoff import save_tradeoff_figure
+from gearjax.plot.waterfall import waterfall_figure
 
 __all__ = [
     "draw_curve",
@@ -28,4 +29,5 @@ __all__ = [
     "stage_figure",
     "stiffness_figure",
     "thin",
+    "waterfall_figure",
 ]

@@ -1,0 +1,100 @@
+"""Periodic motions over speeds side by side: a waterfall of their orders, and dynamic factors."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from gearjax import arguments
+from gearjax.analysis.choice import MODELLED
+from gearjax.analysis.periodic import at_speed, shoot
+from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
+from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
+
+AT_ONCE = 50  # speeds side by side: their tables of what drives them take memory
+
+
+class Waterfall(eqx.Module):
+    """Motions that repeat with an order, at several speeds.
+
+    Args:
+        speeds: input speeds, shape (n,) [rad/s].
+        orders: multiples of the order, shape (harmonic,) [cycles per turn of the input].
+        amplitudes: of the TE at each speed and order, shape (n, harmonic) [rad].
+        peak_to_peak: of the TE, shape (n,) [rad].
+        dynamic_factor: highest torque of the contacts on the output over the load torque, shape (n,) [-].
+        stable: whether a disturbance of the motion dies out, shape (n,).
+        result: 0 where a motion was found, 1 where not, shape (n,).
+    """
+
+    speeds: Float[Array, " n"]
+    orders: Float[Array, " harmonic"]
+    amplitudes: Float[Array, "n harmonic"]
+    peak_to_peak: Float[Array, " n"]
+    dynamic_factor: Float[Array, " n"]
+    stable: Bool[Array, " n"]
+    result: Int[Array, " n"]
+
+
+@arguments.checked(steps=arguments.whole(8), settle=arguments.whole(0), harmonics=arguments.whole(1))
+def waterfall(
+    scene: Scene,
+    torque: ArrayLike,
+    speeds: ArrayLike,
+    *,
+    harmonics: int = 8,
+    steps: int = 128,
+    settle: int = 0,
+    order: str = "mesh",
+) -> Waterfall:
+    """The motion that repeats with an order, at many input speeds in one batch, by shooting (`shooting`).
+
+    Each speed begins from its own equilibrium: where several motions are possible, which `speed_sweep` goes through up
+    and down, it is the one that leads to, or after some periods of settling the one that is settled to.
+
+    Args:
+        scene: the scene, with compliance, load and inertia; everything that drives it repeats with the order.
+        torque: size of the load torque [N m].
+        speeds: input speeds, shape (n,) [rad/s].
+        harmonics: multiples of the order that are told.
+        steps: per period, a multiple of 8; four times the harmonics or more.
+        settle: periods before shooting.
+        order: name of the order whose period counts.
+
+    Raises:
+        SceneError: the scene lacks a part, or steps do not suit.
+        ParameterError: no such order, or speeds that are not positive.
+    """
+    require(scene, "waterfall", "compliance", "load", "inertia")
+    speeds = jnp.asarray(speeds, scene.dtype)
+    if speeds.ndim != 1 or speeds.shape[0] == 0:
+        raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")
+    if steps % 8 or steps < 4 * harmonics:
+        raise SceneError(f"steps = {steps}: must be a multiple of 8, and at least {4 * harmonics} for these harmonics")
+    if order not in scene.system.orders:
+        raise ParameterError("order", order, nearest(order, scene.system.orders))
+    turns, torque = scene.system.orders[order], jnp.asarray(torque, scene.dtype)
+    return _waterfall(scene.physics(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
+
+
+@eqx.filter_jit
+def _waterfall(
+    scene: Scene, torque: Scalar, speeds: Array, harmonics: int, steps: int, settle: int, turns: float
+) -> Waterfall:
+    def at(speed: Scalar) -> tuple[Array, ...]:
+        problem = at_speed(scene, torque, turns, speed)
+        motion = shoot(problem, steps, None, settle, 40)
+        lines = 2 / steps * jnp.abs(jnp.fft.rfft(motion.te)[1 : harmonics + 1])
+        parts = problem.scene.structure
+        rates = 2 * jnp.pi / problem.period * jnp.arange(steps // 2 + 1).astype(speed.dtype)
+        waves = jnp.fft.rfft(motion.q, axis=0)
+        rate = jax.lax.complex(jnp.zeros_like(rates), rates)[:, None]
+        pace, acceleration = (jnp.fft.irfft(waves * times, steps, axis=0) for times in (rate, rate * rate))
+        held = motion.q @ parts.stiffness[0] + pace @ parts.damping[0] + acceleration @ parts.mass[0]
+        factor = jnp.max(torque + held - parts.push[0]) / torque
+        return lines, motion.peak_to_peak, factor, motion.stable, motion.result
+
+    found = jax.lax.map(at, speeds, batch_size=min(AT_ONCE, speeds.shape[0]))
+    orders = turns * jnp.arange(1, harmonics + 1).astype(speeds.dtype)
+    return Waterfall(speeds, orders, *found)

@@ -1,0 +1,88 @@
+"""Waterfalls: against shooting one by one, and the closed form of a linear motion."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.plot import waterfall_figure
+from gearjax.units import rpm, um
+from tests.conftest import CONFIG
+from tests.helical_pairs import GUO_1, TEETH, scene_of
+
+SPEEDS = np.array([500.0, 2104.0, 4100.0]) * rpm
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """A 2K-V reducer on constant springs that never part, shaken by one run-out."""
+    scene = gj.load(CONFIG)
+    own = {"planet_1": dataclasses.replace(scene.errors["planet_1"], amplitude=jnp.asarray(1 * um))}
+    stiff = gj.HarmonicStiffness(9e7, jnp.zeros(0), jnp.zeros(0))
+    return dataclasses.replace(scene, errors=own, compliance=stiff, load=gj.ConstantLoad(), backlash=None)
+
+
+def test_a_linear_motion_by_its_closed_form(linear):
+    """The static TE times (K + i w C) / (K - w^2 I + i w C), and the torque that accelerates the output."""
+    order = "planet_1" if "planet_1" in linear.system.orders else "planet"
+    turns, torque = linear.system.orders[order], 300.0
+    contacts = linear.contacts(jnp.zeros(()), "mean")
+    lever, stiffness = contacts.lever, contacts.linear
+    inertia = linear.inertia.moment(lever)
+    springs = float((lever**2 * stiffness).sum())
+    drag = float((lever**2 * linear.damping.coefficient(stiffness, linear.inertia.at_contacts(lever))).sum())
+    natural = math.sqrt(springs / float(inertia))
+    speeds = np.array([0.3, 0.9, 1.0, 2.0]) * natural / turns
+    found = gj.waterfall(linear, torque, speeds, harmonics=2, steps=256, order=order)
+    theta = 2 * np.pi / turns * np.arange(64) / 64
+    static = gj.transmission_error(linear, theta, torque=torque, extremes="samples").te
+    still = float(jnp.abs(jnp.fft.rfft(static)[1])) / 32
+    rate = turns * speeds
+    answer = (springs + 1j * rate * drag) / (springs - rate**2 * float(inertia) + 1j * rate * drag)
+    np.testing.assert_allclose(found.amplitudes[:, 0], np.abs(answer) * still, rtol=2e-3)
+    np.testing.assert_allclose(found.amplitudes[:, 1], 0.0, atol=1e-6 * still)
+    accelerated = float(inertia) * rate**2 * np.asarray(found.amplitudes[:, 0])
+    np.testing.assert_allclose(found.dynamic_factor, 1 + accelerated / torque, rtol=1e-4)
+    np.testing.assert_allclose(found.orders, [turns, 2 * turns])
+    assert found.stable.all()
+
+
+@pytest.fixture(scope="module")
+def pair():
+    parts = {"load": gj.ConstantLoad(), "inertia": gj.MomentOfInertia(0.0587), "damping": gj.DampingRatio(0.07)}
+    return dataclasses.replace(scene_of(GUO_1, {}, TEETH, slices=4), **parts)
+
+
+@pytest.mark.slow
+def test_speeds_side_by_side_are_those_one_by_one(pair):
+    """Of slices in motion; and the gradient of a dynamic factor."""
+    found = gj.waterfall(pair, 830.0, SPEEDS, harmonics=4, steps=128)
+    for place, speed in enumerate(SPEEDS):
+        turning = dataclasses.replace(pair, system=dataclasses.replace(pair.system, input_speed=speed))
+        motion = gj.shooting(turning, 830.0, 2 * math.pi / (19 * speed), steps=128)
+        assert float(found.peak_to_peak[place]) == pytest.approx(float(motion.peak_to_peak), rel=1e-9)
+        lines = np.abs(np.fft.rfft(motion.te))[1:5] / 64
+        np.testing.assert_allclose(found.amplitudes[place], lines, rtol=1e-8)
+    assert (np.asarray(found.result) == 0).all()
+    assert np.argmax(found.dynamic_factor) == 2
+
+    def highest(mass):
+        heavier = dataclasses.replace(pair, inertia=gj.MomentOfInertia(mass))
+        return gj.waterfall(heavier, 830.0, SPEEDS[1:2], harmonics=2, steps=64).amplitudes[0, 0]
+
+    at, step = jnp.asarray(0.0587), 1e-7
+    difference = (highest(at + step) - highest(at - step)) / (2 * step)
+    assert float(jax.grad(highest)(at)) == pytest.approx(float(difference), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_its_figure(pair, tmp_path):
+    found = gj.waterfall(pair, 830.0, SPEEDS, harmonics=4, steps=32)
+    figure = waterfall_figure(found, gj.natural_modes(pair, 830.0))
+    labels = [ax.get_ylabel() for ax in figure.axes]
+    assert labels[:3] == ["TE, peak-to-peak [arcmin]", "dynamic factor [-]", "frequency [Hz]"]
+    figure.savefig(tmp_path / "waterfall.png")
