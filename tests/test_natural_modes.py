@@ -94,3 +94,28 @@ def test_gradients_are_differences_under_jit_and_vmap():
         way[0, place] = step
         difference = (value(at + way) - value(at - way)) / (2 * step)
         np.testing.assert_allclose(slopes[:, :, place], difference, rtol=1e-5, atol=1e-6 * np.abs(difference).max())
+
+
+def test_back_flanks_carry_a_negative_torque():
+    """Modes are those of the mesh that holds the torque, by scipy; nothing holds it without back flanks."""
+    from scipy.linalg import eigh
+
+    scene = published(75e-3)
+    held = {**scene.supports, "pinion": dataclasses.replace(scene.supports["pinion"], y=jnp.asarray(3e8))}
+    loose = dataclasses.replace(scene, supports=held, backlash=gj.InitialBacklash(1e-4), load=gj.ConstantLoad())
+    structure = loose.structure
+    side = np.asarray(loose.layout.side)
+    for torque in (830.0, -830.0):
+        found = gj.natural_modes(loose, torque)
+        whole = np.array(structure.stiffness)
+        for angle in np.arange(256) / 256 * 2 * np.pi / 19:
+            contacts = loose.contacts(jnp.asarray(angle), "mean")
+            own = np.where(side == np.sign(torque), contacts.linear, 0.0)
+            whole += np.asarray(contacts.jacobian).T @ (own[:, None] * np.asarray(contacts.jacobian)) / 256
+        squares, shapes = eigh(whole, np.asarray(structure.mass))
+        np.testing.assert_allclose(found.frequencies, np.sqrt(squares) / (2 * np.pi), rtol=1e-3)
+        for one, other in zip(np.asarray(found.shapes), shapes.T, strict=True):
+            place = np.argmax(np.abs(one - 1) < 1e-12)
+            np.testing.assert_allclose(one, other / other[place], atol=0.02 * np.abs(one).max())
+    with pytest.raises(gj.SceneError, match="nothing holds a negative torque"):
+        gj.natural_modes(scene, -830.0)

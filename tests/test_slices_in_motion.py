@@ -95,6 +95,19 @@ def test_a_slow_motion_is_the_static_error(given, changes):
     assert gj.chosen_steps(scene, ts, 100.0).scheme == "constant modes"
 
 
+def test_clearance_that_nothing_crosses_changes_nothing():
+    """One damper for each slice of the flanks that carry, whether they always act or not."""
+    for acting in ("contact", "always"):
+        damping = gj.DampingRatio(RATIO, acting)
+        bare, loose = (
+            turning(GUO_1, 2104 * rpm, RELIEFS, slices=4, damping=damping, backlash=room)
+            for room in (None, gj.InitialBacklash(200 * um))
+        )
+        ts, _ = meshes(bare, 4, 16)
+        one, other = (np.asarray(gj.simulate(scene, ts, TORQUE).te) for scene in (bare, loose))
+        np.testing.assert_allclose(one, other, atol=1e-9 * np.ptp(one))
+
+
 HELD = {
     "supports": {
         "pinion": gj.Support(x=2e8, y=2e8, rx=1e7, ry=1e7, x_damping=401.0, y_damping=401.0),

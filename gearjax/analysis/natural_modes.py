@@ -5,11 +5,13 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.modes import StructureEquation
 from gearjax.analysis.modes.lines import Lines
+from gearjax.checks import SceneError, is_concrete
 from gearjax.load import ConstantLoad
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
@@ -56,6 +58,9 @@ def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
     """
     require(scene, "natural modes", "compliance", "inertia")
     scene = dataclasses.replace(scene, load=ConstantLoad())
+    if is_concrete(torque) and float(np.asarray(torque)) < 0 and not scene.layout.has_back:
+        words = "nothing holds a negative torque: list [backlash] for back flanks"
+        raise SceneError(f'"natural modes" under {float(np.asarray(torque)):g} N*m: {words}')
     return _natural_modes(scene.physics(*MODELLED), jnp.asarray(torque, scene.dtype))
 
 

@@ -57,7 +57,7 @@ def read_rows(key: str, path: Path) -> tuple[list[str], list[Row]]:
             lines = csv.reader(file, strict=True)
             header = [name.strip() for name in next(lines, [])]
             for cells in lines:
-                if not cells:  # an empty line, such as the last
+                if not "".join(cells).strip() and len(cells) <= 1:  # an empty line, such as the last
                     continue
                 where = f"{key}: {path}: line {lines.line_num}"
                 if len(cells) != len(header):

@@ -19,6 +19,7 @@ from gearjax.errors.measured import FLANKS
 MOST_MISSING = 0.1  # of the points of a grid, that may be filled in
 FAR = 10.0  # times the usual distance from its neighbours, that an outlier is away
 STANDS_OUT = 0.2  # of the spread of the grid, that it is away too
+LONGEST, MOST_TEETH = 10.0, 100_000  # m, and number of a tooth, that a file may hold
 PLACES = 1e-9  # that tell points of a grid apart [m]
 _COLUMN = re.compile(r"(\w+)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
 
@@ -32,12 +33,16 @@ class _Columns:
 
     def length(self, name: str, row: Row) -> float:
         """A length in a row [m]."""
-        return self.size[name] * row.number(self.place[name])
+        column = self.place[name]
+        value = self.size[name] * row.number(column)
+        if abs(value) > LONGEST:
+            raise GearjaxError(f"{row.where}, column {column + 1}: is more than {LONGEST:g} m: is its unit right?")
+        return value
 
     def tooth(self, row: Row) -> int:
         """Number of the tooth that a row is of."""
         number = row.number(self.place["tooth"])
-        if number < 0 or number != round(number):
+        if not 0 <= number <= MOST_TEETH or number != round(number):
             raise GearjaxError(
                 f"{row.where}, column {self.place['tooth'] + 1}: is no number of a tooth, counted from 0"
             )
@@ -77,7 +82,7 @@ def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
         >>> error = gj.MeasuredFlank("pinion", **numbers)
     """
     columns, rows = _open(file, ("roll", "deviation"), ("across", "tooth", "flank"), flank)
-    key = f"file {file}"
+    key = f"file: {file}"
     found: dict[tuple[int, int, int], float] = {}
     known: tuple[dict[int, float], dict[int, float]] = {}, {}
     for row in rows:
@@ -95,9 +100,9 @@ def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
     grid = np.full([len(order) for order in orders], np.nan)
     for point, value in found.items():
         grid[tuple(order[number] for order, number in zip(orders, point, strict=True))] = value
-    filled = _filled(key, grid)
-    _warn_of_outliers(key, grid)
     roll, across = (np.array([places[number] for number in sorted(places)]) for places in known)
+    filled = _filled(key, grid, (roll, across))
+    _warn_of_outliers(key, grid, (roll, across))
     numbers = {"roll": roll, "across": across, "deviation": filled.ravel(), "flank": flank}
     return numbers | {"teeth": np.array(teeth if "tooth" in columns.place else [], float)}
 
@@ -151,8 +156,10 @@ def _open(
 ) -> tuple[_Columns, list[Row]]:
     """The columns of a file, and the rows of a flank."""
     check_path("file", file)
-    key = f"file {file}"
+    key = f"file: {file}"
     header, rows = read_rows("file", Path(file))
+    if len(header) == 1 and re.search("[;\t]", header[0]):
+        raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
     place: dict[str, int] = {}
     size: dict[str, float] = {}
     for number, text in enumerate(header):
@@ -175,7 +182,7 @@ def _open(
     if flank not in ("both", *FLANKS):
         raise ParameterError("flank", flank, nearest(flank, ("both", *FLANKS)))
     if "flank" in place:
-        if flank == "both" and len({columns.flank(row) for row in rows}) > 1:
+        if flank == "both":
             raise ParameterError("flank", flank, f'must be "driving" or "back": {key} tells them apart')
         rows = [row for row in rows if flank in ("both", columns.flank(row))]
         if not rows:
@@ -191,8 +198,9 @@ def _size(where: str, unit: str) -> float:
         raise GearjaxError(f"{where}: {fault.right}") from fault
 
 
-def _filled(key: str, grid: np.ndarray) -> np.ndarray:
-    """A grid without gaps: what is missing as halfway between its neighbours along both ways, if there are such."""
+def _filled(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """A grid without gaps: what is missing as on straight lines through the next known points, along the profile and
+    across the face, beyond the last ones too; the mean of both where there are such."""
     missing = np.isnan(grid)
     if not missing.any():
         return grid
@@ -200,29 +208,41 @@ def _filled(key: str, grid: np.ndarray) -> np.ndarray:
         words = f"{missing.sum()} of {grid.size} points are missing, more than a tenth"
         raise GearjaxError(f"{key}: {words}: the points of each tooth must be on one grid of roll and across")
     ways = []
-    for axis in (1, 2):
+    for axis, own in zip((1, 2), places, strict=True):
         whole = grid.copy()
         lines = np.moveaxis(whole, axis, -1)
-        places = np.arange(lines.shape[-1])
         for line in np.ndindex(lines.shape[:-1]):
-            there = ~np.isnan(lines[line])
-            if there.any():
-                lines[line] = np.interp(places, places[there], lines[line][there])
+            lines[line] = _on_lines(own, lines[line])
         ways.append(whole)
     known = ~np.isnan(ways)
     filled = np.where(missing, np.where(known, ways, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), grid)
     if not known.any(axis=0).all():
         raise GearjaxError(f"{key}: a point, and all others of its row and its column of the grid, are missing")
-    warnings.warn(f"{key}: {missing.sum()} of {grid.size} points are missing: filled in", RepairedData, stacklevel=3)
+    words = f"{missing.sum()} of {grid.size} points are missing: filled in, on lines through the next ones"
+    warnings.warn(f"{key}: {words}", RepairedData, stacklevel=3)
     return filled
 
 
-def _warn_of_outliers(key: str, grid: np.ndarray) -> None:
+def _on_lines(places: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values with what is missing on lines through the next known ones; nan where fewer than two are known."""
+    there = ~np.isnan(values)
+    if there.sum() < 2:
+        return values
+    known, at = values[there], places[there]
+    filled = np.where(there, values, np.interp(places, at, known))
+    for beyond, (one, other) in ((places < at[0], (0, 1)), (places > at[-1], (-1, -2))):
+        slope = (known[one] - known[other]) / (at[one] - at[other])
+        filled = np.where(beyond, known[one] + slope * (places - at[one]), filled)
+    return filled
+
+
+def _warn_of_outliers(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> None:
     """Tell of points that are off the lines through their neighbours, along the profile and across the face."""
-    ways = [_off_line(np.moveaxis(grid, axis, -1)) for axis in (1, 2) if grid.shape[axis] > 2]
+    each = zip((1, 2), places, strict=True)
+    ways = [np.moveaxis(_off_line(own, np.moveaxis(grid, axis, -1)), -1, axis) for axis, own in each if own.size > 2]
     if not ways:
         return
-    away = np.minimum.reduce([np.moveaxis(off, -1, axis) for off, axis in zip(ways, (1, 2), strict=False)])
+    away = np.minimum.reduce(ways)
     usual, spread = np.nanmedian(away), np.nanpercentile(grid, 95) - np.nanpercentile(grid, 5)
     far = away > max(FAR * usual, STANDS_OUT * spread)
     if far.any():
@@ -230,9 +250,12 @@ def _warn_of_outliers(key: str, grid: np.ndarray) -> None:
         warnings.warn(f"{key}: {words} their neighbours: they are taken as they are", RepairedData, stacklevel=3)
 
 
-def _off_line(lines: np.ndarray) -> np.ndarray:
+def _off_line(places: np.ndarray, lines: np.ndarray) -> np.ndarray:
     """How far each value along the last axis is from the line through its neighbours on both sides, the outermost ones
     from that through the next two; nan where one of these is missing."""
-    inner = lines[..., 1:-1] - 0.5 * (lines[..., :-2] + lines[..., 2:])
-    ends = [lines[..., [i]] - 2 * lines[..., [j]] + lines[..., [k]] for i, j, k in ((0, 1, 2), (-1, -2, -3))]
-    return np.abs(np.concatenate([ends[0], inner, ends[1]], axis=-1))
+    number = len(places)
+    own = np.arange(number)
+    first = np.concatenate([[1], own[:-2], [number - 2]])
+    second = np.concatenate([[2], own[2:], [number - 3]])
+    share = (places - places[first]) / (places[second] - places[first])
+    return np.abs(lines - (1 - share) * lines[..., first] - share * lines[..., second])

@@ -123,6 +123,8 @@ class GearSize(NamedTuple):
         diameter: of the reference circle [m].
         width: of the face [m].
         pressure_angle: in a transverse section, at the reference circle [rad].
+        roll: least and greatest length of roll of the part of the flank that may touch [m].
+        internal: whether its teeth point inwards.
     """
 
     teeth: int
@@ -130,6 +132,8 @@ class GearSize(NamedTuple):
     diameter: Scalar
     width: Scalar
     pressure_angle: Scalar
+    roll: tuple[Scalar, Scalar]
+    internal: bool
 
 
 class ProfilePlace(eqx.Module):

@@ -17,6 +17,7 @@ from gearjax.parameters import check_parameters, name, series
 from gearjax.typing import Array, Float, Int, Number
 from gearjax.units import mm
 
+ON_FACE = 0.01  # of half of the width, that places may be beyond its ends
 FLANKS = {"driving": 1, "back": -1}
 
 
@@ -105,12 +106,27 @@ class MeasuredFlank(AbstractMeasured):
 
     def check(self, gear: GearSize | None) -> None:
         super().check(gear)
-        if gear is None or not is_concrete(self.teeth) or not self.teeth.size:
+        if gear is None or not is_concrete(tuple(gear)) or not is_concrete((self.roll, self.across, self.teeth)):
+            return
+        self._check_places(gear)
+        if not self.teeth.size:
             return
         known = np.asarray(self.teeth)
         if (known >= gear.teeth).any() or (known != np.round(known)).any():
             odd = known[(known >= gear.teeth) | (known != np.round(known))][0]
             raise ParameterError("teeth", f"{odd:g}", f"must be whole numbers from 0 to {gear.teeth - 1}")
+
+    def _check_places(self, gear: GearSize) -> None:
+        """Refuse a grid that is not on the gear: of another unit, or counted from elsewhere."""
+        low, high = (float(end) / mm for end in gear.roll)
+        first, last = float(self.roll[0]) / mm, float(self.roll[-1]) / mm
+        if first > high or last < low:
+            words = f"must tell of lengths of roll that may touch, {low:.4g} to {high:.4g} mm: is their unit right?"
+            raise ParameterError("roll", f"{first:.4g} to {last:.4g} mm", words)
+        half, most = 0.5 * float(gear.width) / mm, float(np.max(np.abs(self.across))) / mm
+        if most > half * (1 + ON_FACE):
+            words = f"must be on the face, up to {half:.4g} mm from its middle: is their unit right?"
+            raise ParameterError("across", f"up to {most:.4g} mm", words)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         place = profile_of(self.body, view)

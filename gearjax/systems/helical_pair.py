@@ -165,8 +165,11 @@ class HelicalPair(AbstractSystem):
 
     def gear_size(self, body: str) -> GearSize:
         pair, number = self.pair, self.bodies.index(body)
-        diameter, angle = pair.reference_diameters[number], pair.transverse_pressure_angle
-        return GearSize(pair.gears[number].teeth, self.normal_module, diameter, self.face_width, angle)
+        ends = pair.contact_path.begin, pair.contact_path.end
+        rolls = ends if number == 0 else tuple(pair.other_roll(end) for end in ends)
+        roll = jnp.minimum(*rolls), jnp.maximum(*rolls)
+        gear, diameter, angle = pair.gears[number], pair.reference_diameters[number], pair.transverse_pressure_angle
+        return GearSize(gear.teeth, self.normal_module, diameter, self.face_width, angle, roll, gear.internal)
 
     def contact_name(self, contact: int) -> str:
         block, place = divmod(contact, self._pairs * self.slices)

@@ -84,9 +84,11 @@ def accuracy_grades(scene: Scene, body: str, flank: str = "driving") -> dict[str
         raise SceneError(f"accuracy grades: {words}")
     values: dict[str, float] = {}
     for measured in flanks:
-        for name, value in _of_flank(measured).items():
+        for name, value in _of_flank(measured, size.internal).items():
             values[name] = max(values.get(name, 0.0), value, key=abs)
     values |= _of_pitches(pitches, flank, size, drives=body == scene.system.meshes[0][0])
+    if not values:
+        raise SceneError(f"accuracy grades: single points of {body} were measured, no profile, helix or pitches")
     limits = _limits(size)
     return {name: GradedDeviation(value, _grade(abs(value), limits[name])) for name, value in values.items()}
 
@@ -108,7 +110,7 @@ def _grade(value: float, limit: Callable[[int], float]) -> int | None:
     return next((grade for grade in GRADES if value <= limit(grade) + CLOSE * um), None)
 
 
-def _of_flank(measured: MeasuredFlank) -> dict[str, float]:
+def _of_flank(measured: MeasuredFlank, internal: bool) -> dict[str, float]:
     """Deviations of profiles and helices, the largest of all teeth [m]."""
     grid, roll, across = (np.asarray(part, float) for part in (measured.grid, measured.roll, measured.across))
     values = {}
@@ -120,6 +122,8 @@ def _of_flank(measured: MeasuredFlank) -> dict[str, float]:
             each = np.array([_of_trace(places, trace) for trace in traces])
             for place, name in enumerate((f"f_H_{way}", f"f_f_{way}", f"F_{way}")):
                 values[name] = float(max(each[:, place], key=abs))
+    if internal and "f_H_alpha" in values:
+        values["f_H_alpha"] = -values["f_H_alpha"]  # its tip is where the roll is least
     return values
 
 

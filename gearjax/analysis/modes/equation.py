@@ -85,7 +85,7 @@ class StructureEquation(eqx.Module):
         """The equation, scaled for the scene."""
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
-        structure, layout, springs = scene.structure, scene.layout, MeanSprings.of(scene)
+        structure, layout, springs = scene.structure, scene.layout, MeanSprings.of(scene, torque)
         contacts = scene.contacts(start, "varying")
         jacobian = contacts.jacobian
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time, "varying").jacobian, start)
@@ -182,7 +182,7 @@ class StructureEquation(eqx.Module):
         assert self.scene.damping is not None
         closed = self.scene.contact.closed(overlap)
         if self.springs.sliced:
-            return closed if self.scene.damping.acting == "contact" else jnp.ones_like(closed)
+            return closed if self.scene.damping.acting == "contact" else self.springs.carries
         if self.scene.damping.acting == "always":
             return jnp.ones((self.layout.teeth,), overlap.dtype)
         left = jnp.ones((self.layout.teeth,), overlap.dtype)

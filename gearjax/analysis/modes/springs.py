@@ -31,7 +31,9 @@ class MeanSprings(eqx.Module):
         mean: stiffness of each contact, shape (contact,) [N/m]; of slices where flanks touch, averaged over the period.
         peak: of slices the highest stiffness of the mesh over its mean [-], else that of a pair [N/m].
         pairs: of slices how many pairs touch on average, the total contact ratio [-].
-        matrix: of slices, mean of ``J^T k J``, shape (coordinate, coordinate) [N m/rad, N/m]; ``None`` of others.
+        carries: 1 for slices on the flanks that hold the torque, 0 for others, shape (contact,).
+        matrix: of slices, mean of ``J^T k J`` of those, shape (coordinate, coordinate) [N m/rad, N/m]; ``None`` of other
+            springs.
         harmonics: of the mesh frequency, that steps resolve.
         layout: sides and pairs of the contacts.
     """
@@ -39,34 +41,43 @@ class MeanSprings(eqx.Module):
     mean: Float[Array, " contact"]
     peak: Scalar
     pairs: Scalar
+    carries: Float[Array, " contact"]
     matrix: Float[Array, "coordinate coordinate"] | None
     harmonics: int = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
 
     @classmethod
-    def of(cls, scene: Scene) -> "MeanSprings":
-        """Those of a scene whose springs are one by one (`require`)."""
+    def of(cls, scene: Scene, torque: Scalar) -> "MeanSprings":
+        """Those of a scene whose springs are one by one (`require`), about a load torque [N m]."""
         layout = scene.layout
         if not isinstance(scene.compliance, AbstractSliceCompliance):
             compliance = scene.linear_compliance
             mean = layout.per_contact(layout.apiece(compliance.mean_stiffness(layout.teeth)))
-            return cls(mean, compliance.peak_stiffness(), jnp.ones_like(mean[0]), None, compliance.harmonics, layout)
+            numbers = mean, compliance.peak_stiffness(), jnp.ones_like(mean[0]), jnp.ones_like(mean), None
+            return cls(*numbers, compliance.harmonics, layout)
         period = 2 * math.pi / scene.system.orders["mesh"]
         angles = jnp.asarray(period / ANGLES * np.arange(ANGLES), scene.dtype)
         drives = jnp.asarray(np.asarray(layout.side) > 0)
+        if layout.has_back:
+            drives = drives == (torque >= 0)
+
+        back = np.asarray(layout.side) < 0
 
         def at(theta: Scalar) -> tuple[Array, Array, Array]:
             pose = scene.pose(theta, "varying")
+            # back flanks count from the least of their gaps, that of their own backlash
+            room = jnp.where(jnp.asarray(np.asarray(layout.side) > 0), 0.0, pose.gap.min(where=back, initial=jnp.inf))
             contacts = scene.contacts(pose, "varying")
             assert contacts.linear is not None
             assert pose.slices is not None
-            stiffness = jnp.where(drives & (pose.gap < TOUCHING), contacts.linear, 0.0)
+            stiffness = jnp.where(drives & (pose.gap - room < TOUCHING), contacts.linear, 0.0)
             matrix = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
             return stiffness, matrix, pose.slices.pair.total_contact_ratio
 
         stiffness, matrices, ratio = jax.vmap(at)(angles)
         whole = stiffness.sum(axis=1)
-        numbers = stiffness.mean(axis=0), whole.max() / whole.mean(), ratio[0], matrices.mean(axis=0)
+        carries = drives.astype(whole.dtype)
+        numbers = stiffness.mean(axis=0), whole.max() / whole.mean(), ratio[0], carries, matrices.mean(axis=0)
         return cls(*numbers, HARMONICS, layout)
 
     @property
