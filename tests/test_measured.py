@@ -395,7 +395,7 @@ def test_configurations_name_files(tmp_path):
         ({"file": "other.csv"}, "errors.m: file: .*cannot be read"),
         ({"file": 3}, "errors.m.file = 3"),
         ({"roll": ["1 mm"]}, "errors.m.roll .*in the file too"),
-        ({"flank": "back"}, "errors.m: file .*no rows of the back"),
+        ({"flank": "back"}, "errors.m: file: .*no rows of the back"),
     ):
         tables["errors"]["m"] = tables["errors"]["m"] | {"file": "flank.csv", "flank": "driving"} | change
         with pytest.raises(GearjaxError, match=words):

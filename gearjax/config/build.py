@@ -26,7 +26,7 @@ from gearjax.shafts import Shaft
 from gearjax.supports import Support
 from gearjax.systems import flank_radii
 
-_LARGEST_FILE = 20_000_000  # bytes, with measured values that stand in it
+_LARGEST_FILE = 8_000_000  # bytes: 250,000 measured values that stand in it take 5 million
 _LONGEST_SERIES = 1_000_000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
 CONTACTS = (HardContact, SoftplusContact, QuadraticContact)

@@ -78,7 +78,7 @@ def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
 
     Example:
         >>> import gearjax as gj
-        >>> numbers = gj.read_flank("configs/helical/pinion_flank.csv")
+        >>> numbers = gj.read_flank("configs/helical/pinion_flank.csv", "driving")
         >>> error = gj.MeasuredFlank("pinion", **numbers)
     """
     columns, rows = _open(file, ("roll", "deviation"), ("across", "tooth", "flank"), flank)

@@ -32,8 +32,8 @@ class MeanSprings(eqx.Module):
         peak: of slices the highest stiffness of the mesh over its mean [-], else that of a pair [N/m].
         pairs: of slices how many pairs touch on average, the total contact ratio [-].
         carries: 1 for slices on the flanks that hold the torque, 0 for others, shape (contact,).
-        matrix: of slices, mean of ``J^T k J`` of those, shape (coordinate, coordinate) [N m/rad, N/m]; ``None`` of other
-            springs.
+        matrix: of slices, mean of ``J^T k J`` of those, shape (coordinate, coordinate) [N m/rad, N/m]; ``None`` of
+            other springs.
         harmonics: of the mesh frequency, that steps resolve.
         layout: sides and pairs of the contacts.
     """
