@@ -514,6 +514,7 @@ class TrainCase(Case):
 
 
 TRAINS_REFUSE = {
+    "accuracy_grades": "lists no measured_flank",
     "contact_pressure": "line contacts",
     "export_profile": "has no disc with a profile",
     "matched_assembly": "phases",

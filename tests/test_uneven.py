@@ -232,6 +232,7 @@ class UnevenCase(Case):
 
 
 REFUSE = {
+    "accuracy_grades": "lists no measured_flank",
     "contact_pressure": "line contacts",
     "export_profile": "has no disc with a profile",
     "matched_assembly": "phases",

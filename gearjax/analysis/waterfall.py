@@ -92,7 +92,9 @@ def _waterfall(
         rate = jax.lax.complex(jnp.zeros_like(rates), rates)[:, None]
         pace, acceleration = (jnp.fft.irfft(waves * times, steps, axis=0) for times in (rate, rate * rate))
         held = motion.q @ parts.stiffness[0] + pace @ parts.damping[0] + acceleration @ parts.mass[0]
-        factor = jnp.max(torque + held - parts.push[0]) / torque
+        if not problem.scene.system.turns_evenly:  # what the ideal output takes to accelerate
+            held = held + parts.mass[0, 0] * jax.vmap(problem.scene.system.output_acceleration)(motion.ts)
+        factor = jnp.max((torque + held - parts.push[0]) / torque)
         return lines, motion.peak_to_peak, factor, motion.stable, motion.result
 
     found = jax.lax.map(at, speeds, batch_size=min(AT_ONCE, speeds.shape[0]))
