@@ -80,6 +80,17 @@ def test_speeds_side_by_side_are_those_one_by_one(pair):
 
 
 @pytest.mark.slow
+def test_a_torque_reversed_is_the_mirror_image(pair):
+    """Of flanks without modification and even contact lines, whose stiffness runs the same way back."""
+    even = gj.LineStiffness(1.2e10)
+    loose = dataclasses.replace(pair, compliance=even, backlash=gj.InitialBacklash(50 * um))
+    ahead, back = (gj.waterfall(loose, torque, SPEEDS, harmonics=2, steps=256) for torque in (830.0, -830.0))
+    np.testing.assert_allclose(back.dynamic_factor, ahead.dynamic_factor, rtol=5e-4)
+    np.testing.assert_allclose(back.peak_to_peak, ahead.peak_to_peak, rtol=1e-3)
+    assert (np.asarray(ahead.dynamic_factor) > 1).all()
+
+
+@pytest.mark.slow
 def test_its_figure(pair, tmp_path):
     found = gj.waterfall(pair, 830.0, SPEEDS, harmonics=4, steps=32)
     figure = waterfall_figure(found, gj.natural_modes(pair, 830.0))
