@@ -29,7 +29,7 @@ def check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
 
     try:
         jax.eval_shape(gap, error)
-        error.check(system.gear_size(error.body))
+        error.check(lambda: system.gear_size(error.body))
     except ParameterError as fault:
         raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
 

@@ -2,16 +2,14 @@
 
 import dataclasses
 import math
-import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import tomli_w
 
 import gearjax as gj
-from gearjax.checks import GearjaxError, ParameterError, SceneError
+from gearjax.checks import ParameterError, SceneError
 from gearjax.units import arcmin, mm, um
 from tests.conftest import ROOT
 from tests.helical_pairs import GUO_1, RING, SPUR, TEETH, meshes_of, scene_of
@@ -135,7 +133,10 @@ def test_run_out_of_an_eccentric_gear_is_twice_the_eccentricity():
 def test_deviations_and_grades():
     """A straight slope with a wave: slope, form and total as defined; grades by the formulas of ISO 1328-1."""
     system = scene_of(GUO_1, slices=2).system
-    wave = lambda s, z: 9 * um * (0.5 - s) + 2 * um * np.sin(8 * math.pi * s) - 7 * um * z  # noqa: E731
+
+    def wave(s, z):
+        return 9 * um * (0.5 - s) + 2 * um * np.sin(8 * math.pi * s) - 7 * um * z
+
     scene = scene_of(GUO_1, {"flank": on_grid(system, 0, wave, 401, 41)}, slices=2)
     found = gj.accuracy_grades(scene, "pinion")
     even = np.linspace(-0.5, 0.5, 20001)
@@ -227,6 +228,21 @@ def test_measurements_of_another_gear_are_refused(error, words):
         scene_of(GUO_1, {"m": error}, slices=2)
 
 
+def test_gear_sets_may_be_traced():
+    """What cannot be known while something is traced is not looked at."""
+    flank = gj.MeasuredFlank("pinion", [10 * mm, 30 * mm], [0.0, 5 * um])
+    scene = scene_of(GUO_1 | {"centre_distance": None}, {"m": flank}, TEETH, slices=2, pairs=3)
+    theta = meshes_of(scene.system, 3)
+
+    def mean(module):
+        own = dataclasses.replace(scene, system=dataclasses.replace(scene.system, normal_module=module))
+        return gj.transmission_error(own, theta, torque=100.0, extremes="samples").te.mean()
+
+    value, at = jax.jit(mean), jnp.asarray(6e-3)
+    difference = (value(at + 1e-8) - value(at - 1e-8)) / 2e-8
+    assert float(jax.jit(jax.grad(mean))(at)) == pytest.approx(float(difference), rel=1e-5)
+
+
 def test_other_gear_sets_refuse_them_in_one_line(scene):
     yang = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
     with pytest.raises(ParameterError, match=r"errors.m.body .*where on its flanks"):
@@ -235,197 +251,6 @@ def test_other_gear_sets_refuse_them_in_one_line(scene):
         dataclasses.replace(yang, errors={"m": gj.MeasuredPitch("gear_1", 0.0)})
     with pytest.raises(ParameterError, match=r"errors.m.body .*involute profile"):
         dataclasses.replace(scene, errors={"m": gj.MeasuredFlank("planet_1", [1 * mm], [0.0])})
-
-
-# --- Files
-
-HEADER = "tooth,flank,roll [mm],across [mm],deviation [um]"
-
-
-def rows_of(teeth=(0, 4), flanks=("driving",), rows=6, columns=5):
-    """Rows of a file, of a smooth flank."""
-    return [
-        [str(tooth), flank, f"{roll:g}", f"{across:g}", f"{tooth + 0.1 * (roll - 15) ** 2 + 0.2 * across:.4f}"]
-        for tooth in teeth
-        for flank in flanks
-        for roll in np.linspace(6, 30, rows)
-        for across in np.linspace(-30, 30, columns)
-    ]
-
-
-def written(folder, rows, header=HEADER, name="flank.csv"):
-    path = folder / name
-    path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
-    return path
-
-
-def test_rows_come_in_any_order(tmp_path, rng):
-    rows = rows_of()
-    plain = gj.read_flank(written(tmp_path, rows), "driving")
-    shuffled = [rows[place] for place in rng.permutation(len(rows))]
-    again = gj.read_flank(written(tmp_path, shuffled, name="shuffled.csv"), "driving")
-    for key in ("roll", "across", "deviation", "teeth"):
-        np.testing.assert_array_equal(plain[key], again[key])
-    flank = gj.MeasuredFlank("pinion", **plain)
-    assert flank.grid.shape == (2, 6, 5)
-    np.testing.assert_allclose(flank.grid[1, :, 0], (4 + 0.1 * (np.linspace(6, 30, 6) - 15) ** 2 - 6) * um, atol=1e-10)
-    np.testing.assert_array_equal(flank.teeth, [0, 4])
-
-
-def test_columns_may_be_left_out_and_have_any_unit(tmp_path):
-    path = written(tmp_path, [["10", "0.5"], ["20", "1.5"]], "roll (mm), deviation [1e-6 m]".replace("1e-6 m", "µm"))
-    read = gj.read_flank(path)
-    np.testing.assert_allclose(read["deviation"], [0.5e-6, 1.5e-6])
-    np.testing.assert_array_equal(read["across"], [0.0])
-    assert read["teeth"].size == 0
-
-
-def test_missing_points_are_filled_in_and_told(tmp_path):
-    rows = rows_of()
-    whole = gj.read_flank(written(tmp_path, rows), "driving")["deviation"]
-    rows[7][-1], rows[12][-1] = "", "nan"
-    del rows[3]
-    with pytest.warns(gj.RepairedData, match="3 of 60 points are missing: filled in"):
-        filled = gj.read_flank(written(tmp_path, rows), "driving")["deviation"]
-    assert np.isfinite(filled).all()
-    np.testing.assert_allclose(filled, whole, atol=2.5 * um)  # of flanks that change by 10 um from row to row
-    assert (filled != whole).sum() == 3
-
-
-def test_gaps_are_filled_in_by_places(tmp_path):
-    """A straight line on uneven places, with gaps within and at its end: filled exactly, and nothing stands out."""
-    places = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 30, 31, 40]
-    rows = [[f"{place}", "" if place in (30, 40) else f"{2 * place}"] for place in places]
-    with pytest.warns(gj.RepairedData, match="2 of 20 points are missing") as told:
-        read = gj.read_flank(written(tmp_path, rows, "roll [mm],deviation [um]"))
-    np.testing.assert_allclose(read["deviation"], 2 * np.array(places) * um, rtol=1e-12)
-    assert len(told) == 1
-
-
-def test_outliers_are_told(tmp_path):
-    rows = rows_of()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        gj.read_flank(written(tmp_path, rows), "driving")
-    rows[17][-1] = "80"
-    with pytest.warns(gj.RepairedData, match="1 of 60 points are outliers, up to"):
-        gj.read_flank(written(tmp_path, rows), "driving")
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda rows: [*rows, rows[3]], r"line 62: tells of a point that an earlier line told of"),
-        (lambda rows: rows[::2], "more than a tenth"),
-        (lambda rows: [*rows[:5], ["0", "driving", "7", "-30", "two"], *rows[5:]], "line 7, column 5: is no number"),
-        (lambda rows: [["-1", *row[1:]] for row in rows], "line 2, column 1: is no number of a tooth"),
-        (lambda rows: [["1e12", *row[1:]] for row in rows], "line 2, column 1: is no number of a tooth"),
-        (lambda rows: [[*row[:2], "1e308", *row[3:]] for row in rows], "line 2, column 3: is more than 10 m"),
-        (lambda rows: [[row[0], "left", *row[2:]] for row in rows], "line 2, column 2: must be driving or back"),
-        (lambda rows: [row[:4] for row in rows], "line 2 has 4 values"),
-        (lambda _: [], "no rows"),
-    ],
-)
-def test_files_with_faults_are_refused_in_one_line(tmp_path, change, words):
-    with pytest.raises(GearjaxError, match=words) as caught:
-        gj.read_flank(written(tmp_path, change(rows_of())), "driving")
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("header", "words"),
-    [
-        ("tooth,flank,roll,across [mm],deviation [um]", r"roll needs its unit, such as roll \[um\]"),
-        ("tooth,flank,roll [mm],across [mm],deviation [N]", "is a force; needs a length"),
-        ("tooth,flank,roll [mm],across [mm],depth [um]", "column 5 is not known"),
-        ("tooth,flank,roll [mm],roll [mm],deviation [um]", "two columns are named roll"),
-    ],
-)
-def test_columns_that_are_not_known_are_refused(tmp_path, header, words):
-    with pytest.raises(GearjaxError, match=words):
-        gj.read_flank(written(tmp_path, rows_of(), header), "driving")
-
-
-def test_a_file_without_a_column_is_refused(tmp_path):
-    with pytest.raises(GearjaxError, match="must name a column deviation"):
-        gj.read_flank(written(tmp_path, [["1"]], "roll [mm]"))
-    with pytest.raises(GearjaxError, match="cannot be read"):
-        gj.read_flank(tmp_path / "none.csv")
-    with pytest.raises(ParameterError, match='must be "driving" or "back"'):
-        gj.read_flank(written(tmp_path, rows_of(flanks=("driving", "back"))))
-    with pytest.raises(ParameterError, match='must be "driving" or "back"'):  # of one kind too
-        gj.read_flank(written(tmp_path, rows_of()))
-    with pytest.raises(GearjaxError, match="parted by commas"):
-        gj.read_flank(written(tmp_path, [["10;1"]], "roll [mm];deviation [um]"))
-    with pytest.raises(GearjaxError, match="has no rows of the back flank"):
-        gj.read_flank(written(tmp_path, rows_of()), "back")
-
-
-def test_pitches_of_files(tmp_path):
-    path = written(tmp_path, [["1", "2"], ["0", "0"], ["2", "-1"]], "tooth,cumulative [um]")
-    np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6])
-    path = written(tmp_path, [["0", "2"], ["1", "-3"], ["2", "1"]], "tooth,single [um]")
-    np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6], atol=1e-18)
-    path = written(tmp_path, [["0", "3"], ["1", "-2"], ["2", "2"]], "tooth,single [um]")
-    with pytest.warns(gj.RepairedData, match="add up to 3 um"):
-        np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6], atol=1e-18)
-    for rows, header, words in (
-        ([["0", "1"], ["2", "1"]], "tooth,single [um]", "lacks tooth 1: all of 0 to 2"),
-        ([["0", "1"], ["0", "1"]], "tooth,single [um]", "line 3: tells of a tooth that"),
-        ([["0"]], "tooth", "cumulative .um. or single"),
-        ([["0", "1", "1"]], "tooth,single [um],cumulative [um]", "one of them"),
-    ):
-        with pytest.raises(GearjaxError, match=words):
-            gj.read_pitch(written(tmp_path, rows, header))
-
-
-def test_configurations_name_files(tmp_path):
-    """Next to the configuration, in the same numbers as by hand; faults by the section that names the file."""
-    tables = gj.config.read_tables(MEASURED.read_text(encoding="utf-8"))
-    tables["errors"] = {"m": {"kind": "measured_flank", "body": "pinion", "file": "flank.csv", "flank": "driving"}}
-    path = written(tmp_path, rows_of())
-    (tmp_path / "pair.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
-    error = gj.load(tmp_path / "pair.toml").errors["m"]
-    by_hand = gj.MeasuredFlank("pinion", **gj.read_flank(path, "driving"))
-    for found, expected in zip(jax.tree.leaves(error), jax.tree.leaves(by_hand), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-14)
-    again = gj.loads(gj.config.self_contained(tomli_w.dumps(tables), tmp_path)).errors["m"]
-    np.testing.assert_array_equal(again.deviation, error.deviation)
-    for change, words in (
-        ({"file": "other.csv"}, "errors.m: file: .*cannot be read"),
-        ({"file": 3}, "errors.m.file = 3"),
-        ({"roll": ["1 mm"]}, "errors.m.roll .*in the file too"),
-        ({"flank": "back"}, "errors.m: file: .*no rows of the back"),
-    ):
-        tables["errors"]["m"] = tables["errors"]["m"] | {"file": "flank.csv", "flank": "driving"} | change
-        with pytest.raises(GearjaxError, match=words):
-            gj.loads(tomli_w.dumps(tables), tmp_path)
-        tables["errors"]["m"].pop("roll", None)
-
-
-def test_points_of_a_grid_are_numbers_like_others(tmp_path):
-    """Sensitivity to a point that a file holds, and the configuration with another one."""
-    scene = gj.load(MEASURED)
-    around = gj.local_sensitivity(
-        "static_peak_to_peak",
-        scene,
-        where=["errors.pinion_flank.deviation[97]"],
-        bounds={"errors.pinion_flank.deviation[97]": (-20 * um, 20 * um)},
-        theta=meshes_of(scene.system, 21),
-        torque=830.0,
-    )
-    assert np.isfinite(around.gradient).all()
-    text, path = MEASURED.read_text(encoding="utf-8"), "errors.pinion_flank.deviation[97]"
-    changed = gj.config.with_numbers(text, {path: 5 * um}, {path: _declared(scene)}, MEASURED.parent)
-    again = gj.loads(changed, tmp_path).errors["pinion_flank"]
-    assert float(again.deviation[97]) == pytest.approx(5 * um)
-    np.testing.assert_allclose(np.delete(again.deviation, 97), np.delete(scene.errors["pinion_flank"].deviation, 97))
-
-
-def _declared(scene):
-    from gearjax.parameters import declared
-
-    return declared(scene.errors["pinion_flank"])["deviation"]
 
 
 @pytest.mark.slow

@@ -164,6 +164,22 @@ class Sweep(eqx.Module):
     ends: Float[Array, "n ..."]
 
 
+def at_speeds(scene: Scene, speeds: ArrayLike, order: str) -> Float[Array, " n"]:
+    """Input speeds of motions that repeat with an order, checked [rad/s].
+
+    Raises:
+        SceneError: the scene lacks a part.
+        ParameterError: no such order, or no speeds.
+    """
+    require(scene, "dynamic", "compliance", "load", "inertia")
+    speeds = jnp.asarray(speeds, scene.dtype)
+    if speeds.ndim != 1 or speeds.shape[0] == 0:
+        raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")
+    if order not in scene.system.orders:
+        raise ParameterError("order", order, nearest(order, scene.system.orders))
+    return speeds
+
+
 @arguments.checked(periods=arguments.whole(1), steps=arguments.whole(8))
 def speed_sweep(
     scene: Scene, torque: ArrayLike, speeds: ArrayLike, *, periods: int = 100, steps: int = 128, order: str = "mesh"
@@ -183,14 +199,9 @@ def speed_sweep(
         SceneError: the scene lacks a part, or steps is no multiple of 8.
         ParameterError: no such order, or speeds that are not positive.
     """
-    require(scene, "dynamic", "compliance", "load", "inertia")
-    speeds = jnp.asarray(speeds, scene.dtype)
-    if speeds.ndim != 1 or speeds.shape[0] == 0:
-        raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")
+    speeds = at_speeds(scene, speeds, order)
     if steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
-    if order not in scene.system.orders:
-        raise ParameterError("order", order, nearest(order, scene.system.orders))
     turns, physics = scene.system.orders[order], scene.physics(*MODELLED)
     torque = jnp.asarray(torque, scene.dtype)
     sweep = _speed_sweep(physics, torque, speeds, periods, steps, turns)

@@ -6,10 +6,9 @@ import jax.numpy as jnp
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
-from gearjax.analysis.periodic import at_speed, shoot
-from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.analysis.periodic import at_speed, at_speeds, shoot
+from gearjax.checks import SceneError
 from gearjax.scene import Scene
-from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
 
 AT_ONCE = 50  # speeds side by side: their tables of what drives them take memory
@@ -66,14 +65,9 @@ def waterfall(
         SceneError: the scene lacks a part, or steps do not suit.
         ParameterError: no such order, or speeds that are not positive.
     """
-    require(scene, "waterfall", "compliance", "load", "inertia")
-    speeds = jnp.asarray(speeds, scene.dtype)
-    if speeds.ndim != 1 or speeds.shape[0] == 0:
-        raise ParameterError("speeds", speeds.shape, "is a shape: give input speeds of shape (n,)")
+    speeds = at_speeds(scene, speeds, order)
     if steps % 8 or steps < 4 * harmonics:
         raise SceneError(f"steps = {steps}: must be a multiple of 8, and at least {4 * harmonics} for these harmonics")
-    if order not in scene.system.orders:
-        raise ParameterError("order", order, nearest(order, scene.system.orders))
     turns, torque = scene.system.orders[order], jnp.asarray(torque, scene.dtype)
     return _waterfall(scene.physics(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
 

@@ -4,6 +4,7 @@ file than was meant."""
 import csv
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,12 +19,19 @@ class Row(NamedTuple):
     """A line of a file.
 
     Args:
-        where: it stands, for messages.
+        file: it is of, for messages.
+        line: its number, from 1.
         cells: its texts, one for each column.
     """
 
-    where: str
+    file: str
+    line: int
     cells: list[str]
+
+    @property
+    def where(self) -> str:
+        """Where it stands, for messages."""
+        return f"{self.file}: line {self.line}"
 
     def number(self, column: int) -> float:
         """The number in a column, counted from 0.
@@ -37,47 +45,49 @@ class Row(NamedTuple):
         return float(cell)
 
 
-def read_rows(key: str, path: Path) -> tuple[list[str], list[Row]]:
-    """Names of the columns, from the first line, and the lines below.
+def read_rows(key: str, path: Path) -> tuple[list[str], Iterator[Row]]:
+    """Names of the columns, from the first line, and the lines below, read as they are asked for.
 
     Args:
         key: where the file is named, for messages.
         path: of the file.
 
     Raises:
-        GearjaxError: the file cannot be read, or is none of this kind.
+        GearjaxError: the file cannot be read, or is none of this kind; as the lines are asked for, one has more or
+            fewer cells than the first, there are none, or too many.
     """
-    rows: list[Row] = []
+    lines = _lines(key, path)
+    header = [name.strip() for name in next(lines, Row("", 0, [])).cells]
+    return header, _below(f"{key}: {path}", len(header), lines)
+
+
+def _lines(key: str, path: Path) -> Iterator[Row]:
+    """All lines of a file but empty ones, such as the last."""
+    name = f"{key}: {path}"
     try:
         if path.exists() and not path.is_file():
-            raise GearjaxError(f"{key}: {path}: cannot be read (not a file)")
+            raise GearjaxError(f"{name}: cannot be read (not a file)")
         if path.stat().st_size > _LARGEST_FILE:
-            raise GearjaxError(f"{key}: {path}: has more than {_LARGEST_FILE} bytes")
+            raise GearjaxError(f"{name}: has more than {_LARGEST_FILE} bytes")
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(lines, [])]
             for cells in lines:
-                if not "".join(cells).strip() and len(cells) <= 1:  # an empty line, such as the last
-                    continue
-                where = f"{key}: {path}: line {lines.line_num}"
-                if len(cells) != len(header):
-                    raise GearjaxError(f"{where} has {len(cells)} values, the first line has {len(header)}")
-                rows.append(Row(where, cells))
-                if len(rows) > MOST_ROWS:
-                    raise GearjaxError(f"{key}: {path}: has more than {MOST_ROWS} rows")
+                if len(cells) > 1 or "".join(cells).strip():
+                    yield Row(name, lines.line_num, cells)
     except OSError as fault:
-        raise GearjaxError(f"{key}: {path}: cannot be read ({fault.strerror or fault})") from fault
+        raise GearjaxError(f"{name}: cannot be read ({fault.strerror or fault})") from fault
     except (UnicodeDecodeError, csv.Error) as fault:
-        raise GearjaxError(f"{key}: {path}: not a CSV file in UTF-8") from fault
-    return header, rows
+        raise GearjaxError(f"{name}: not a CSV file in UTF-8") from fault
 
 
-def some(key: str, path: Path, rows: list[Row]) -> list[Row]:
-    """The lines of a file, of which there must be some.
-
-    Raises:
-        GearjaxError: there are none.
-    """
-    if not rows:
-        raise GearjaxError(f"{key}: {path}: has no rows below its first line")
-    return rows
+def _below(name: str, columns: int, lines: Iterator[Row]) -> Iterator[Row]:
+    """The lines below the first one."""
+    number = 0
+    for number, row in enumerate(lines, start=1):
+        if len(row.cells) != columns:
+            raise GearjaxError(f"{row.where} has {len(row.cells)} values, the first line has {columns}")
+        if number > MOST_ROWS:
+            raise GearjaxError(f"{name}: has more than {MOST_ROWS} rows")
+        yield row
+    if not number:
+        raise GearjaxError(f"{name}: has no rows below its first line")

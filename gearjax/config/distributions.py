@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gearjax.checks import MISSING, ParameterError, check_path, nearest
-from gearjax.config.csv_files import MOST_ROWS, read_rows, some
+from gearjax.config.csv_files import MOST_ROWS, read_rows
 from gearjax.config.quantities import unit_size
 from gearjax.config.tables import Key, as_toml, in_words, known_keys, read_parameter, read_whole, require_keys
 from gearjax.parameters import Parameter
@@ -109,4 +109,4 @@ def _numbers(key: str, path: Path, column_key: str, column: str) -> list[float]:
         how_many = "two columns or more" if column in header else f"none of the {len(header)} columns"
         raise ParameterError(column_key, column, f"{how_many} in line 1 of {path} have this name, must be one")
     place = header.index(column)
-    return [row.number(place) for row in some(key, path, rows)]
+    return [row.number(place) for row in rows]

@@ -11,7 +11,7 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import GearjaxError, ParameterError, RepairedData, check_path, nearest
-from gearjax.config.csv_files import Row, read_rows, some
+from gearjax.config.csv_files import Row, read_rows
 from gearjax.config.quantities import unit_size
 from gearjax.errors import MeasuredFlank, MeasuredPitch
 from gearjax.errors.measured import FLANKS
@@ -126,21 +126,21 @@ def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
     columns, rows = _open(file, ("tooth",), ("cumulative", "single", "flank"), flank)
     told = [name for name in ("cumulative", "single") if name in columns.place]
     if len(told) != 1:
-        raise GearjaxError(f"file {file}: line 1 must name cumulative [um] or single [um], one of them")
+        raise GearjaxError(f"file: {file}: line 1 must name cumulative [um] or single [um], one of them")
     found: dict[int, float] = {}
     for row in rows:
         tooth = columns.tooth(row)
         if tooth in found:
             raise GearjaxError(f"{row.where}: tells of a tooth that an earlier line told of")
         found[tooth] = columns.length(told[0], row)
-    lacking = sorted(set(range(max(found) + 1)) - set(found))
-    if lacking:
-        raise GearjaxError(f"file {file}: lacks tooth {lacking[0]}: all of 0 to {max(found)} must be there")
+    lacking = next((tooth for tooth in range(len(found)) if tooth not in found), None)
+    if lacking is not None:
+        raise GearjaxError(f"file: {file}: lacks tooth {lacking}: all of 0 to {max(found)} must be there")
     values = np.array([found[tooth] for tooth in range(len(found))])
     if told == ["single"]:
         if abs(values.sum()) > 1e-2 * np.abs(values).sum() + 1e-9:
             words = f"the single deviations add up to {values.sum() / units.um:.3g} um around the gear, not to 0"
-            warnings.warn(f"file {file}: {words}: each is taken less their mean", RepairedData, stacklevel=2)
+            warnings.warn(f"file: {file}: {words}: each is taken less their mean", RepairedData, stacklevel=2)
         values = np.concatenate([np.zeros(1), np.cumsum(values - values.mean())[:-1]])
     return {"deviation": values, "flank": flank}
 
@@ -157,7 +157,7 @@ def _open(
     """The columns of a file, and the rows of a flank."""
     check_path("file", file)
     key = f"file: {file}"
-    header, rows = read_rows("file", Path(file))
+    header, lines = read_rows("file", Path(file))
     if len(header) == 1 and re.search("[;\t]", header[0]):
         raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
     place: dict[str, int] = {}
@@ -178,15 +178,16 @@ def _open(
     lacking = [name for name in required if name not in place]
     if lacking:
         raise GearjaxError(f"{key}: line 1 must name a column {lacking[0]}; it has {', '.join(place) or 'none'}")
-    columns, rows = _Columns(place, size), some("file", Path(file), rows)
+    columns = _Columns(place, size)
     if flank not in ("both", *FLANKS):
         raise ParameterError("flank", flank, nearest(flank, ("both", *FLANKS)))
     if "flank" in place:
         if flank == "both":
             raise ParameterError("flank", flank, f'must be "driving" or "back": {key} tells them apart')
-        rows = [row for row in rows if flank in ("both", columns.flank(row))]
-        if not rows:
-            raise GearjaxError(f"{key}: has no rows of the {flank} flank")
+        lines = (row for row in lines if flank == columns.flank(row))
+    rows = list(lines)
+    if not rows:
+        raise GearjaxError(f"{key}: has no rows of the {flank} flank")
     return columns, rows
 
 

@@ -2,7 +2,7 @@
 
 The equilibrium position q solves ``sum_i J_i k_i max(J_i q - gap_i, 0) = Q``. The left side never falls with q, so a
 contact carries force exactly when the sum, taken where that contact begins to touch, has not yet reached Q: all
-active contacts are found at once, of many by sorting their positions, and the position is exact.
+active contacts are found at once, of many by Newton's method between bounds, and the position is exact.
 """
 
 import functools
@@ -187,12 +187,13 @@ def _active_of_few(touch: Array, lever: Array, strength: Array, applied: Scalar)
 
 
 def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar) -> Bool[Array, " contact"]:
-    """The same for many contacts: the reaction never falls from one touch position to the next, and between two of them
-    it is a straight line. So from the line beside one end of what is left, that of more contacts, its root is a bound
-    of Newton's that is nearer; the positions on both sides of it are looked at, until none is left in between.
+    """The same for many contacts, by Newton's method between bounds.
 
-    Each turn settles a position at least, most settle half of them or more. Memory grows with the contacts. Sorted
-    positions, halved, took ten times as long, nearly all of it to sort. Which contacts carry has no derivative.
+    The reaction never falls from one touch position to the next, and is a straight line between two of them. Each turn
+    follows the line at one of the bounds to the load, and looks at the touch positions on both sides of where that
+    leads: they are the next bounds. It ends where no contact touches between the bounds, mostly after a few turns, at
+    the latest after as many as there are contacts. Sorting the positions first took ten times as long. Memory grows
+    with the contacts. Which contacts carry has no derivative.
     """
     touch, lever, strength, applied = jax.lax.stop_gradient((touch, lever, strength, applied))
     drives, weight, number = lever < 0, lever * strength, touch.shape[0]

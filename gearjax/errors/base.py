@@ -1,6 +1,7 @@
 """What every error offers to a scene."""
 
 import abc
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -21,13 +22,16 @@ class AbstractError(eqx.Module):
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         """Change of the gaps, shape (contact,) [m]."""
 
-    def check(self, gear: GearSize | None) -> None:
-        """Refuse what cannot be on a gear of that size, if the gear set tells it.
+    def check(self, size: Callable[[], GearSize | None]) -> None:
+        """Refuse what cannot be on its gear.
+
+        Args:
+            size: gives that of the gear, if the gear set tells it; worked out for errors that ask.
 
         Raises:
             ParameterError: naming the key, what was given and what would be right.
         """
-        del gear
+        del size
 
     def proportional(self) -> "AbstractError":
         """The same error by numbers that its gaps are in proportion to, where there are such."""

@@ -1,5 +1,6 @@
 """Flanks and pitches of single teeth as a measuring machine tells them (ISO 1328-1; Guo and Fang 2018)."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -36,13 +37,23 @@ class AbstractMeasured(AbstractError):
             raise ParameterError("flank", self.flank, 'must be "both": the flanks of its contacts are not told apart')
         return jnp.where(place.side == FLANKS[self.flank], gap, 0.0)
 
-    def check(self, gear: GearSize | None) -> None:
-        if gear is None or not is_concrete(self.deviation):
+    def tells_of(self, flank: str) -> bool:
+        """Whether it is of driving or of back flanks."""
+        return self.flank in (flank, "both")
+
+    def check(self, size: Callable[[], GearSize | None]) -> None:
+        gear = size()
+        if gear is None or not is_concrete((self, tuple(gear))):
             return
         largest, half = float(np.max(np.abs(self.deviation))), 0.5 * float(gear.module)
         if largest > half:
             words = f"must be at most half a module, {half / mm:.4g} mm: is its unit right?"
             raise ParameterError("deviation", f"up to {largest / mm:.4g} mm", words)
+        self.check_places(gear)
+
+    def check_places(self, gear: GearSize) -> None:
+        """Refuse places and teeth that are not on the gear; raises as `check`."""
+        del gear
 
 
 class MeasuredFlank(AbstractMeasured):
@@ -104,20 +115,7 @@ class MeasuredFlank(AbstractMeasured):
         """Deviations by tooth, length of roll and place across the face [m]."""
         return self.deviation.reshape(self.grids, self.roll.size, self.across.size)
 
-    def check(self, gear: GearSize | None) -> None:
-        super().check(gear)
-        if gear is None or not is_concrete(tuple(gear)) or not is_concrete((self.roll, self.across, self.teeth)):
-            return
-        self._check_places(gear)
-        if not self.teeth.size:
-            return
-        known = np.asarray(self.teeth)
-        if (known >= gear.teeth).any() or (known != np.round(known)).any():
-            odd = known[(known >= gear.teeth) | (known != np.round(known))][0]
-            raise ParameterError("teeth", f"{odd:g}", f"must be whole numbers from 0 to {gear.teeth - 1}")
-
-    def _check_places(self, gear: GearSize) -> None:
-        """Refuse a grid that is not on the gear: of another unit, or counted from elsewhere."""
+    def check_places(self, gear: GearSize) -> None:
         low, high = (float(end) / mm for end in gear.roll)
         first, last = float(self.roll[0]) / mm, float(self.roll[-1]) / mm
         if first > high or last < low:
@@ -127,6 +125,10 @@ class MeasuredFlank(AbstractMeasured):
         if most > half * (1 + ON_FACE):
             words = f"must be on the face, up to {half:.4g} mm from its middle: is their unit right?"
             raise ParameterError("across", f"up to {most:.4g} mm", words)
+        known = np.asarray(self.teeth)
+        odd = known[(known >= gear.teeth) | (known != np.round(known))]
+        if odd.size:
+            raise ParameterError("teeth", f"{odd[0]:g}", f"must be whole numbers from 0 to {gear.teeth - 1}")
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         place = profile_of(self.body, view)

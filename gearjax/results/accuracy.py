@@ -40,6 +40,6 @@ def graded_gears(scene: Scene) -> list[GradedGear]:
         (body, flank)
         for body in scene.system.bodies
         for flank in FLANKS
-        if any(error.body == body and error.flank in (flank, "both") for error in measured)
+        if any(error.body == body and error.tells_of(flank) for error in measured)
     ]
     return [GradedGear(body, flank, accuracy_grades(scene, body, flank)) for body, flank in told]

@@ -76,10 +76,10 @@ def accuracy_grades(scene: Scene, body: str, flank: str = "driving") -> dict[str
     if flank not in FLANKS:
         raise ParameterError("flank", flank, nearest(flank, FLANKS))
     own = [error for error in scene.errors.values() if error.body == body]
-    flanks = [error for error in own if isinstance(error, MeasuredFlank) and error.flank in (flank, "both")]
+    flanks = [error for error in own if isinstance(error, MeasuredFlank) and error.tells_of(flank)]
     pitches = [error for error in own if isinstance(error, MeasuredPitch)]
     size = scene.system.gear_size(body)
-    if size is None or not (flanks or any(pitch.flank in (flank, "both") for pitch in pitches)):
+    if size is None or not (flanks or any(pitch.tells_of(flank) for pitch in pitches)):
         words = f"the scene lists no measured_flank or measured_pitch of the {flank} flanks of {body}"
         raise SceneError(f"accuracy grades: {words}")
     values: dict[str, float] = {}

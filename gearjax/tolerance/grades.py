@@ -77,7 +77,7 @@ def run_out_tolerance(grade: int, module: float, diameter: float, edition: str =
 
 
 def flank_tolerance(deviation: str, grade: int, module: float, diameter: float, width: float) -> float:
-    """Limit of a deviation of profile or helix, of slopes either way (ISO 1328-1:2013, 5.3.4 to 5.3.9) [m].
+    """Limit of a deviation of profile or helix, of slopes either way (ISO 1328-1:2013, 5.3) [m].
 
     At grade 5, in um, of sizes in mm: profile slope ``f_H_alpha`` 0.4 m + 0.001 d + 4, profile form ``f_f_alpha``
     0.55 m + 5, helix slope ``f_H_beta`` 0.05 sqrt(d) + 0.35 sqrt(b) + 4, helix form ``f_f_beta`` 0.07 sqrt(d) +
