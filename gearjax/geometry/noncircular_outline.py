@@ -1,0 +1,152 @@
+"""Outlines of non-circular gears, tooth by tooth, for drawings and for CAD. Numbers must be known."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.geometry.noncircular import PitchCurves
+from gearjax.geometry.noncircular_teeth import offset_points, reach
+from gearjax.typing import Array
+
+ROOT = 0.25  # modules, by which roots lie below the tips of the other gear
+LOOKED_AT = 64  # places of each tooth that flanks are looked for between
+
+
+class Teeth(NamedTuple):
+    """Teeth of a pair of non-circular gears.
+
+    Args:
+        curves: the pitch curves.
+        number: of teeth of the driver, and of the driven gear.
+        module: of the rack [m].
+        addendum: height above the pitch curves, in modules.
+        backlash: between the back flanks, along their normal, half of it taken from the teeth of each gear [m].
+    """
+
+    curves: PitchCurves
+    number: tuple[int, int]
+    module: float
+    addendum: float
+    backlash: float = 0.0
+
+    @property
+    def pitch(self) -> float:
+        """Arc length from tooth to tooth [m]."""
+        return float(self.curves.perimeter) / self.number[0]
+
+
+class _Ends(NamedTuple):
+    """Where flanks of one side end, by the arc length at which they cross the pitch curve: in rising order.
+
+    Args:
+        crossing: that arc length, shape (place,) [m].
+        parameter: of the pitch point that the end is cut from, shape (place,) [rad].
+        below: parameter of the pitch curve below that end, shape (place,) [rad].
+    """
+
+    crossing: np.ndarray
+    parameter: np.ndarray
+    below: np.ndarray
+
+    def at(self, crossing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.interp(crossing, self.crossing, self.parameter), np.interp(crossing, self.crossing, self.below)
+
+
+def outline(teeth: Teeth, gear: int, points: int = 24) -> np.ndarray:
+    """Outline of a gear, once around by rising arc length of its pitch curve, in axes that turn with it, x towards the
+    other gear at input angle zero, shape (n, 2) [m].
+
+    Flanks are those that a rack cuts, down to where the tips of the other gear reach. Below, to roots 0.25 modules
+    deeper, they are drawn straight: the fillet is not modelled.
+
+    Args:
+        teeth: of the pair.
+        gear: 0 the driver, 1 the driven gear.
+        points: of each flank, tip and root.
+    """
+    rows = tooth_points(teeth, gear, points)
+    return np.concatenate([part for tooth in zip(*rows, strict=True) for part in tooth])
+
+
+def tooth_points(teeth: Teeth, gear: int, points: int) -> list[np.ndarray]:
+    """First flank, tip, second flank and root after it of each tooth, each of shape (tooth, point, 2) [m]."""
+    way = 1 if gear == 0 else -1
+    height = teeth.addendum * teeth.module
+    crossing = teeth.pitch * np.arange(teeth.number[gear])  # of the flanks that drive
+    slope = math.cos(float(teeth.curves.pressure_angle))
+    thick = 0.5 * teeth.pitch - 0.5 * teeth.backlash / slope
+    begins = {1: crossing, -1: crossing + way * thick}
+    order = (1, -1) if gear == 0 else (-1, 1)
+    share = np.linspace(0.0, 1.0, points)
+    flanks, tips, roots = [], [], []
+    for side in order:
+        tip, foot = (_ends(teeth, gear, side, height, tips=end) for end in (True, False))
+        (end, above), (start, below) = tip.at(begins[side]), foot.at(begins[side])
+        along = start[:, None] + (end - start)[:, None] * share
+        flanks.append(flank(teeth.curves, gear, side, along, begins[side][:, None]))
+        tips.append(above)
+        roots.append(below)
+    around = 2 * math.pi * teeth.number[gear] / teeth.number[0]
+    next_root = np.append(roots[0][1:], roots[0][0] + around)
+    over = _curve(teeth.curves, gear, tips, share, height)
+    under = _curve(teeth.curves, gear, (roots[1], next_root), share, -(height + ROOT * teeth.module))
+    return [flanks[0], over, flanks[1][:, ::-1], under]
+
+
+def flank(curves: PitchCurves, gear: int, side: int, t: np.ndarray, crossing: np.ndarray) -> np.ndarray:
+    """Points of flanks that cross the pitch curve at an arc length, cut from the pitch points of the angles t [rad], in
+    axes of the gear: ``P(t) + (s(t) - s_k) cos(alpha0) u(t)`` (Dong et al. 2020, eqs. 6 and 7), shape (..., 2) [m]."""
+    return np.asarray(_flank(curves, gear, side, jnp.asarray(t), jnp.asarray(crossing)))
+
+
+@eqx.filter_jit  # one program each: single operations would each be compiled apart
+def _flank(curves: PitchCurves, gear: int, side: int, t: Array, crossing: Array) -> Array:
+    (x, y), lean = offset_points(curves, gear, t, 0.0)
+    slant = curves.pressure_angle + side * lean
+    along = side * (curves.arc_length(t) - crossing) * jnp.cos(curves.pressure_angle)
+    return jnp.stack([x + along * jnp.sin(slant), y + side * along * jnp.cos(slant)], axis=-1)
+
+
+@eqx.filter_jit
+def _crossings(curves: PitchCurves, gear: int, side: int, tips: bool, t: Array, height: Array) -> tuple[Array, Array]:
+    """Arc length at which flanks cross the pitch curve that end on the normals of pitch points, and the parameters of
+    the pitch curve next to those ends."""
+    way, slope = (1 if gear == 0 else -1), jnp.cos(curves.pressure_angle)
+    along, below = reach(curves, gear if tips else 1 - gear, t, side, height)
+    if not tips:
+        along = -along
+        below = t - way * side * along * slope / curves.at(t).speed
+    return curves.arc_length(t) - way * side * along / slope, below
+
+
+@eqx.filter_jit
+def _offset(curves: PitchCurves, gear: int, t: Array, height: Array) -> Array:
+    return jnp.stack(offset_points(curves, gear, t, height)[0], axis=-1)
+
+
+def _ends(teeth: Teeth, gear: int, side: int, height: float, tips: bool) -> _Ends:
+    """Ends of flanks at their own tips, or where the other gear's tips reach, beyond both ends of its turn."""
+    curves = teeth.curves
+    around = 2 * math.pi * teeth.number[gear] / teeth.number[0]
+    beyond = around * (1 + 4 / teeth.number[gear])
+    t = jnp.linspace(around - beyond, beyond, LOOKED_AT * teeth.number[gear])
+    arc, below = _crossings(curves, gear, side, tips, t, jnp.asarray(height))
+    return _Ends(np.asarray(arc), np.asarray(t), np.asarray(below))
+
+
+def _curve(curves: PitchCurves, gear: int, ends: tuple | list, share: np.ndarray, height: float) -> np.ndarray:
+    """Points of an offset curve between parameters, shape (tooth, point, 2) [m]."""
+    first, last = ends
+    t = first[:, None] + (last - first)[:, None] * share
+    return np.asarray(_offset(curves, gear, jnp.asarray(t), jnp.asarray(height)))
+
+
+def placed(points: np.ndarray, gear: int, turned: float, centre_distance: float) -> np.ndarray:
+    """Points of a gear where they are once it has turned [rad], x from the driver's axis to the driven gear's [m]."""
+    angle = turned if gear == 0 else -turned
+    cosine, sine = math.cos(angle), math.sin(angle)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([x * cosine - y * sine + gear * centre_distance, x * sine + y * cosine], axis=-1)

@@ -1,0 +1,240 @@
+"""Teeth of non-circular gears: how far they reach, contact ratio, flanks and tips, and what cannot be."""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.geometry.internal_checks import THINNEST, Fault
+from gearjax.geometry.noncircular import FURTHEST, STEPS, AbstractRatio, EllipseRatio, PitchCurves
+from gearjax.typing import Array, Float, Scalar
+
+MOST_LEAN = 65 * units.deg
+"""Largest pressure angle in motion; beyond it gears may lock themselves (Dong et al. 2020, section 3)."""
+PLACES = 1440  # around a gear, where it is looked at
+NEAR = 0.1  # modules, and of contact ratios: circular gears stand for others up to there
+GEARS = ("driver", "driven gear")
+
+
+def offset_points(
+    curves: PitchCurves, gear: int, t: Float[Array, "..."], height: Scalar | float
+) -> tuple[tuple[Array, Array], Array]:
+    """Points of the curve that is a height outside a gear's pitch curve, in axes that turn with that gear, x towards
+    the other one at angle zero, and the direction of its tangent there, from the y axis to the x axis [m, rad]."""
+    at, turned = curves.at(t), curves.ratio.driven_angle(t)
+    lean = at.lean + (t if gear == 0 else -turned)
+    if gear == 0:
+        x, y = at.radius * jnp.cos(t), -at.radius * jnp.sin(t)
+        return (x + height * jnp.cos(lean), y - height * jnp.sin(lean)), lean
+    x, y = -at.driven_radius * jnp.cos(turned), -at.driven_radius * jnp.sin(turned)
+    return (x - height * jnp.cos(lean), y + height * jnp.sin(lean)), lean
+
+
+def reach(
+    curves: PitchCurves, gear: int, t: Float[Array, "..."], side: int, height: Scalar | float
+) -> tuple[Array, Array]:
+    """How far the line of action runs from the pitch point to where teeth of a height end, and the parameter of the
+    pitch curve below that place.
+
+    Args:
+        curves: the pitch curves.
+        gear: 0 the driver, 1 the driven gear.
+        t: angle of the driver, shape (...) [rad].
+        side: 1 for drive flanks, -1 for back flanks.
+        height: of the teeth above the pitch curve [m].
+    """
+    (x0, y0), start = offset_points(curves, gear, t, 0.0)
+    slant = curves.pressure_angle + side * start
+    way = 1.0 if gear == 0 else -1.0
+    nx, ny = way * jnp.sin(slant), way * side * jnp.cos(slant)
+    at = curves.at(t)
+    bend = at.curvatures[gear]
+    sine, cosine = jnp.sin(curves.pressure_angle), jnp.cos(curves.pressure_angle)
+    # of the circle that fits the pitch curve there, (12) of Dong et al. (2020) without its cancellation
+    about = height * (2 + bend * height) / (sine + jnp.sqrt(sine * sine + bend * height * (2 + bend * height)))
+    guess = t - way * side * about * cosine / (at.speed * (1 + bend * height))
+
+    def across(place: Array) -> Array:
+        (x, y), _ = offset_points(curves, gear, place, height)
+        return (x - x0) * ny - (y - y0) * nx
+
+    def step(_: Any, place: Array) -> Array:
+        value, slope = jax.jvp(across, (place,), (jnp.ones_like(place),))
+        return place - jnp.clip(value / slope, -FURTHEST, FURTHEST)
+
+    place = jax.lax.fori_loop(0, STEPS, step, guess)
+    (x, y), _ = offset_points(curves, gear, place, height)
+    return (x - x0) * nx + (y - y0) * ny, place
+
+
+def contact_ratio(
+    curves: PitchCurves, t: Float[Array, "..."], side: int, module: Scalar, addendum: Scalar
+) -> Float[Array, "..."]:
+    """Contact ratio: arc length that passes while a flank touches, from the tips of the driven gear to those of the
+    driver, over the pitch [-].
+
+    Args:
+        curves: the pitch curves.
+        t: angle of the driver at which that flank crosses the pitch curves [rad].
+        side: 1 for drive flanks, -1 for back flanks.
+        module: of the rack [m].
+        addendum: height of the teeth above the pitch curves, in modules.
+    """
+    slope = jnp.cos(curves.pressure_angle)
+
+    def passed(gear: int) -> Array:
+        """Arc length from the pitch point to where contact ends at the tips of a gear, backwards of the driven one."""
+        way = side if gear == 0 else -side
+
+        def step(_: Any, state: tuple[Array, Array]) -> tuple[Array, Array]:
+            end, _ = state
+            along = reach(curves, gear, end, side, addendum * module)[0] / slope
+            return end - (curves.between(t, end) - way * along) / curves.at(end).speed, along
+
+        return jax.lax.fori_loop(0, 2 * STEPS, step, (t, jnp.zeros_like(t)))[1]
+
+    return (passed(0) + passed(1)) / (math.pi * module)
+
+
+def circular_contact_ratio(
+    curves: PitchCurves, t: Float[Array, "..."], module: Scalar, addendum: Scalar
+) -> Float[Array, "..."]:
+    """The same of the circular gears that fit the pitch curves there (Dong et al. 2020, eqs. 12 and 13)."""
+    sine, height = jnp.sin(curves.pressure_angle), addendum * module
+
+    def long(bend: Array) -> Array:
+        return height * (2 + bend * height) / (sine + jnp.sqrt(sine * sine + bend * height * (2 + bend * height)))
+
+    along = sum(long(bend) for bend in curves.at(t).curvatures)
+    return along / (math.pi * module * jnp.cos(curves.pressure_angle))
+
+
+def tip_thickness(curves: PitchCurves, gear: int, module: float, addendum: float) -> np.ndarray:
+    """Thickness of the tips around a gear, along the curve that they lie on, negative where flanks meet below it,
+    shape (place,) [m]. Numbers must be known."""
+    t = jnp.linspace(0.0, 2 * math.pi, PLACES + 1)
+    height, slope = addendum * module, float(jnp.cos(curves.pressure_angle))
+    way = 1 if gear == 0 else -1
+    arc, whole = np.asarray(curves.arc_length(t)), float(curves.perimeter)
+    names, below = {}, {}
+    for side in (1, -1):
+        along, place = (np.asarray(part) for part in reach(curves, gear, t, side, height))
+        names[side], below[side] = arc - way * side * along / slope, place  # where its flank crosses the pitch curve
+    # the back flank of the same tooth crosses half a pitch behind, of the driven gear half a pitch ahead
+    other = names[1] + way * math.pi * module / 2
+    turns = np.floor((other - names[-1][0]) / whole)
+    far = np.interp(other - turns * whole, names[-1], below[-1]) + turns * 2 * math.pi
+    near, far = jnp.asarray(below[1]), jnp.asarray(far)
+    middle, half = 0.5 * (near + far), 0.5 * (far - near)
+    at = curves.at(middle)
+    return np.asarray(way * 2 * half * at.speed * (1 + at.curvatures[gear] * height))
+
+
+def closing_centre_distance(ratio: AbstractRatio, teeth: int, module: Scalar) -> Scalar:
+    """Distance of the axes at which the driver's pitch curve is ``pi m z`` long [m]."""
+    one = PitchCurves(ratio, jnp.ones_like(module), jnp.zeros_like(module))
+    return math.pi * module * teeth / one.perimeter
+
+
+def closing_eccentricity(ratio: EllipseRatio, centre_distance: float, teeth: int, module: float) -> float | None:
+    """Eccentricity with which the driver's pitch curve is ``pi m z`` long, ``None`` where there is none."""
+    from scipy.optimize import brentq
+
+    def short_by(e: float) -> float:
+        own = dataclasses.replace(ratio, eccentricity=jnp.asarray(e))
+        return float(closing_centre_distance(own, teeth, jnp.asarray(module))) - centre_distance
+
+    ends = 0.0, 0.95
+    if short_by(ends[0]) * short_by(ends[1]) > 0:
+        return None
+    root = brentq(short_by, *ends, xtol=1e-13)
+    assert isinstance(root, float)  # as nothing else was asked for
+    return root
+
+
+def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Fault]:
+    """What is wrong with a pair of gears, the first one first: gears that lock themselves, undercut, pointed teeth, no
+    continuous contact. Numbers must be known; keys are those of the gear sets."""
+    t, numbers = np.linspace(0.0, 2 * math.pi, PLACES + 1), (jnp.asarray(module), jnp.asarray(addendum))
+    leans, bends, rounded_ratio = (np.asarray(part) for part in _looked_at(curves, *numbers))
+    own = "eccentricity" if isinstance(curves.ratio, EllipseRatio) else "ratio"
+    most, lean = float(curves.pressure_angle), np.abs(leans)
+    if most + lean.max() > MOST_LEAN * (1 + 1e-6):
+        place = float(t[int(lean.argmax())]) / units.deg
+        words = (
+            f"locks itself: pressure angle {(most + lean.max()) / units.deg:.4g} deg at {place:.4g} deg, must be at "
+        )
+        words = f"{words}most {MOST_LEAN / units.deg:g} deg, a tangent that leans by {(MOST_LEAN - most) / units.deg:g}"
+        yield own, _shown(curves), words + " deg" + _limit(curves)
+        return
+    sine = math.sin(most)
+    for name, sharp in zip(GEARS, bends, strict=True):
+        worst = int(np.abs(sharp).argmax())
+        radius, needed = 1 / sharp[worst], addendum * module / sine**2
+        if abs(radius) < needed:
+            words = f"undercut: the pitch curve of the {name} bends by a radius of {_mm(radius)} at "
+            words = f"{words}{float(t[worst]) / units.deg:.4g} deg, must be at least {_mm(needed)}: give more teeth"
+            yield "addendum", f"{addendum:.6g}", f"{words}, or at most {abs(radius) * sine**2 / module:.4f}"
+            return
+    # by the circular gears that fit the pitch curves, and where that comes near, by the gears themselves
+    rounded = _circular_thickness(bends, most, module, addendum).min(axis=1)
+    for gear, name in enumerate(GEARS):
+        thinnest = rounded[gear] / module
+        if bends[gear].min() <= 0 or thinnest < THINNEST + NEAR:
+            thinnest = float(tip_thickness(curves, gear, module, addendum).min()) / module
+        if thinnest < THINNEST:
+            words = f"tips of the {name} are {thinnest:.4g} modules thick, must be {THINNEST:g} or more: lower it"
+            yield "addendum", f"{addendum:.6g}", words
+            return
+    if rounded_ratio.min() > 1 + NEAR:
+        return
+    for side in (1, -1):
+        ratio = np.asarray(_contact(curves, jnp.asarray(t), side, *numbers))
+        if ratio.min() < 1:
+            place = float(t[int(ratio.argmin())]) / units.deg
+            words = f"no continuous contact: contact ratio {ratio.min():.4g} at {place:.4g} deg, must be at least 1"
+            yield "addendum", f"{addendum:.6g}", words + ": raise it"
+            return
+
+
+@eqx.filter_jit
+def _looked_at(curves: PitchCurves, module: Scalar, addendum: Scalar) -> tuple[Array, Array, Array]:
+    """Lean of the tangent, curvatures of both pitch curves and contact ratio by them, over a turn of the driver."""
+    t = jnp.asarray(np.linspace(0.0, 2 * math.pi, PLACES + 1), jnp.result_type(curves.centre_distance))
+    at = curves.at(t)
+    return at.lean, jnp.stack(at.curvatures), circular_contact_ratio(curves, t, module, addendum)
+
+
+_contact = eqx.filter_jit(contact_ratio)  # one program: single operations would each be compiled apart
+
+
+def _circular_thickness(bend: np.ndarray, pressure_angle: float, module: float, addendum: float) -> np.ndarray:
+    """Tip thickness of circular gears of a curvature, ``2 r_a (pi m / (4 r) + inv alpha - inv alpha_a)`` [m]."""
+    radius = 1 / np.maximum(bend, 1e-9)
+    tip = radius + addendum * module
+    at_tip = np.arccos(np.clip(radius * math.cos(pressure_angle) / tip, -1.0, 1.0))
+    turned = (math.tan(pressure_angle) - pressure_angle) - (np.tan(at_tip) - at_tip)
+    return 2 * tip * (math.pi * module / (4 * radius) + turned)
+
+
+def _limit(curves: PitchCurves) -> str:
+    """The largest eccentricity in words, where there is one: ``tan psi = n e / sqrt(1 - e^2)`` at its largest."""
+    if not isinstance(curves.ratio, EllipseRatio):
+        return ""
+    slope = math.tan(MOST_LEAN - float(curves.pressure_angle))
+    return f": eccentricity at most {slope / math.hypot(curves.ratio.driver_lobes, slope):.4f}"
+
+
+def _shown(curves: PitchCurves) -> str:
+    ratio = curves.ratio
+    return f"{float(ratio.eccentricity):.6g}" if isinstance(ratio, EllipseRatio) else "(a table)"
+
+
+def _mm(length: Scalar | float) -> str:
+    return f"{float(length) / units.mm:.6g} mm"
