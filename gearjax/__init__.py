@@ -16,6 +16,7 @@ from gearjax.analysis import (
     NaturalModes,
     Periodic,
     QuasiStatic,
+    RatioError,
     Reduction,
     RungeKutta4,
     Spectrum,
@@ -36,6 +37,8 @@ from gearjax.analysis import (
     one_contact,
     order_spectrum,
     periodic_motion,
+    ratio_error,
+    separation_speed,
     shooting,
     simulate,
     speed_sweep,
@@ -124,7 +127,17 @@ from gearjax.studies import (
 )
 from gearjax.studies.compensation import Judged
 from gearjax.supports import Support
-from gearjax.systems import AbstractSystem, DiscProfile, HelicalPair, InvoluteRV, RVCycloidal, TwoKV
+from gearjax.systems import (
+    AbstractNoncircularPair,
+    AbstractSystem,
+    DiscProfile,
+    EllipticPair,
+    HelicalPair,
+    InvoluteRV,
+    NoncircularPair,
+    RVCycloidal,
+    TwoKV,
+)
 from gearjax.tolerance import (
     AbstractDistribution,
     Correlation,
@@ -166,6 +179,7 @@ __all__ = [
     "AbstractLineContact",
     "AbstractLoad",
     "AbstractMeasured",
+    "AbstractNoncircularPair",
     "AbstractRelief",
     "AbstractSliceCompliance",
     "AbstractSystem",
@@ -187,6 +201,7 @@ __all__ = [
     "Discrete",
     "Eccentricity",
     "ElasticTeeth",
+    "EllipticPair",
     "Empirical",
     "EndRelief",
     "EquivalentMass",
@@ -231,6 +246,7 @@ __all__ = [
     "MomentOfInertia",
     "Motion",
     "NaturalModes",
+    "NoncircularPair",
     "Normal",
     "Objective",
     "ParameterError",
@@ -243,6 +259,7 @@ __all__ = [
     "QuadraticContact",
     "QuasiStatic",
     "RVCycloidal",
+    "RatioError",
     "Rayleigh",
     "Reduction",
     "RepairedData",
@@ -303,6 +320,7 @@ __all__ = [
     "one_contact",
     "order_spectrum",
     "periodic_motion",
+    "ratio_error",
     "read_flank",
     "read_influence",
     "read_pitch",
@@ -310,6 +328,7 @@ __all__ = [
     "run_out_tolerance",
     "save_influence",
     "sensitivities",
+    "separation_speed",
     "shooting",
     "simulate",
     "single_pitch_tolerance",

@@ -109,6 +109,9 @@ class Scene(eqx.Module):
                         f"[{slot}] is not for a {self.system.kind}, whose contacts touch both flanks and count from "
                         "the ideal profile: its clearances come from its modification and errors"
                     )
+        if self.system.exact and self.reference is not None:
+            words = 'counts errors to first order: leave it out, or use clearance = "linear"'
+            raise SceneError(f"[reference] {words}")
         if isinstance(self.compliance, AbstractLineContact) and not self.system.has_radii:
             raise SceneError(
                 f'[compliance] kind = "{self.compliance.kind}" needs the radii of curvature of the flanks, which a '
@@ -285,11 +288,10 @@ class Scene(eqx.Module):
         by_body: dict[str, list[AbstractError]] = {}
         for error in self.errors.values():
             by_body.setdefault(error.body, []).append(error)
-        moved = {body: self.system.movements(body, theta).of(errors) for body, errors in by_body.items()}
-        gap, rate = jax.jvp(
-            lambda at: self.system.displaced_gaps(theta, moved, at), (position,), (jnp.ones_like(position),)
-        )
-        return -rate[:, None], gap - rate * position
+        system, request = self.system, Request(self.backlash is not None)
+        moved = {body: system.movements(body, theta, request).of(errors) for body, errors in by_body.items()}
+        gap, rate = system.displaced_gaps(theta, moved, position, request)
+        return -rate[:, None], self._with_backlash(gap - rate * position, self.layout)
 
     def _springs(self, pose: Pose, layout: Layout, stiffness: Stiffness) -> Springs | None:
         """Springs of the contacts; the flanks of a pair are equally stiff."""
@@ -325,6 +327,9 @@ class Scene(eqx.Module):
                 gap = gap - self.reference.gap
             elif self.reference is not None:
                 gap = gap - self._errors(self.pose(jnp.zeros_like(self.system.input_speed)))
+        return self._with_backlash(gap, layout)
+
+    def _with_backlash(self, gap: Float[Array, " contact"], layout: Layout) -> Float[Array, " contact"]:
         if self.backlash is None:
             return gap
         # a concatenation is a kernel of its own: gaps are worked out once, not again for every use (up to four times)

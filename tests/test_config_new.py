@@ -72,6 +72,8 @@ def test_each_option_loads_when_it_is_put_in(text):
         "rv_cycloidal": ['#kind = "hertz_line_contact"', '#kind = "hu_line_contact"'],
         "involute_rv": ['#kind = "elastic_teeth"'],
         "helical_pair": [],
+        "elliptic_pair": [],
+        "noncircular_pair": [],
     }
     assert refused == without_motion[tomllib.loads(text)["system"]["kind"]]
 

@@ -158,7 +158,18 @@ GEAR_SETS["helical_pair"] = GearSet(
         "system": Number("system.centre_distance", ("201 mm", "201.2 mm"), (0.201, 0.2012)),
     },
 )
+GEAR_SETS["elliptic_pair"] = GearSet(
+    "elliptic/dong_2020.toml",
+    {"system": {"input_speed": "60 rpm"}},
+    {
+        "phase": Number("errors.driver.phase"),
+        "amplitude": Number("errors.driver.amplitude", ("10 um", "20 um"), (10 * um, 20 * um)),
+        "element": Number("compliance.relative_amplitudes[0]", (0.05, 0.15), (0.05, 0.15)),
+        "system": Number("system.eccentricity", (0.3, 0.35), (0.3, 0.35)),
+    },
+)
 KINDS = ("phase", "amplitude", "element", "system")
+OTHER_RATIO = [1.4, 1.28, 1.0, 0.72, 0.6, 0.72, 1.0, 1.28]  # of a noncircular_pair, else an elliptic_pair
 
 
 class Case:
@@ -206,7 +217,7 @@ def _written(export: Callable[..., Any], scene: gj.Scene) -> Any:
 
 LOSS, MEASURE = "no_load_std", "no_load.std"
 STEEL = gj.HertzLineContact(206e9, 0.3, 10e-3)
-QUICK = ("lost_motion", "order_spectrum", "torsion", "transmission_error")
+QUICK = ("lost_motion", "order_spectrum", "ratio_error", "separation_speed", "torsion", "transmission_error")
 OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "backlash": lambda case: gj.backlash(case.moved, case.theta),
     "chosen_steps": lambda case: gj.chosen_steps(case.moved, case.ts, TORQUE).step,
@@ -221,6 +232,8 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "natural_modes": lambda case: gj.natural_modes(case.moved, TORQUE).frequencies,
     "one_contact": lambda case: gj.one_contact(case.still, TORQUE).error(0.8 * TORQUE),
     "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
+    "ratio_error": lambda case: gj.ratio_error(case.moved, case.theta),
+    "separation_speed": lambda case: gj.separation_speed(case.moved, TORQUE),
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
     "shooting": lambda case: gj.shooting(case.moved, TORQUE, 0.02, steps=64).te,
     "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
@@ -325,8 +338,15 @@ MOTION = (
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("accuracy_grades", "", ""): "lists no measured_flank",
     ("contact_pressure", "two_kv", ""): "line contacts",
+    ("contact_pressure", "elliptic_pair", ""): "line contacts",
+    ("one_contact", "elliptic_pair", ""): "outputs that turn evenly",
     **{
-        ("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")
+        ("separation_speed", kind, ""): "outputs that turn unevenly"
+        for kind in ("two_kv", "rv_cycloidal", "involute_rv", "helical_pair")
+    },
+    **{
+        ("export_profile", kind, ""): "has no disc with a profile"
+        for kind in ("two_kv", "involute_rv", "helical_pair", "elliptic_pair")
     },
     ("allocate", "", "phase"): "is no tolerance",
     **{(name, "helical_pair", ""): "makes one contact of all" for name in MOTION},
@@ -334,7 +354,7 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
     **{
         (name, kind, "element"): "does not depend on it"
         for name in ("compensate", "grid_search", "minimise", "optimise")
-        for kind in ("two_kv", "involute_rv", "helical_pair")
+        for kind in ("two_kv", "involute_rv", "helical_pair", "elliptic_pair")
     },
 }
 MOVES = [name for name in GEAR_SETS if ("simulate", name, "") not in REFUSED]  # by their own contacts
@@ -373,7 +393,7 @@ def test_every_function_and_every_gear_set_is_listed():
     for name in OF_NO_GEAR_SET:
         annotations = map(str, inspect.get_annotations(getattr(gj, name)).values())
         assert not any(word in text for text in annotations for word in ("scene: ", "tolerances: "))
-    assert set(GEAR_SETS) == {system.kind for system in SYSTEMS}
+    assert {*GEAR_SETS, "noncircular_pair"} == {system.kind for system in SYSTEMS}
     assert all(tuple(gear_set.numbers) == KINDS for gear_set in GEAR_SETS.values())
 
 
@@ -386,6 +406,21 @@ def test_functions_of_a_scene(name, gear_set):
     check(name, OF_A_SCENE[name], gear_set, *KINDS)
     for kind in KINDS:
         check(name, OF_A_SCENE[name], gear_set, kind)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
+@pytest.mark.parametrize("name", ["ratio_error", "simulate", "grid_search", "minimise", "monte_carlo"])
+def test_functions_of_gears_by_a_table(name):
+    """A noncircular_pair is an elliptic_pair with another ratio function: what asks for it in each way."""
+    case = Case("elliptic_pair", "system")
+    tables = case.gear_set.tables
+    system = {key: tables["system"][key] for key in ("module", "input_speed")}
+    system |= {"kind": "noncircular_pair", "teeth": 48, "ratio": OTHER_RATIO}
+    case.scene = gj.loads(tomli_w.dumps(tables | {"system": system}))
+    case.numbers = [Number("system.ratio[2]", (0.999, 1.001), (0.999, 1.001))]
+    case.where = [number.path for number in case.numbers]
+    judge((OF_A_SCENE | OF_NUMBERS)[name], case, None)
 
 
 @pytest.mark.parametrize("gear_set", GEAR_SETS)

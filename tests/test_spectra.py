@@ -103,10 +103,15 @@ COMMANDS = [
     ("tolerance", "rv_cycloidal/hu_2020_tolerance.toml"),
     ("optimise", "helical/guo_2018_optimise.toml"),
     ("tolerance", "helical/guo_2018_tolerance.toml"),
+    ("run", "elliptic/dong_2020.toml"),
+    ("run", "elliptic/two_lobes.toml"),
+    ("optimise", "elliptic/dong_2020_phases.toml"),
+    ("tolerance", "elliptic/dong_2020_tolerance.toml"),
 ]
 WRITTEN = {
     ("run", "rv_cycloidal/hu_2020.toml"): {"stage.png", "contact_forces.png", "disc.csv", "disc.dxf", "results.nc"},
     ("run", "helical/guo_2018_measured.toml"): {"plane_of_action.png", "measured.png", "results.nc"},
+    ("run", "elliptic/dong_2020.toml"): {"pair.png", "contact_forces.png", "results.nc"},
     ("run", "involute_rv/yang_2019.toml"): {"pair.png", "contact_forces.png", "results.nc"},
     ("tolerance", "two_kv/wang_2020_tolerance.toml"): {
         "histograms.png",

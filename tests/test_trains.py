@@ -518,6 +518,7 @@ TRAINS_REFUSE = {
     "contact_pressure": "line contacts",
     "export_profile": "has no disc with a profile",
     "matched_assembly": "phases",
+    "separation_speed": "outputs that turn unevenly",
     "one_contact": "errors repeat after",  # its second mesh does not repeat with the first
 }
 

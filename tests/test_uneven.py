@@ -19,8 +19,6 @@ from gearjax.systems import AbstractSystem
 from gearjax.typing import Number, Scalar
 from gearjax.units import ANGULAR_SPEED, RATIO, deg, mm, um
 from tests.test_batches import equations
-from tests.test_matrix import OF_A_SCENE, OF_NUMBERS, Case, judge
-from tests.test_matrix import Number as Free
 
 SPEED = 60.0
 
@@ -218,30 +216,3 @@ def test_what_does_not_go_together_is_refused():
     scene = dataclasses.replace(lobed(), system=Carried())
     with pytest.raises(SceneError, match="turns unevenly, without shafts or cranks"):
         gj.simulate(scene, TS, 10.0)
-
-
-class UnevenCase(Case):
-    """The pair in place of a shipped gear set."""
-
-    def __init__(self):
-        self.numbers = [Free("errors.wheel.amplitude", ("2 um", "12 um"), (2 * um, 12 * um))]
-        self.scene = lobed()
-        self.where = [number.path for number in self.numbers]
-        self.ts = np.linspace(0.0, 0.05, 26)
-        self.theta = SPEED * np.linspace(0.0, 0.3, 241)
-
-
-REFUSE = {
-    "accuracy_grades": "lists no measured_flank",
-    "contact_pressure": "line contacts",
-    "export_profile": "has no disc with a profile",
-    "matched_assembly": "phases",
-    "one_contact": "outputs that turn evenly",
-}
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
-@pytest.mark.parametrize("name", [*OF_A_SCENE, *OF_NUMBERS])
-def test_every_function_on_uneven_gears(name):
-    judge((OF_A_SCENE | OF_NUMBERS)[name], UnevenCase(), REFUSE.get(name))

@@ -18,6 +18,7 @@ from gearjax.analysis.quasi_static import (
     interference,
     transmission_error,
 )
+from gearjax.analysis.ratio_error import RatioError, ratio_error, separation_speed
 from gearjax.analysis.repeats import periodic_motion
 from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
@@ -41,6 +42,7 @@ __all__ = [
     "NaturalModes",
     "Periodic",
     "QuasiStatic",
+    "RatioError",
     "Reduction",
     "RungeKutta4",
     "Spectrum",
@@ -61,6 +63,8 @@ __all__ = [
     "one_contact",
     "order_spectrum",
     "periodic_motion",
+    "ratio_error",
+    "separation_speed",
     "shooting",
     "simulate",
     "speed_sweep",

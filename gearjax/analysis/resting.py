@@ -83,9 +83,19 @@ class Interference(eqx.Module):
         }
 
 
-def edge(scene: Scene, angle: Scalar | Pose) -> Scalar:
-    """Lower edge of the play at an angle: output position at which the first driving flank touches [rad]."""
-    return _lower(_about(_lower, scene, angle), scene, angle)
+def edge(scene: Scene, angle: Scalar | Pose, *, derivatives: int = 1) -> Scalar:
+    """Lower edge of the play at an angle: output position at which the first driving flank touches [rad].
+
+    Args:
+        scene: the scene.
+        angle: of the input [rad], or the pose there.
+        derivatives: up to which order they hold where geometry is exact; of other scenes all do.
+    """
+    place = _about(_lower, scene, angle)
+    for _ in range(derivatives if scene.system.exact else 1):  # each round carries one order more
+        place = _lower(place, scene, angle)
+    assert place is not None  # it was worked out at least once
+    return place
 
 
 def edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:

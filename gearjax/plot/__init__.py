@@ -3,6 +3,7 @@
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import save_stage_figure, stage_figure
 from gearjax.plot.involute import pair_figure, save_pair_figure
+from gearjax.plot.noncircular import noncircular_figure
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
 from gearjax.plot.stiffness import stiffness_figure
@@ -17,6 +18,7 @@ __all__ = [
     "force_figure",
     "mark_multiples",
     "new_figure",
+    "noncircular_figure",
     "pair_figure",
     "save_figure",
     "save_figures",

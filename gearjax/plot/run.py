@@ -14,10 +14,11 @@ from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import stage_figure
 from gearjax.plot.involute import pair_figure
 from gearjax.plot.measured import measured_figure
+from gearjax.plot.noncircular import noncircular_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
-from gearjax.systems import AbstractSystem, HelicalPair, InvoluteRV, RVCycloidal
+from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
@@ -173,10 +174,15 @@ def _plane_of_action(scene: Scene, te: TransmissionError) -> Figure:
     return plane_of_action_figure(scene, te.theta, te.forces)
 
 
+def _noncircular(scene: Scene, te: TransmissionError) -> Figure:
+    return noncircular_figure(scene, float(te.theta[0]))
+
+
 OF_GEAR_SETS: dict[type[AbstractSystem], tuple[str, Callable[[Scene, TransmissionError], Figure]]] = {
     RVCycloidal: ("stage.png", _stage),
     InvoluteRV: ("pair.png", _pair),
     HelicalPair: ("plane_of_action.png", _plane_of_action),
+    AbstractNoncircularPair: ("pair.png", _noncircular),
 }
 """Name and drawing of a gear set under static torque."""
 

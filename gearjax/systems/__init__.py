@@ -3,17 +3,28 @@
 from gearjax.systems.base import AbstractSystem, DiscProfile, flank_radii
 from gearjax.systems.helical_pair import HelicalPair
 from gearjax.systems.involute_rv import InvoluteRV
+from gearjax.systems.noncircular import AbstractNoncircularPair, EllipticPair, NoncircularPair
 from gearjax.systems.rv_cycloidal import RVCycloidal
 from gearjax.systems.two_kv import TwoKV
 
-SYSTEMS: tuple[type[AbstractSystem], ...] = (TwoKV, RVCycloidal, InvoluteRV, HelicalPair)
+SYSTEMS: tuple[type[AbstractSystem], ...] = (
+    TwoKV,
+    RVCycloidal,
+    InvoluteRV,
+    HelicalPair,
+    EllipticPair,
+    NoncircularPair,
+)
 
 __all__ = [
     "SYSTEMS",
+    "AbstractNoncircularPair",
     "AbstractSystem",
     "DiscProfile",
+    "EllipticPair",
     "HelicalPair",
     "InvoluteRV",
+    "NoncircularPair",
     "RVCycloidal",
     "TwoKV",
     "flank_radii",

@@ -147,7 +147,7 @@ class AbstractSystem(eqx.Module):
         """Whether gaps and levers are those of the displaced bodies (`displaced_gaps`), not to first order."""
         return False
 
-    def movements(self, body: str, theta: Scalar) -> Movements:
+    def movements(self, body: str, theta: Scalar, request: Request) -> Movements:
         """How errors fixed on a body displace it, each direction as a view of its own; of systems that are `exact`.
 
         Raises:
@@ -155,17 +155,20 @@ class AbstractSystem(eqx.Module):
         """
         raise NotImplementedError(f"{self.kind} has no exact geometry")
 
-    def displaced_gaps(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
-        """Gaps at an input angle [rad] of displaced bodies, the output away from its ideal position [rad]; of systems
-        that are `exact`.
+    def displaced_gaps(
+        self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar, request: Request
+    ) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
+        """Gaps at an input angle [rad] of displaced bodies, the output away from its ideal position [rad], and their
+        change with that position; of systems that are `exact`.
 
         Args:
             theta: input angle [rad].
             moved: displacements by body, of those that carry errors.
             position: of the output, beyond its ideal one [rad].
+            request: which tells whether back flanks are asked for.
 
         Returns:
-            True distances, shape (contact,) [m].
+            True distances, and their change, shape (contact,) each [m, m/rad].
 
         Raises:
             NotImplementedError: the system works to first order only.

@@ -228,7 +228,8 @@ class RVCycloidal(AbstractSystem):
             return open_by
         return open_by + 0.5 * self.profile.short_width * self.thickness_modification * jnp.abs(at.lever)
 
-    def movements(self, body: str, theta: Scalar) -> Movements:
+    def movements(self, body: str, theta: Scalar, request: Request) -> Movements:
+        del request  # pins touch both flanks
         self._check_body(body)
         nothing = jnp.zeros((self.discs * self.pins,), theta.dtype)
         ones, still, quarter = nothing + 1, jnp.zeros_like(theta), nothing + 0.5 * math.pi
@@ -247,7 +248,18 @@ class RVCycloidal(AbstractSystem):
         turn = BodyView(still, nothing, nothing, Rim(place, nothing, share / self.pin_circle, None))
         return Movements(x=x, y=y, turn=turn)
 
-    def displaced_gaps(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
+    def displaced_gaps(
+        self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar, request: Request
+    ) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
+        del request
+
+        def gaps(position: Scalar) -> Float[Array, " contact"]:
+            return self._gaps_at(theta, moved, position)
+
+        return jax.jvp(gaps, (position,), (jnp.ones_like(position),))
+
+    def _gaps_at(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
+        """Gaps of displaced bodies."""
         nothing = jnp.zeros((self.discs * self.pins,), theta.dtype)
         still = Moved(nothing, nothing, nothing, nothing)
         ring, throw = moved.get("pin_ring", still), moved.get("throw", still)

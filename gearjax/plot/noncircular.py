@@ -1,0 +1,98 @@
+"""A pair of non-circular gears: teeth and pitch curves, the mesh from near, pressure angles, levers and ratio."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gearjax.geometry.noncircular_outline import Teeth, outline, placed
+from gearjax.geometry.noncircular_teeth import circular_contact_ratio
+from gearjax.plot.axes import finish
+from gearjax.scene import Scene
+from gearjax.systems import AbstractNoncircularPair
+from gearjax.typing import Array
+from gearjax.units import deg, mm
+
+ANGLES = 361  # of a turn
+NEAR = 4.0  # modules around the pitch point that are shown from near
+COLOURS = "C0", "C1"
+NAMES = "driver", "driven"
+
+
+def noncircular_figure(scene: Scene, theta: float = 0.0) -> Figure:
+    """The gears at an input angle, whole and from near with the lines of action, and how ratio, pressure angles, levers
+    and contact ratio change over a turn of the driver.
+
+    Args:
+        scene: with a non-circular pair.
+        theta: input angle [rad].
+    """
+    system = scene.system
+    assert isinstance(system, AbstractNoncircularPair)
+    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+    (whole, near), (left, right) = figure.subplots(2, 2)
+    _draw_gears(scene, system, theta, whole, near)
+    _draw_turn(system, theta, left, right)
+    return figure
+
+
+def _draw_gears(scene: Scene, system: AbstractNoncircularPair, theta: float, whole: Axes, near: Axes) -> None:
+    backlash = 0.0 if scene.backlash is None else float(scene.backlash.initial)
+    number = system.teeth, system.teeth * system.driven_lobes // system.driver_lobes
+    teeth = Teeth(system.curves, number, float(system.module), float(system.addendum), backlash)
+    distance = float(system.curves.centre_distance)
+    driven = float(system.output(jnp.asarray(theta)))
+    for gear, turned in enumerate((theta, driven)):
+        points = placed(outline(teeth, gear), gear, turned, distance) / mm
+        points = np.concatenate([points, points[:1]])
+        for ax in (whole, near):
+            ax.plot(*points.T, color=COLOURS[gear], linewidth=1.0, label=NAMES[gear])
+        whole.plot(gear * distance / mm, 0.0, "+", color="black")
+        near.fill(*points.T, color=COLOURS[gear], alpha=0.12)
+    at = system.curves.at(jnp.asarray(theta))
+    pitch = float(at.radius) / mm
+    reach = NEAR * float(system.module) / mm
+    for side, style, name in ((1.0, "-", "driving"), (-1.0, "--", "back")):
+        slant = float(system.curves.normal_angle(jnp.asarray(theta), jnp.asarray(side)))
+        way = reach * np.array([-1.0, 1.0])
+        label = f"line of action, {name} flanks"
+        near.plot(
+            pitch + way * np.sin(slant), side * way * np.cos(slant), style, color="0.4", linewidth=0.9, label=label
+        )
+    whole.set_aspect("equal")
+    near.set_aspect("equal")
+    near.set(xlim=(pitch - reach, pitch + reach), ylim=(-reach, reach))
+    turn = theta / deg % 360
+    finish(whole, f"driver at {turn:.1f} deg, turning counter-clockwise", x="x [mm]", y="y [mm]")
+    finish(near, f"near the pitch point, backlash {backlash / mm * 1e3:.4g} um", x="x [mm]", y="y [mm]")
+
+
+@eqx.filter_jit  # one program: single operations would each be compiled apart
+def _turn(system: AbstractNoncircularPair, t: Array) -> tuple[Array, ...]:
+    curves = system.curves
+    at = curves.at(t)
+    slants = [curves.normal_angle(t, jnp.asarray(side, t.dtype)) for side in (1.0, -1.0)]
+    levers = [at.driven_radius * jnp.cos(slant) for slant in slants]
+    return at.ratio, *slants, *levers, circular_contact_ratio(curves, t, system.module, system.addendum)
+
+
+def _draw_turn(system: AbstractNoncircularPair, theta: float, left: Axes, right: Axes) -> None:
+    t = np.linspace(0.0, 2 * np.pi, ANGLES)
+    ratio, drive, back, lever, other, contact = (np.asarray(part) for part in _turn(system, jnp.asarray(t)))
+    for values, style, name in ((drive, "-", "driving flanks"), (back, "--", "back flanks")):
+        left.plot(t / deg, values / deg, style, color="C2", label=f"pressure angle, {name}")
+    for values, style, name in ((lever, "-", "driving flanks"), (other, "--", "back flanks")):
+        right.plot(t / deg, values / mm, style, color="C3", label=f"lever on the driven gear, {name}")
+    for ax, values, label, colour in ((left, ratio, "ratio [-]", "C4"), (right, contact, "contact ratio [-]", "C5")):
+        beside = ax.twinx()
+        beside.plot(t / deg, values, color=colour)
+        beside.set_ylabel(label, color=colour)
+        beside.tick_params(axis="y", colors=colour)
+        ax.axvline(theta / deg % 360, color="0.6", linewidth=0.8, linestyle=":")
+        ax.set(xlabel="input angle [deg]", xlim=(0, 360), xticks=range(0, 361, 60))
+        ax.grid(alpha=0.3)
+    left.set_ylabel("pressure angle [deg]")
+    right.set_ylabel("lever [mm]")
+    for ax in (left, right):
+        ax.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)

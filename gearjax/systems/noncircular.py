@@ -1,0 +1,321 @@
+"""Non-circular gears on parallel axes: elliptic ones (Dong et al. 2020), and any whose ratio is given by a table."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import ParameterError, is_concrete, nearest
+from gearjax.contact import BodyView, Layout, Moved, Movements, Pose, Request
+from gearjax.geometry.noncircular import AbstractRatio, EllipseRatio, PitchCurves, Placed, TabulatedRatio
+from gearjax.geometry.noncircular_teeth import closing_centre_distance, closing_eccentricity, faults
+from gearjax.parameters import angle, check_parameters, count, length, name, number, series
+from gearjax.systems.base import AbstractSystem
+from gearjax.typing import Array, Float, Number, Scalar
+
+DRIVER, DRIVEN = "driver", "driven"
+CURVE = 8.0  # turns for each lobe, of what pitch curves and errors make together
+CLOSES = 1e-4  # of the perimeter, which rounded numbers explain
+SCALES = 1e-3  # of the ratio
+KINKED = 0.8  # of the largest second difference of a table, by which it may change from one value to the next
+FEWEST = 8  # values of a table
+
+
+class AbstractNoncircularPair(AbstractSystem):
+    """What non-circular gears have in common, whatever makes their pitch curves.
+
+    One pair of flanks drives and one is behind it: flanks of a side are parallel curves, so that all teeth have the
+    same gap (`gearjax.geometry.noncircular`). Levers and pressure angles follow the input angle.
+
+    Bodies: ``driver``, whose phase is counted from the line of the axes, towards the driven gear, and ``driven``, from
+    the same line away from the driver; both the way that the gear turns. Supports: x along that line, from the driver
+    to the driven gear, y ahead.
+    """
+
+    teeth: eqx.AbstractVar[int]
+    module: eqx.AbstractVar[Array]
+    pressure_angle: eqx.AbstractVar[Array]
+    addendum: eqx.AbstractVar[Array]
+    driver_lobes: eqx.AbstractVar[int]
+    driven_lobes: eqx.AbstractVar[int]
+    centre_distance: eqx.AbstractVar[Array | None]
+    centre_distance_error: eqx.AbstractVar[Array | None]
+    clearance: eqx.AbstractVar[str]
+
+    @property
+    def ratio_function(self) -> AbstractRatio:
+        """How the driven gear turns as its driver does."""
+        raise NotImplementedError
+
+    def _check(self) -> None:
+        """Refuse gears that do not close, mesh or last.
+
+        Raises:
+            ParameterError: naming what would be right.
+        """
+        check_parameters(self)
+        driven = self.teeth * self.driven_lobes
+        if driven % self.driver_lobes:
+            words = f"the driven gear would have {driven / self.driver_lobes:.6g} teeth, must be a whole number"
+            raise ParameterError("teeth", self.teeth, f"{words}: give a multiple of {self.driver_lobes}")
+        if not is_concrete((self.ratio_function, self.module, self.pressure_angle, self.addendum)):
+            return
+        with jax.ensure_compile_time_eval():  # while something else is traced
+            self._check_closure()
+            for key, shown, words in faults(_ready(self), float(self.module), float(self.addendum)):
+                raise ParameterError(key, shown, words)
+
+    def _check_closure(self) -> None:
+        """Refuse pitch curves that are not as long as their teeth."""
+        if self.centre_distance is None or not is_concrete(self.centre_distance):
+            return
+        right, given = float(_closing(self)), float(self.centre_distance)
+        if abs(given / right - 1) <= CLOSES:
+            return
+        long = math.pi * float(self.module) * self.teeth
+        module = float(self.module) * given / right
+        ways = [f"centre_distance = {_mm(right)}", f"module = {_mm(module)}"]
+        ratio = self.ratio_function
+        if isinstance(ratio, EllipseRatio):
+            other = closing_eccentricity(ratio, given, self.teeth, float(self.module))
+            ways += [] if other is None else [f"eccentricity = {other:.10g}"]
+        words = f"the driver's pitch curve is {_mm(long * given / right)} long, its {self.teeth} teeth {_mm(long)}"
+        raise ParameterError("centre_distance", _mm(given), f"{words}: it closes with {' or '.join(ways)}")
+
+    @property
+    def curves(self) -> PitchCurves:
+        """The pitch curves, without errors."""
+        ratio, distance = self.ratio_function, self.centre_distance
+        if distance is None:
+            distance = closing_centre_distance(ratio, self.teeth, self.module)
+        return PitchCurves(ratio, distance, self.pressure_angle)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        return DRIVER, DRIVEN
+
+    @property
+    def coordinates(self) -> Mapping[str, tuple[str, ...]]:
+        return dict.fromkeys(self.bodies, ("x", "y"))
+
+    @property
+    def orders(self) -> Mapping[str, float]:
+        lobes = float(self.driver_lobes)
+        output = lobes / self.driven_lobes
+        return {"output": output, "driver": 1.0, "lobe": lobes, "curve": CURVE * lobes, "mesh": float(self.teeth)}
+
+    def output(self, theta: Scalar) -> Scalar:
+        return self.ratio_function.driven_angle(theta)
+
+    @property
+    def cycle(self) -> float:
+        return 2 * math.pi * self.driven_lobes / math.gcd(self.driver_lobes, self.driven_lobes)
+
+    def choices(self) -> Mapping[str, AbstractSystem]:
+        return {f'clearance = "{name}"': dataclasses.replace(self, clearance=name) for name in ("linear", "exact")}
+
+    def contact_name(self, contact: int) -> str:
+        return f"the {('driving', 'back')[contact]} flanks"
+
+    def layout(self, request: Request) -> Layout:
+        return Layout.of_flanks(1, request.back)
+
+    def _side(self, request: Request, dtype: jnp.dtype) -> Float[Array, " contact"]:
+        return jnp.asarray(self.layout(request).side, dtype)
+
+    def pose(self, theta: Scalar, request: Request) -> Pose:
+        curves, side = self.curves, self._side(request, theta.dtype)
+        at = curves.at(theta)
+        slant = curves.pressure_angle + side * at.lean
+        sine, cosine = jnp.sin(slant), jnp.cos(slant)
+        columns = [-side * at.driven_radius * cosine]
+        for coordinate in request.coordinates:
+            body, _, way = coordinate.partition(".")
+            along = sine if way == "x" else side * cosine
+            columns.append(along if body == DRIVER else -along)
+        gap = jnp.zeros_like(side)
+        if self.centre_distance_error is not None:
+            gap = gap + self.centre_distance_error * sine
+        views = {}
+        for body in request.bodies:
+            self._check_body(body)
+            place = side * slant if body == DRIVER else -side * slant
+            views[body] = BodyView(self._turn(body, theta), place, -side)
+        mesh = None
+        if request.mesh:  # the pitch curves roll on each other: teeth pass by arc length, not by angle
+            passed = curves.arc_length(theta) / curves.perimeter
+            mesh = (2 * math.pi * self.teeth * passed)[None]
+        return Pose(theta, jnp.stack(columns, axis=1), gap, views, mesh)
+
+    def _turn(self, body: str, theta: Scalar) -> Scalar:
+        return theta if body == DRIVER else self.output(theta)
+
+    def _check_body(self, body: str) -> None:
+        if body not in self.bodies:
+            raise ParameterError("body", body, nearest(body, self.bodies))
+
+    @property
+    def exact(self) -> bool:
+        return self.clearance == "exact"
+
+    def movements(self, body: str, theta: Scalar, request: Request) -> Movements:
+        self._check_body(body)
+        ones = jnp.ones_like(self._side(request, theta.dtype))
+        ahead, turn = 1.0 if body == DRIVER else -1.0, self._turn(body, theta)
+        x = BodyView(turn, 0.5 * math.pi * ones, ones)
+        return Movements(x=x, y=BodyView(turn, 0.0 * ones, ahead * ones))
+
+    def displaced_gaps(
+        self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar, request: Request
+    ) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
+        side = self._side(request, theta.dtype)
+        nothing = jnp.zeros_like(side)
+        still = Moved(nothing, nothing, nothing, nothing)
+        driver, driven = moved.get(DRIVER, still), moved.get(DRIVEN, still)
+        sine, cosine = jnp.sin(position), jnp.cos(position)  # the driven gear takes its own centre along
+        x, y = driven.x * cosine + driven.y * sine, driven.y * cosine - driven.x * sine
+        if self.centre_distance_error is not None:
+            x = x + self.centre_distance_error
+        # it turns clockwise, from x to -y
+        carried = driven.y * cosine - driven.x * sine, -driven.x * cosine - driven.y * sine
+        centres = (driver.x, driver.y), (x, y)
+        return self.curves.displaced_gaps(Placed(theta, self.output(theta) + position, centres, carried), side)
+
+
+@eqx.filter_jit  # one program: single operations would each be compiled apart
+def _ready(system: AbstractNoncircularPair) -> PitchCurves:
+    return system.curves
+
+
+@eqx.filter_jit
+def _closing(system: AbstractNoncircularPair) -> Scalar:
+    return closing_centre_distance(system.ratio_function, system.teeth, system.module)
+
+
+class EllipticPair(AbstractNoncircularPair):
+    """Two elliptic gears that turn about a focus each (Dong et al. 2020, eqs. 1 and 8), or gears of several lobes.
+
+    The driver's pitch curve is ``r1 = p / (1 - e cos(n t))``: an ellipse about a focus with one lobe, an oval with two.
+    Both gears are alike where they have as many lobes. At input angle zero the driver's largest radius points at the
+    driven gear.
+
+    Args:
+        teeth: of the driver; the driven gear has ``teeth * driven_lobes / driver_lobes``.
+        module: of the rack that cuts them [m].
+        eccentricity: e of the driver's pitch curve [-]; not an error.
+        pressure_angle: of the rack, alpha0 [rad].
+        input_speed: of the driver [rad/s].
+        driver_lobes, driven_lobes: of both pitch curves.
+        centre_distance: of the axes, without errors; ``None`` for the one with which the driver's pitch curve is
+            ``pi m z`` long [m].
+        centre_distance_error: by how much the axes are further apart than the pitch curves need [m].
+        addendum: height of the teeth above the pitch curves, in modules.
+        clearance: ``"linear"``, gaps and levers to first order in the errors, or ``"exact"``, by the common normals of
+            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um.
+
+    Raises:
+        ParameterError: a value is not physical, pitch curves do not close (with the numbers that would close them), or
+            gears lock themselves, are undercut or pointed, or lose contact.
+    """
+
+    kind: ClassVar[str] = "elliptic_pair"
+
+    teeth: int = count(at_least=3, at_most=2000, example=47)
+    module: Number = length(at_least=1e-6, at_most=1.0, example="3 mm")
+    eccentricity: Number = number(units.RATIO, at_least=0.0, below=1.0, example=0.3287)
+    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6, example="600 rpm")
+    pressure_angle: Number = angle(above=0.0, below=math.pi / 4, default=20 * units.deg)
+    driver_lobes: int = count(default=1, at_most=12)
+    driven_lobes: int = count(default=1, at_most=12)
+    centre_distance: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="145 mm")
+    centre_distance_error: Number | None = length(at_least=-1e-2, at_most=1e-2, default=None, example="20 um")
+    addendum: Number = number(units.RATIO, above=0.0, at_most=3.0, default=1.0)
+    clearance: str = name(default="linear", names=("linear", "exact"))
+
+    def __check_init__(self):
+        self._check()
+
+    @property
+    def ratio_function(self) -> AbstractRatio:
+        return EllipseRatio(
+            eccentricity=self.eccentricity, driver_lobes=self.driver_lobes, driven_lobes=self.driven_lobes
+        )
+
+
+class NoncircularPair(AbstractNoncircularPair):
+    """Two non-circular gears whose ratio is given by a table: a periodic spline of fifth degree.
+
+    Args:
+        teeth: of the driver; the driven gear has ``teeth * driven_lobes / driver_lobes``.
+        module: of the rack that cuts them [m].
+        ratio: turn of the driven gear per turn of the driver at even steps of the driver's angle over one lobe, the
+            first at input angle zero, shape (value,) [-]. The mean must be ``driver_lobes / driven_lobes``, so that the
+            driven gear's pitch curve closes; rounding up to 0.1 % is scaled away.
+        pressure_angle: of the rack, alpha0 [rad].
+        input_speed: of the driver [rad/s].
+        driver_lobes, driven_lobes: of both pitch curves.
+        centre_distance: of the axes, without errors; ``None`` for the one with which the driver's pitch curve is
+            ``pi m z`` long [m].
+        centre_distance_error: by how much the axes are further apart than the pitch curves need [m].
+        addendum: height of the teeth above the pitch curves, in modules.
+        clearance: ``"linear"``, gaps and levers to first order in the errors, or ``"exact"``, by the common normals of
+            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um.
+
+    Raises:
+        ParameterError: as of an `EllipticPair`; or the table is too short, has a corner, or pitch curves stay open.
+    """
+
+    kind: ClassVar[str] = "noncircular_pair"
+
+    teeth: int = count(at_least=3, at_most=2000, example=48)
+    module: Number = length(at_least=1e-6, at_most=1.0, example="3 mm")
+    ratio: Float[Array, " value"] = series(
+        units.RATIO, above=0.0, at_most=100.0, example=[1.4, 1.28, 1.0, 0.72, 0.6, 0.72, 1.0, 1.28]
+    )
+    input_speed: Number = number(units.ANGULAR_SPEED, at_least=1e-9, at_most=1e6, example="600 rpm")
+    pressure_angle: Number = angle(above=0.0, below=math.pi / 4, default=20 * units.deg)
+    driver_lobes: int = count(default=1, at_most=12)
+    driven_lobes: int = count(default=1, at_most=12)
+    centre_distance: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="145.28 mm")
+    centre_distance_error: Number | None = length(at_least=-1e-2, at_most=1e-2, default=None, example="20 um")
+    addendum: Number = number(units.RATIO, above=0.0, at_most=3.0, default=1.0)
+    clearance: str = name(default="linear", names=("linear", "exact"))
+
+    def __check_init__(self):
+        check_parameters(self)
+        if jnp.ndim(self.ratio) != 1 or self.ratio.shape[0] < FEWEST:
+            words = f"must be a list of {FEWEST} values or more, at even steps over one lobe"
+            raise ParameterError("ratio", self.ratio, words)
+        if is_concrete(self.ratio):
+            _check_table(np.asarray(self.ratio), self.driver_lobes, self.driven_lobes)
+        self._check()
+
+    @property
+    def ratio_function(self) -> AbstractRatio:
+        return TabulatedRatio(values=self.ratio, driver_lobes=self.driver_lobes, driven_lobes=self.driven_lobes)
+
+
+def _check_table(values: np.ndarray, driver_lobes: int, driven_lobes: int) -> None:
+    """Refuse a ratio whose pitch curves stay open, or that has a corner or jump."""
+    right = driver_lobes / driven_lobes
+    scale = right / float(values.mean())
+    if abs(scale - 1) > SCALES:
+        words = f"the driven gear's pitch curve stays open: the mean is {values.mean():.6g}, must be {right:.6g}"
+        raise ParameterError("ratio", values, f"{words} (driver_lobes / driven_lobes): multiply by {scale:.6g}")
+    bends = np.roll(values, 1) - 2 * values + np.roll(values, -1)
+    apart = np.abs(bends - 0.5 * (np.roll(bends, 1) + np.roll(bends, -1)))
+    largest = np.abs(bends).max()
+    if largest > 1e-3 * values.max() and apart.max() > KINKED * largest:
+        place = 360 / driver_lobes * int(apart.argmax()) / len(values)
+        words = f"has a corner or a jump near {place:.4g} deg, or too few values: its slope must change gradually"
+        raise ParameterError("ratio", values, words)
+
+
+def _mm(given: float) -> str:
+    return f"{given / units.mm:.10g} mm"

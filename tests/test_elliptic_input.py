@@ -1,0 +1,141 @@
+"""What elliptic and other non-circular pairs may be: what is refused, and with which words; extremes; precision."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import gearjax as gj
+from gearjax.checks import ParameterError, SceneError
+from gearjax.geometry.noncircular import EllipseRatio
+from gearjax.units import deg, um
+from tests.elliptic import MODULE, TEETH, E
+from tests.test_elliptic_pair import MOVING, THETA, pair, scene
+
+TABLE = [1.4, 1.28, 1.0, 0.72, 0.6, 0.72, 1.0, 1.28]
+
+
+def by_table(ratio, **changes) -> gj.NoncircularPair:
+    given = {"teeth": 48, "module": MODULE, "ratio": ratio, "input_speed": 20.0} | changes
+    return gj.NoncircularPair(**given)
+
+
+REFUSED = [
+    ({"eccentricity": 0.70711}, 'eccentricity = "0.70711": locks itself: pressure angle 65 deg at 45 deg'),
+    ({"eccentricity": 0.8}, "must be at most 65 deg, a tangent that leans by 45 deg: eccentricity at most 0.7071"),
+    ({"eccentricity": 0.77, "pressure_angle": 15 * deg, "teeth": 80}, "eccentricity at most 0.7660"),
+    ({"eccentricity": 0.5, "driver_lobes": 2, "driven_lobes": 2, "teeth": 48}, "eccentricity at most 0.4472"),
+    ({"eccentricity": 1.0}, "below 1"),
+    ({"eccentricity": -0.1}, "at least 0"),
+    (
+        {"centre_distance": 0.15},
+        "458.2400976 mm long, its 47 teeth 442.9645642 mm: it closes with centre_distance = 144.9997",
+    ),
+    ({"centre_distance": 0.15}, "or module = 3.10345"),
+    ({"centre_distance": 0.15}, "or eccentricity = 0.4786262506"),
+    (
+        {"teeth": 3, "eccentricity": 0.0},
+        "undercut: the pitch curve of the driver bends by a radius of 4.5 mm at 0 deg, must be",
+    ),
+    ({"teeth": 3, "eccentricity": 0.0}, "or at most 0.1755"),
+    (
+        {"teeth": 47, "driver_lobes": 2},
+        "would have 23.5 teeth, must be a whole number: give a multiple of 2",
+    ),
+    ({"addendum": 2.2, "teeth": 120}, "modules thick, must be 0.05 or more: lower it"),
+    ({"addendum": 0.35}, "no continuous contact: contact ratio"),
+    ({"clearance": "fine"}, "exact"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), REFUSED)
+def test_gears_that_cannot_be(changes, words):
+    with pytest.raises(ParameterError) as caught:
+        pair(**changes)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "changes", "words"),
+    [
+        (
+            [1.5, 1.28, 1.0, 0.72, 0.6, 0.72, 1.0, 1.28],
+            {},
+            "stays open: the mean is 1.0125, must be 1 (driver_lobes / driven_lobes): multiply by 0.98765",
+        ),
+        (TABLE, {"driven_lobes": 2}, "the mean is 1, must be 0.5"),
+        ([-0.1, *TABLE[1:]], {}, "above 0"),
+        (TABLE[:5], {}, "must be a list of 8 values or more"),
+        ([1.2, 1.2, 1.2, 1.2, 0.8, 0.8, 0.8, 0.8] * 3, {}, "has a corner or a jump near"),
+        ((1 + 0.3 * (2 * np.abs(np.arange(36) / 18 - 1) - 1)).tolist(), {}, "has a corner or a jump near"),
+        ((1 + 0.9 * np.cos(np.arange(36) * 10 * deg)).tolist(), {}, 'ratio = "(a table)": locks itself'),
+    ],
+)
+def test_ratios_that_cannot_be(ratio, changes, words):
+    with pytest.raises(ParameterError) as caught:
+        by_table(ratio, **changes)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("number", [36, 72])
+@pytest.mark.parametrize("e", [0.2, 0.5, 0.7])
+def test_smooth_tables_pass(e, number):
+    ratio = EllipseRatio(jnp.asarray(e)).rates(jnp.asarray(np.arange(number) * 2 * np.pi / number))[0]
+    by_table(ratio, teeth=47)
+
+
+def test_a_table_of_an_ellipse_is_the_ellipse():
+    ratio = EllipseRatio(jnp.asarray(E)).rates(jnp.asarray(np.arange(96) * 2 * np.pi / 96))[0]
+    own = scene(**MOVING)
+    other = dataclasses.replace(own, system=by_table(ratio, teeth=TEETH))
+    for torque in (None, 15.0):
+        one, two = (gj.transmission_error(each, THETA, torque).te for each in (own, other))
+        np.testing.assert_allclose(one, two, atol=1e-10)
+
+
+def test_slots_that_do_not_go_together():
+    with pytest.raises(SceneError, match=r"\[reference\] counts errors to first order"):
+        scene(system={"clearance": "exact"}, reference=gj.ZeroAtStart())
+    with pytest.raises(SceneError, match='use clearance = "linear"'):
+        scene(system={"clearance": "exact"}, supports={"driver": gj.Support(x=1e8)}, **MOVING)
+    with pytest.raises(ParameterError, match="driver"):
+        gj.Scene(pair(), {"one": gj.Eccentricity("drive", 1e-5, 0.0)})
+
+
+def test_negative_torques_and_no_backlash():
+    with pytest.raises(SceneError, match="loads the back flanks, which this scene lacks"):
+        gj.transmission_error(scene(compliance=gj.HarmonicStiffness(1e8, [], [])), THETA, -1.0)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.7071])
+@pytest.mark.parametrize("clearance", ["linear", "exact"])
+def test_extremes_of_eccentricity(e, clearance):
+    gears = scene((3e-3, 3e-3), {"eccentricity": e, "clearance": clearance, "teeth": 300}, **MOVING)
+    te = gj.transmission_error(gears, THETA, 15.0)
+    assert np.isfinite(np.asarray(te.te)).all()
+    assert float(jnp.abs(te.te).max()) > 1e-3
+
+
+def test_speed_at_which_inertia_alone_exceeds_the_load():
+    """Twenty times the speed of separation: teeth hammer from flank to flank, numbers stay finite, all of the way."""
+    gears = scene(system={"input_speed": 600.0}, **MOVING)
+    motion = gj.simulate(gears, np.linspace(0.0, 0.05, 201), 10.0, stepper=gj.FixedStep(1e-6))
+    assert int(motion.result) == 0
+    forces = np.asarray(motion.forces)
+    assert np.isfinite(np.asarray(motion.te)).all()
+    assert (forces[:, 0] > 0).any()
+    assert (forces[:, 1] > 0).any()
+    assert np.ptp(np.asarray(motion.te)) < 0.05
+
+
+@pytest.mark.parametrize("clearance", ["linear", "exact"])
+def test_float32(clearance):
+    """Off by some 1e-6 of a radius that is read at the angle of the teeth: 0.01 arcmin, of 7."""
+    gears = scene((50 * um, 50 * um), {"clearance": clearance})
+    single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), gears)
+    one, other = (gj.transmission_error(each, THETA).te for each in (gears, single))
+    assert other.dtype == jnp.float32
+    assert float(jnp.abs(one - jnp.asarray(other, jnp.float64)).max()) < 4e-6

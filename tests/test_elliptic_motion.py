@@ -1,0 +1,201 @@
+"""Motion of elliptic pairs against an own right-hand side, the speed of separation, energy, gradients."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import gearjax as gj
+from gearjax.checks import SceneError
+from gearjax.units import rpm, um
+from tests.elliptic import ALPHA, MODULE, TEETH
+from tests.test_elliptic_pair import DRIVEN, DRIVER, MOVING, OWN, scene
+
+INERTIA, STIFFNESS, BACKLASH = 0.01, 3e8, 60 * um
+
+
+def levers(t: float) -> np.ndarray:
+    """Change of overlap of both flanks with the output."""
+    lean = OWN.psi(t)
+    return np.array([-1.0, 1.0]) * OWN.r2(t) * np.cos(ALPHA + np.array([1.0, -1.0]) * lean)
+
+
+def gaps(t: float) -> np.ndarray:
+    side, turned = np.array([1.0, -1.0]), OWN.t2(t)
+    slant = ALPHA + side * OWN.psi(t)
+    run_outs = 30 * um * np.sin(t + DRIVER + side * slant) + 20 * um * np.sin(turned + DRIVEN - side * slant)
+    return -side * run_outs + np.array([0.0, BACKLASH])
+
+
+def absolute(speed: float, torque: float, ts: np.ndarray) -> np.ndarray:
+    """Deviation of the driven gear's own angle, ``I y'' = -T - sum J f``, everything by hand."""
+    start = levers(0.0)
+    damping = 0.05 * math.sqrt(2 * STIFFNESS * INERTIA / (start @ start / 2))
+    long = OWN.arc(2 * math.pi)
+    h = 1e-6
+
+    def rate(time: float, state: np.ndarray) -> list[float]:
+        t = speed * time
+        lever, gap = levers(t), gaps(t)
+        turning = (levers(t + h) - levers(t - h)) / (2 * h) * speed
+        opening = (gaps(t + h) - gaps(t - h)) / (2 * h) * speed
+        q, v = state[0] - OWN.t2(t), state[1] - OWN.ratio(t) * speed
+        stiffness = STIFFNESS * (1 + 0.15 * math.cos(2 * math.pi * TEETH * OWN.arc(t) / long + 0.2))
+        force = lever @ (stiffness * np.maximum(lever * q - gap, 0.0))
+        drag = damping * lever[0] * (lever[0] * v + turning[0] * q - opening[0])
+        return [state[1], (-torque - force - drag) / INERTIA]
+
+    state = [0.0, OWN.ratio(0.0) * speed]
+    found = solve_ivp(rate, (0, ts[-1]), state, "DOP853", ts, rtol=1e-11, atol=1e-13, max_step=2e-5)
+    return found.y[0] - OWN.t2(speed * ts)
+
+
+TS = np.linspace(0.0, 0.08, 161)
+
+
+def moving(speed: float, **slots) -> gj.Scene:
+    return scene(system={"input_speed": speed}, **(MOVING | slots))
+
+
+@pytest.mark.parametrize(("speed", "lifts"), [(150 * rpm, False), (450 * rpm, True)])
+def test_the_driven_gear_in_absolute_coordinates(speed, lifts):
+    """From a start that is no equilibrium; at the higher speed teeth lift off and hit their back flanks."""
+    torque = 40.0 if not lifts else 10.0
+    wanted = absolute(speed, torque, TS)
+    steppers = {
+        "fitted": gj.FixedStep(per_sample=400),
+        "Runge-Kutta": gj.FixedStep(per_sample=200, solver=gj.RungeKutta4()),
+    }
+    for name, stepper in steppers.items():
+        motion = gj.simulate(moving(speed), TS, torque, start="zero", stepper=stepper)
+        assert int(motion.result) == 0
+        assert np.abs(np.asarray(motion.te) - wanted).max() < 1e-4 * np.ptp(wanted), name
+        settled = np.asarray(motion.forces)[40:]
+        assert (settled[:, 0] <= 0).any() == lifts
+        assert (settled[:, 1] > 0).any() == lifts
+
+
+@pytest.mark.parametrize("torque", [10.0, -25.0])
+def test_speed_of_separation(torque):
+    """Stiff teeth carry the load and the inertia of the ideal motion; just above that speed they let go."""
+    speed = float(gj.separation_speed(moving(20.0), torque))
+    if torque > 0:
+        assert speed / rpm == pytest.approx(296.3537, abs=1e-4)
+    t = np.linspace(0.0, 2 * math.pi, 400_001)
+    lifts = -OWN.bend(t).min() if torque > 0 else OWN.bend(t).max()
+    assert speed == pytest.approx(math.sqrt(abs(torque) / (INERTIA * lifts)), rel=1e-9)
+    stiff = {"compliance": gj.HarmonicStiffness(1e10, [], []), "damping": gj.DampingRatio(0.3, "always")}
+    ts = np.linspace(0.0, 2 * math.pi / speed, 401)
+    least = []
+    for share in (0.95, 1.12):
+        gears = dataclasses.replace(moving(share * speed, **stiff), errors={})
+        motion = gj.simulate(gears, ts / share, torque, stepper=gj.FixedStep(per_sample=200))
+        least.append(float(np.asarray(motion.forces)[20:, 0 if torque > 0 else 1].min()))
+    assert least[0] > 0
+    assert least[1] == 0
+
+
+def test_separation_is_for_uneven_outputs():
+    with pytest.raises(SceneError, match="outputs that turn unevenly, which that of a two_kv does not"):
+        gj.separation_speed(gj.load("configs/two_kv/wang_2020.toml"), 10.0)
+    with pytest.raises(gj.ParameterError, match="must not be zero"):
+        gj.separation_speed(moving(20.0), 0.0)
+    with pytest.raises(SceneError, match="inertia"):
+        gj.separation_speed(scene(), 10.0)
+
+
+def test_energy_over_a_turn():
+    """Without a damper the input gives what the load takes and what is kept: the work by the force and the rate of its
+    own distance at a held output."""
+    speed, torque = 40.0, 60.0
+    undamped = {"damping": None, "compliance": gj.HarmonicStiffness(STIFFNESS, [], [])}
+    ts = np.linspace(0.0, 2 * math.pi / speed, 6284 * 4 + 1)
+    motion = gj.simulate(moving(speed, **undamped), ts, torque, stepper=gj.FixedStep(per_sample=16))
+    t, q, v = speed * ts, np.asarray(motion.te), np.asarray(motion.velocity)
+    force = np.asarray(motion.forces)
+    assert (force[:, 0] > 0).all()
+    h = 1e-5
+    around = [np.array([levers(x)[0] for x in t + d]) for d in (0.0, h, -h)]
+    opening = (np.array([gaps(x)[0] for x in t + h]) - np.array([gaps(x)[0] for x in t - h])) / (2 * h)
+    ratio = OWN.ratio(t)
+    # the overlap changes with the input at a held output: q falls by the ratio, the lever turns, the gap opens
+    closing = -around[0] * ratio + (around[1] - around[2]) / (2 * h) * q - opening
+    given = force[:, 0] * closing * speed
+    output = ratio * speed + v
+    kept = 0.5 * INERTIA * output**2 + 0.5 * force[:, 0] ** 2 / STIFFNESS
+    work = _integral(given, ts)
+    taken = torque * (OWN.t2(t[-1]) + q[-1] - q[0]) + kept[-1] - kept[0]
+    assert work == pytest.approx(taken, rel=1e-8)
+    assert np.ptp(kept) > 0.05 * work
+
+
+def _integral(values: np.ndarray, ts: np.ndarray) -> float:
+    """By Simpson's rule."""
+    step = ts[1] - ts[0]
+    return float(step / 3 * (values[0] + values[-1] + 4 * values[1:-1:2].sum() + 2 * values[2:-1:2].sum()))
+
+
+NUMBERS = {  # value, step of differences
+    "system.eccentricity": (0.3287, 2e-4),
+    "system.module": (MODULE, 3e-6),
+    "system.centre_distance_error": (10 * um, 3e-6),
+    "errors.driver.amplitude": (30 * um, 3e-6),
+    "errors.driven.phase": (DRIVEN, 1e-3),
+}
+
+
+@pytest.mark.parametrize("clearance", ["linear", pytest.param("exact", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["no_load", "static", "ratio"])
+def test_gradients(kind, clearance):
+    """Under jit and vmap, by all numbers at once, against central differences."""
+    gears = scene(system={"centre_distance_error": 10 * um, "clearance": clearance}, **MOVING)
+    theta = jnp.linspace(0.0, 6.0, 41)
+    weights = jnp.cos(3 * theta) + 0.3
+    names = list(NUMBERS)
+
+    def placed(values):
+        parts = dict(zip(names, values, strict=True))
+        system = {name.partition(".")[2]: parts.pop(name) for name in names if name.startswith("system")}
+        driver = dataclasses.replace(gears.errors["driver"], amplitude=parts["errors.driver.amplitude"])
+        driven = dataclasses.replace(gears.errors["driven"], phase=parts["errors.driven.phase"])
+        own = dataclasses.replace(gears.system, **system)
+        return dataclasses.replace(gears, system=own, errors={"driver": driver, "driven": driven})
+
+    @jax.jit
+    @jax.vmap
+    def measure(values):
+        own = placed(values)
+        if kind == "ratio":
+            return 1e3 * (gj.ratio_error(own, theta).error * weights).sum()
+        torque = 15.0 if kind == "static" else None
+        return 1e3 * (gj.transmission_error(own, theta, torque, extremes="samples").te * weights).sum()
+
+    values = jnp.asarray([value for value, _ in NUMBERS.values()])
+    slopes = jax.jit(jax.vmap(jax.grad(lambda values: measure(values[None])[0])))(values[None])[0]
+    for number, (name, (_, step)) in enumerate(NUMBERS.items()):
+        ends = jnp.stack([values.at[number].add(times * step) for times in (-2, -1, 1, 2)])
+        far, near, ahead, further = measure(ends)
+        wanted = (far - 8 * near + 8 * ahead - further) / (12 * step)
+        assert float(slopes[number]) == pytest.approx(float(wanted), rel=1e-7), name
+
+
+@pytest.mark.slow
+def test_gradients_of_motion():
+    gears = moving(60.0)
+    ts = np.linspace(0.0, 0.02, 41)
+
+    @jax.jit
+    @jax.vmap
+    def measure(e):
+        system = dataclasses.replace(gears.system, eccentricity=e)
+        motion = gj.simulate(dataclasses.replace(gears, system=system), ts, 40.0, stepper=gj.FixedStep(per_sample=40))
+        return 1e5 * motion.te.std()
+
+    slope = jax.grad(lambda e: measure(e[None])[0])(jnp.asarray(0.3287))
+    step = 1e-6
+    values = measure(jnp.asarray([0.3287 - step, 0.3287 + step]))
+    assert float(slope) == pytest.approx(float((values[1] - values[0]) / (2 * step)), rel=1e-6)
