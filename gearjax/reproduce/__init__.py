@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gearjax.progress import Progress
-from gearjax.reproduce import helical, involute_rv, rv_cycloidal, two_kv
+from gearjax.reproduce import elliptic, helical, involute_rv, rv_cycloidal, two_kv
 from gearjax.reproduce.figures import save_loads_figure
 from gearjax.reproduce.rows import Row
 
@@ -29,6 +29,7 @@ PAPERS = {
     "rv_cycloidal": Paper(rv_cycloidal.PAPER, rv_cycloidal.rows),
     "involute_rv": Paper(involute_rv.PAPER, involute_rv.rows, save_loads_figure),
     "helical": Paper(helical.PAPER, helical.rows),
+    "elliptic": Paper(elliptic.PAPER, elliptic.rows, elliptic.save_elliptic_figures),
 }
 
 __all__ = ["PAPERS", "Paper", "Row"]
