@@ -203,8 +203,19 @@ class Scene(eqx.Module):
         if not moving and not {"compliance", "supports"} & set(slots):  # without forces nothing gives way
             unused["supports"] = {}
             unused["shafts"] = {name: shaft.rigid for name, shaft in self.shafts.items()}
-        # parts of a scene that was checked need no new checks, of which those of many pins took 30 ms
-        parts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | unused
+        return self._with(**unused)
+
+    @property
+    def springs_alone(self) -> "Scene":
+        """What the springs of its contacts depend on: scenes with other errors share a program of that."""
+        others = dict.fromkeys(("load", "inertia", "damping", "reference", "run"))
+        nothing = {slot: {} for slot in ("errors", "supports", "shafts", "body_inertia")}
+        return self._with(**others, **nothing, contact=HardContact())
+
+    def _with(self, **changed: Any) -> "Scene":
+        """The same with other parts and numbers of a definite dtype. Parts of a scene that was checked need no new
+        checks, of which those of many pins took 30 ms."""
+        parts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | changed
         alone = object.__new__(Scene)
         for name, part in parts.items():
             object.__setattr__(alone, name, part)

@@ -77,7 +77,7 @@ def check_coupled(scene: Scene) -> None:
             places = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(places=True)).places
             assert places is not None  # the system has them
             compliance.check(places)
-        number, influence = len(scene.layout.side), np.asarray(_influence(scene))
+        number, influence = len(scene.layout.side), np.asarray(_influence(scene.springs_alone))
     if influence.shape != (number, number):
         raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
     if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):

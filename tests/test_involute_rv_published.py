@@ -165,7 +165,7 @@ def test_papers_without_extras_are_reproduced_all_the_same(monkeypatch, capsys):
     with pytest.raises(SystemExit, match="0"):
         main(["reproduce", "--json"])
     printed = capsys.readouterr()
-    assert len(json.loads(printed.out)["papers"]) == len(others) == 3
+    assert len(json.loads(printed.out)["papers"]) == len(others) == 4
     assert "left out: Yang, Tang, Liang (2019)" in printed.err
     assert "gearjax[fem]" in printed.err
 

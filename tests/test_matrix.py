@@ -345,8 +345,7 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
         for kind in ("two_kv", "rv_cycloidal", "involute_rv", "helical_pair")
     },
     **{
-        ("export_profile", kind, ""): "has no disc with a profile"
-        for kind in ("two_kv", "involute_rv", "helical_pair", "elliptic_pair")
+        ("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")
     },
     ("allocate", "", "phase"): "is no tolerance",
     **{(name, "helical_pair", ""): "makes one contact of all" for name in MOTION},

@@ -11,8 +11,9 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import ellipe
 
 from gearjax.geometry import noncircular_teeth as teeth
-from gearjax.geometry.noncircular import EllipseRatio, PitchCurves, TabulatedRatio
+from gearjax.geometry.noncircular import AbstractRatio, EllipseRatio, PitchCurves, TabulatedRatio
 from gearjax.geometry.noncircular_outline import Teeth, flank, outline, placed, tooth_points
+from gearjax.typing import Scalar
 from tests.elliptic import ALPHA, MODULE, TEETH, E, Ellipses
 
 ECCENTRICITIES = (0.0, 0.3287, 0.7071, 0.95)
@@ -241,7 +242,7 @@ def test_outlines_are_closed_and_as_long_as_told():
     curves = closed(E)
     pair = Teeth(curves, (TEETH, TEETH), MODULE, 1.0, backlash=1e-4)
     for gear in (0, 1):
-        points = outline(pair, gear)
+        points = outline(tooth_points(pair, gear, 24))
         assert len(points) == TEETH * 4 * 24
         steps = np.hypot(*np.diff(np.concatenate([points, points[:1]]), axis=0).T)
         assert steps.max() < 0.6 * MODULE
@@ -287,6 +288,30 @@ class TestTables:
             np.testing.assert_allclose(jax.jvp(own.driven_angle, (t,), (ones,))[1], ratio, rtol=1e-11)
             np.testing.assert_allclose(jax.jvp(lambda t, own=own: own.rates(t)[0], (t,), (ones,))[1], slope, atol=1e-11)
             np.testing.assert_allclose(jax.jvp(lambda t, own=own: own.rates(t)[1], (t,), (ones,))[1], bend, atol=1e-10)
+
+
+class Swinging(AbstractRatio):
+    """A ratio function of one's own, by its angle alone: ``t + swing sin t``."""
+
+    swing: Scalar
+    driver_lobes: int = eqx.field(static=True, default=1)
+    driven_lobes: int = eqx.field(static=True, default=1)
+
+    def driven_angle(self, t):
+        return t + self.swing * jnp.sin(t)
+
+
+def test_a_ratio_function_of_ones_own():
+    own = Swinging(swing=jnp.asarray(0.4))
+    t = np.linspace(0.0, 2 * np.pi, 2001)
+    ratio, slope, bend = own.rates(jnp.asarray(t))
+    np.testing.assert_allclose(ratio, 1 + 0.4 * np.cos(t), rtol=1e-14)
+    np.testing.assert_allclose(slope, -0.4 * np.sin(t), atol=1e-14)
+    np.testing.assert_allclose(bend, -0.4 * np.cos(t), atol=1e-14)
+    # both pitch curves turn by a whole turn once around: the integral of their curvature along them
+    at = PitchCurves(own, jnp.asarray(0.1), jnp.asarray(ALPHA)).at(jnp.asarray(t))
+    for bent in at.curvatures:
+        assert float((bent * at.speed)[:-1].mean()) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("lobes", [(2, 2), (1, 2), (2, 3), (3, 1)])

@@ -225,12 +225,21 @@ class PitchCurves(eqx.Module):
 
     def arc_length(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
         """Arc length of both pitch curves from angle zero [m]."""
+        return self._rolled(t)[0]
+
+    def turns(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The same in perimeters of the driver: teeth pass by arc length, not by angle [-]."""
+        arc, lobe = self._rolled(t)
+        return arc / (self.ratio.driver_lobes * lobe)
+
+    def _rolled(self, t: Float[Array, "..."]) -> tuple[Array, Array]:
+        """Arc length from angle zero, and that of a lobe [m]."""
         lobe = 2 * np.pi / self.ratio.driver_lobes
         passed = jnp.concatenate([jnp.zeros(1, t.dtype), jnp.cumsum(self._pieces(t.dtype))])
         whole = jnp.floor(jax.lax.stop_gradient(t) / lobe)
         piece = jnp.clip(jnp.floor((jax.lax.stop_gradient(t) - whole * lobe) * (PIECES / lobe)), 0, PIECES - 1)
         start = whole * lobe + piece * (lobe / PIECES)
-        return whole * passed[-1] + passed[piece.astype(int)] + self.between(start, t)
+        return whole * passed[-1] + passed[piece.astype(int)] + self.between(start, t), passed[-1]
 
     @property
     def perimeter(self) -> Scalar:

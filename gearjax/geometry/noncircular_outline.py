@@ -55,9 +55,14 @@ class _Ends(NamedTuple):
         return np.interp(crossing, self.crossing, self.parameter), np.interp(crossing, self.crossing, self.below)
 
 
-def outline(teeth: Teeth, gear: int, points: int = 24) -> np.ndarray:
-    """Outline of a gear, once around by rising arc length of its pitch curve, in axes that turn with it, x towards the
-    other gear at input angle zero, shape (n, 2) [m].
+def outline(pieces: list[np.ndarray]) -> np.ndarray:
+    """The outline that pieces of teeth (`tooth_points`) make, once around, shape (n, 2) [m]."""
+    return np.concatenate([piece for tooth in zip(*pieces, strict=True) for piece in tooth])
+
+
+def tooth_points(teeth: Teeth, gear: int, points: int) -> list[np.ndarray]:
+    """First flank, tip, second flank and root after it of each tooth, by rising arc length of the pitch curve, in axes
+    that turn with the gear, x towards the other gear at input angle zero; each of shape (tooth, point, 2) [m].
 
     Flanks are those that a rack cuts, down to where the tips of the other gear reach. Below, to roots 0.25 modules
     deeper, they are drawn straight: the fillet is not modelled.
@@ -65,14 +70,8 @@ def outline(teeth: Teeth, gear: int, points: int = 24) -> np.ndarray:
     Args:
         teeth: of the pair.
         gear: 0 the driver, 1 the driven gear.
-        points: of each flank, tip and root.
+        points: of each piece.
     """
-    rows = tooth_points(teeth, gear, points)
-    return np.concatenate([part for tooth in zip(*rows, strict=True) for part in tooth])
-
-
-def tooth_points(teeth: Teeth, gear: int, points: int) -> list[np.ndarray]:
-    """First flank, tip, second flank and root after it of each tooth, each of shape (tooth, point, 2) [m]."""
     way = 1 if gear == 0 else -1
     height = teeth.addendum * teeth.module
     crossing = teeth.pitch * np.arange(teeth.number[gear])  # of the flanks that drive

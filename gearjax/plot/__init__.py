@@ -3,7 +3,7 @@
 from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
 from gearjax.plot.cycloid import save_stage_figure, stage_figure
 from gearjax.plot.involute import pair_figure, save_pair_figure
-from gearjax.plot.noncircular import noncircular_figure
+from gearjax.plot.noncircular import noncircular_figure, save_noncircular_animation
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
 from gearjax.plot.stiffness import stiffness_figure
@@ -22,6 +22,7 @@ __all__ = [
     "pair_figure",
     "save_figure",
     "save_figures",
+    "save_noncircular_animation",
     "save_optimisation_figures",
     "save_pair_figure",
     "save_stage_figure",

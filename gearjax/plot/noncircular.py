@@ -1,12 +1,17 @@
 """A pair of non-circular gears: teeth and pitch curves, the mesh from near, pressure angles, levers and ratio."""
 
+from pathlib import Path
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from gearjax.geometry.noncircular_outline import Teeth, outline, placed
+from gearjax.checks import GearjaxError, ParameterError, SceneError
+from gearjax.geometry.noncircular_outline import outline, placed
 from gearjax.geometry.noncircular_teeth import circular_contact_ratio
 from gearjax.plot.axes import finish
 from gearjax.scene import Scene
@@ -15,8 +20,10 @@ from gearjax.typing import Array
 from gearjax.units import deg, mm
 
 ANGLES = 361  # of a turn
+POINTS = 24  # of each flank, tip and root
 NEAR = 4.0  # modules around the pitch point that are shown from near
 COLOURS = "C0", "C1"
+PER_SECOND = 20  # pictures of an animation
 NAMES = "driver", "driven"
 
 
@@ -38,13 +45,11 @@ def noncircular_figure(scene: Scene, theta: float = 0.0) -> Figure:
 
 
 def _draw_gears(scene: Scene, system: AbstractNoncircularPair, theta: float, whole: Axes, near: Axes) -> None:
-    backlash = 0.0 if scene.backlash is None else float(scene.backlash.initial)
-    number = system.teeth, system.teeth * system.driven_lobes // system.driver_lobes
-    teeth = Teeth(system.curves, number, float(system.module), float(system.addendum), backlash)
+    backlash = _backlash(scene)
     distance = float(system.curves.centre_distance)
     driven = float(system.output(jnp.asarray(theta)))
     for gear, turned in enumerate((theta, driven)):
-        points = placed(outline(teeth, gear), gear, turned, distance) / mm
+        points = placed(outline(system.teeth_of(system.bodies[gear], POINTS, backlash)), gear, turned, distance) / mm
         points = np.concatenate([points, points[:1]])
         for ax in (whole, near):
             ax.plot(*points.T, color=COLOURS[gear], linewidth=1.0, label=NAMES[gear])
@@ -56,7 +61,7 @@ def _draw_gears(scene: Scene, system: AbstractNoncircularPair, theta: float, who
     for side, style, name in ((1.0, "-", "driving"), (-1.0, "--", "back")):
         slant = float(system.curves.normal_angle(jnp.asarray(theta), jnp.asarray(side)))
         way = reach * np.array([-1.0, 1.0])
-        label = f"line of action, {name} flanks"
+        label = f"line of action, {name}"
         near.plot(
             pitch + way * np.sin(slant), side * way * np.cos(slant), style, color="0.4", linewidth=0.9, label=label
         )
@@ -81,9 +86,9 @@ def _draw_turn(system: AbstractNoncircularPair, theta: float, left: Axes, right:
     t = np.linspace(0.0, 2 * np.pi, ANGLES)
     ratio, drive, back, lever, other, contact = (np.asarray(part) for part in _turn(system, jnp.asarray(t)))
     for values, style, name in ((drive, "-", "driving flanks"), (back, "--", "back flanks")):
-        left.plot(t / deg, values / deg, style, color="C2", label=f"pressure angle, {name}")
+        left.plot(t / deg, values / deg, style, color="C2", label=name)
     for values, style, name in ((lever, "-", "driving flanks"), (other, "--", "back flanks")):
-        right.plot(t / deg, values / mm, style, color="C3", label=f"lever on the driven gear, {name}")
+        right.plot(t / deg, values / mm, style, color="C3", label=name)
     for ax, values, label, colour in ((left, ratio, "ratio [-]", "C4"), (right, contact, "contact ratio [-]", "C5")):
         beside = ax.twinx()
         beside.plot(t / deg, values, color=colour)
@@ -93,6 +98,65 @@ def _draw_turn(system: AbstractNoncircularPair, theta: float, left: Axes, right:
         ax.set(xlabel="input angle [deg]", xlim=(0, 360), xticks=range(0, 361, 60))
         ax.grid(alpha=0.3)
     left.set_ylabel("pressure angle [deg]")
-    right.set_ylabel("lever [mm]")
+    right.set_ylabel("lever on the driven gear [mm]")
     for ax in (left, right):
         ax.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+
+
+def save_noncircular_animation(scene: Scene, path: str | Path, *, frames: int = 120) -> Path:
+    """Write the gears as they run through a turn of the driver, without errors, as a GIF or, with ffmpeg, an MP4.
+
+    Args:
+        scene: with a non-circular pair.
+        path: ends in ``.gif`` or ``.mp4``.
+        frames: pictures of a turn.
+
+    Returns:
+        The path.
+
+    Raises:
+        ParameterError: another ending, fewer than two pictures, or a film without ffmpeg.
+        SceneError: another gear set.
+        GearjaxError: the file cannot be written.
+    """
+    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+
+    system, path = scene.system, Path(path)
+    if not isinstance(system, AbstractNoncircularPair):
+        raise SceneError(f"an animation is of non-circular gears, which those of a {system.kind} are not")
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise ParameterError("path", str(path), "must end in .gif or .mp4")
+    if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
+        raise ParameterError("path", str(path), "needs the program ffmpeg: install it, or give a .gif")
+    if isinstance(frames, bool) or not isinstance(frames, int) or frames < 2:
+        raise ParameterError("frames", frames, "must be a whole number, at least 2")
+    angles = 2 * np.pi * np.arange(frames) / frames
+    turned = np.asarray(jax.vmap(system.output)(jnp.asarray(angles)))
+    gears = [outline(system.teeth_of(body, POINTS, _backlash(scene))) for body in system.bodies]
+    distance = float(system.curves.centre_distance)
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    ax = figure.subplots()
+    lines = [ax.plot([], [], color=colour, linewidth=0.8)[0] for colour in COLOURS]
+    reach = max(float(np.hypot(*gear.T).max()) for gear in gears) / mm
+    ax.set(aspect="equal", xlim=(-reach, distance / mm + reach), ylim=(-reach, reach), xlabel="x [mm]", ylabel="y [mm]")
+
+    def draw(number: int) -> list[Line2D]:
+        for gear, line in enumerate(lines):
+            angle = float((angles, turned)[gear][number])
+            points = placed(gears[gear], gear, angle, distance) / mm
+            line.set_data(*np.concatenate([points, points[:1]]).T)
+        ax.set_title(f"driver at {angles[number] / deg:.1f} deg", fontsize="medium")
+        return lines
+
+    film = FuncAnimation(figure, draw, frames=frames)
+    writer = PillowWriter(fps=PER_SECOND) if path.suffix.lower() == ".gif" else FFMpegWriter(fps=PER_SECOND)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        film.save(path, writer=writer, dpi=100)
+    except OSError as fault:
+        raise GearjaxError(f"{path}: cannot be written: {fault}") from fault
+    return path
+
+
+def _backlash(scene: Scene) -> float:
+    return 0.0 if scene.backlash is None else float(scene.backlash.initial)

@@ -1,4 +1,4 @@
-"""Profiles of cycloidal discs for CAD and measuring machines: arcs in DXF, points in CSV, as fine as is asked for."""
+"""Profiles of discs and gears for CAD and measuring machines: DXF and CSV, as fine as is asked for."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from gearjax.files import write_file
 from gearjax.geometry.cycloid import Cycloid, profile
 from gearjax.results.dxf import DIGITS, drawing
 from gearjax.scene import Scene
-from gearjax.systems import AbstractSystem, DiscProfile
+from gearjax.systems import AbstractSystem, DiscProfile, GearOutlines
 from gearjax.units import mm, um
 
 FORMATS = (".csv", ".dxf")
@@ -22,24 +22,30 @@ SAFETY = 0.9  # of the tolerance that a piece may use up: between the probes it 
 MOST_POINTS = 5_000_000
 
 
-def export_profile(of: AbstractSystem | Scene, path: str | Path, *, tolerance: float = TOLERANCE) -> Path:
-    """Write the modified profile of a cycloidal disc, once around counter-clockwise and closed, in mm.
+def export_profile(
+    of: AbstractSystem | Scene, path: str | Path, *, body: str | None = None, tolerance: float = TOLERANCE
+) -> Path:
+    """Write the outline of a gear, once around counter-clockwise and closed, in mm: the modified profile of a cycloidal
+    disc, or the teeth of a non-circular gear.
 
-    DXF (AutoCAD 2000, units of the drawing millimetres) has one polyline of arcs; CSV has points for straight lines,
-    the last of them the first again. Pieces are halved until each is within the tolerance of the profile, so that they
-    are short where it is curved.
+    DXF (AutoCAD 2000, units of the drawing millimetres) has one polyline, of arcs for discs and of straight lines for
+    teeth; CSV has points for straight lines, the last of them the first again. Pieces are halved until each is within
+    the tolerance of the profile, so that they are short where it is curved. Half of the backlash of a scene is taken
+    from the teeth of each gear; fillets of teeth are not modelled.
 
     Args:
         of: the gear set, or a scene of it.
         path: ends in ``.csv`` or ``.dxf``; folders that are missing are made.
+        body: which gear of a non-circular pair, the driver without; discs are all alike.
         tolerance: largest distance between what is written and the profile [m].
 
     Returns:
         The path.
 
     Raises:
-        SceneError: the gear set has no disc with a profile.
-        ParameterError: another ending, or a tolerance that is not a length that can be kept.
+        SceneError: the gear set has no profiles.
+        ParameterError: another ending, a gear that it does not have, or a tolerance that is not a length that can be
+            kept.
         GearjaxError: the file cannot be written.
 
     Example:
@@ -52,9 +58,10 @@ def export_profile(of: AbstractSystem | Scene, path: str | Path, *, tolerance: f
     if isinstance(of, str | Path):
         raise ParameterError("of", str(of), "is a path: give gj.load(path)")
     system = of.system if isinstance(of, Scene) else of
-    if not isinstance(system, DiscProfile):
+    if not isinstance(system, DiscProfile | GearOutlines):
         kind = getattr(system, "kind", type(system).__name__)
-        raise SceneError(f"export_profile: {kind} has no disc with a profile; an rv_cycloidal has one")
+        words = "has no disc with a profile and no gears with outlines; an rv_cycloidal or an elliptic_pair has"
+        raise SceneError(f"export_profile: {kind} {words}")
     if not isinstance(path, str | Path):
         raise ParameterError("path", path, "must be a path")
     path = Path(path)
@@ -64,9 +71,41 @@ def export_profile(of: AbstractSystem | Scene, path: str | Path, *, tolerance: f
     if not FINEST <= float(tolerance) <= COARSEST:
         raise ParameterError("tolerance", tolerance, f"must be at least {FINEST:g} m and at most {COARSEST:g} m")
     arcs = path.suffix.lower() == ".dxf"
-    points, bulges = _pieces(system.profile, float(tolerance), arcs)
+    if isinstance(system, DiscProfile):
+        points, bulges = _pieces(system.profile, float(tolerance), arcs)
+    else:
+        own = system.bodies[0] if body is None else body
+        backlash = float(of.backlash.initial) if isinstance(of, Scene) and of.backlash is not None else 0.0
+        points = _teeth(system, own, backlash, float(tolerance))
+        bulges = np.zeros(len(points))
     text = drawing(points / mm, bulges, "profile") if arcs else _csv(points / mm)
     return write_file(path, text)
+
+
+def _teeth(system: GearOutlines, body: str, backlash: float, tolerance: float) -> np.ndarray:
+    """Points of a gear's teeth within the tolerance of straight lines, counter-clockwise, shape (n, 2) [m]."""
+    number = FIRST + 1
+    while True:
+        fine = system.teeth_of(body, 2 * number - 1, backlash)
+        missed = 0.0
+        for piece in fine:
+            begin, middle, end = piece[:, :-2:2], piece[:, 1::2], piece[:, 2::2]
+            along = end - begin
+            off = middle - begin
+            across = np.abs(along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0])
+            missed = max(missed, float((across / np.hypot(along[..., 0], along[..., 1])).max()))
+        if missed <= SAFETY * tolerance:
+            break
+        number = 2 * number - 1
+        if number * len(fine) * len(fine[0]) > MOST_POINTS:
+            words = f"needs more than {MOST_POINTS} points: give a longer one"
+            raise ParameterError("tolerance", f"{tolerance:g} m", words)
+    pieces = [piece[:, ::2] for piece in fine]
+    points = np.concatenate([piece for tooth in zip(*pieces, strict=True) for piece in tooth])
+    apart = np.hypot(*(points - np.roll(points, 1, axis=0)).T)
+    points = points[apart > FINEST]  # pieces that meet share a point
+    x, y = points.T
+    return points if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0 else points[::-1]
 
 
 def _csv(points: np.ndarray) -> str:

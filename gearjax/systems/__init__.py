@@ -1,6 +1,6 @@
 """Gear sets. Each turns the input angle into candidate contacts; none knows how they are solved."""
 
-from gearjax.systems.base import AbstractSystem, DiscProfile, flank_radii
+from gearjax.systems.base import AbstractSystem, DiscProfile, GearOutlines, flank_radii
 from gearjax.systems.helical_pair import HelicalPair
 from gearjax.systems.involute_rv import InvoluteRV
 from gearjax.systems.noncircular import AbstractNoncircularPair, EllipticPair, NoncircularPair
@@ -22,6 +22,7 @@ __all__ = [
     "AbstractSystem",
     "DiscProfile",
     "EllipticPair",
+    "GearOutlines",
     "HelicalPair",
     "InvoluteRV",
     "NoncircularPair",

@@ -8,6 +8,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.contact import GearSize, Layout, Moved, Movements, Places, Pose, Request
 from gearjax.dependence import depends
@@ -26,6 +27,27 @@ class DiscProfile(Protocol):
     @property
     def profile(self) -> Cycloid:
         """Profile of the discs, and the pins."""
+        ...
+
+
+@runtime_checkable
+class GearOutlines(Protocol):
+    """What a gear set offers besides whose gears have outlines that can be drawn, tooth by tooth."""
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the gears."""
+        ...
+
+    def teeth_of(self, body: str, points: int, backlash: float) -> list[np.ndarray]:
+        """Smooth pieces of the outline of a gear, one after the other of each tooth, each of shape (tooth, point, 2)
+        [m], by so many points.
+
+        Args:
+            body: the gear.
+            points: of each piece.
+            backlash: between its back flanks and those of the other gear [m].
+        """
         ...
 
 

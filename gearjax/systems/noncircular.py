@@ -14,6 +14,7 @@ from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Moved, Movements, Pose, Request
 from gearjax.geometry.noncircular import AbstractRatio, EllipseRatio, PitchCurves, Placed, TabulatedRatio
+from gearjax.geometry.noncircular_outline import Teeth, tooth_points
 from gearjax.geometry.noncircular_teeth import closing_centre_distance, closing_eccentricity, faults
 from gearjax.parameters import angle, check_parameters, count, length, name, number, series
 from gearjax.systems.base import AbstractSystem
@@ -148,9 +149,8 @@ class AbstractNoncircularPair(AbstractSystem):
             place = side * slant if body == DRIVER else -side * slant
             views[body] = BodyView(self._turn(body, theta), place, -side)
         mesh = None
-        if request.mesh:  # the pitch curves roll on each other: teeth pass by arc length, not by angle
-            passed = curves.arc_length(theta) / curves.perimeter
-            mesh = (2 * math.pi * self.teeth * passed)[None]
+        if request.mesh:
+            mesh = (2 * math.pi * self.teeth * curves.turns(theta))[None]
         return Pose(theta, jnp.stack(columns, axis=1), gap, views, mesh)
 
     def _turn(self, body: str, theta: Scalar) -> Scalar:
@@ -159,6 +159,13 @@ class AbstractNoncircularPair(AbstractSystem):
     def _check_body(self, body: str) -> None:
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
+
+    def teeth_of(self, body: str, points: int, backlash: float) -> list[np.ndarray]:
+        """Smooth pieces of a gear's outline (`gearjax.systems.GearOutlines`)."""
+        self._check_body(body)
+        number = self.teeth, self.teeth * self.driven_lobes // self.driver_lobes
+        teeth = Teeth(_ready(self), number, float(self.module), float(self.addendum), backlash)
+        return tooth_points(teeth, self.bodies.index(body), points)
 
     @property
     def exact(self) -> bool:
