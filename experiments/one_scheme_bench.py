@@ -8,8 +8,8 @@ What was found: not for all, so both stay. Levers that stand still (2K-V): const
 the march at equal error, 2 to 7 times as long as its windows, 10 to 12 times for a gradient backwards, and 30 to 70
 times for 64 lanes, which the march lays last. Levers that turn (RV): with 48 steps a sample their error is a hundredth
 of that of the march with 192, in a third of its time (as installed, where the march is slow, a sixtieth); at equal
-steps a gradient takes 0.2 (reverse) to 0.4 (forward) of its time, lanes as long. Such scenes are those that constant
-modes could take over.
+steps a gradient takes 0.2 (reverse) to 0.4 (forward) of its time, lanes as long. Such gear sets take constant
+modes (`levers_turn`), which this bench turns off.
 
     python experiments/one_scheme_bench.py [--repeats 5] [--only two_kv]
 
@@ -37,6 +37,8 @@ import gearjax as gj
 from gearjax.analysis import modes
 from gearjax.analysis.choice import MODELLED, phase_of, suitable_step
 from gearjax.analysis.equation import Equation
+
+gj.RVCycloidal.levers_turn = False  # by both schemes
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 LANES = 64

@@ -147,7 +147,9 @@ def method_of(
         if stepper.windows is not None:
             words = "windows are for a scene whose output alone moves, on springs of pairs of teeth"
             raise SceneError(f"{words}: give FixedStep(...) without")
-        return Modes(Spacing.of(ts.shape[0], steps, phase_of(scene, ts, steps), ts.dtype))
+        return _modes(scene, ts, steps)
+    if scene.system.levers_turn and stepper.windows is None:
+        return _modes(scene, ts, steps)
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
@@ -162,6 +164,10 @@ def method_of(
     alone = phase is None and not batched
     quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
     return Fitted(whole, windows, fall_back=not seen, quick=quick)
+
+
+def _modes(scene: Scene, ts: Array | np.ndarray, steps: int) -> Modes:
+    return Modes(Spacing.of(ts.shape[0], steps, phase_of(scene, ts, steps), ts.dtype))
 
 
 class ChosenSteps(NamedTuple):
@@ -191,7 +197,8 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
         return ChosenSteps(type(method.solver).__name__, given, step)
     if isinstance(method, Modes):
         if scene.output_alone:
-            return ChosenSteps("constant modes", "slices of contact lines come and go", step)
+            reason = "levers turn" if scene.springs_apart else "slices of contact lines come and go"
+            return ChosenSteps("constant modes", reason, step)
         moving = ", ".join(scene.coordinates[1:4]) + (", ..." if len(scene.coordinates) > 4 else "")
         return ChosenSteps("constant modes", f"more moves than the output: {moving}", step)
     reason = "the output alone moves, on springs one by one"

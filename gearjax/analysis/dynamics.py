@@ -207,7 +207,8 @@ def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) ->
 
 @eqx.filter_jit
 def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str, method: Method) -> Motion:
-    equation = (Equation if scene.springs_apart else StructureEquation).of(scene, torque)
+    of_output = scene.springs_apart and not isinstance(method, Modes)
+    equation = (Equation if of_output else StructureEquation).of(scene, torque)
     if isinstance(method, Even | AdaptiveStep):
         motion = integrated(equation, ts, settle, start, method)
     elif isinstance(equation, StructureEquation):
