@@ -85,7 +85,7 @@ class AbstractNoncircularPair(AbstractSystem):
         ratio = self.ratio_function
         if isinstance(ratio, EllipseRatio):
             other = closing_eccentricity(ratio, given, self.teeth, float(self.module))
-            ways += [] if other is None else [f"eccentricity = {other:.10g}"]
+            ways += [] if other is None else [f"eccentricity = {other:.8g}"]
         words = f"the driver's pitch curve is {_mm(long * given / right)} long, its {self.teeth} teeth {_mm(long)}"
         raise ParameterError("centre_distance", _mm(given), f"{words}: it closes with {' or '.join(ways)}")
 
@@ -325,4 +325,4 @@ def _check_table(values: np.ndarray, driver_lobes: int, driven_lobes: int) -> No
 
 
 def _mm(given: float) -> str:
-    return f"{given / units.mm:.10g} mm"
+    return f"{given / units.mm:.8g} mm"
