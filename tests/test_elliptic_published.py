@@ -28,6 +28,8 @@ def test_what_is_reproduced(rows):
     for item in table:
         row = rows[f"{item}, with the artefact"]
         assert abs(row.deviation) < row.tolerance
+    assert rows["Tooth profile (6), off by"].computed < 1e-9
+    assert rows["Tooth profile (2) and (4), off by"].computed > 1.0
     assert abs(rows["Table 2, e = 0.3, mean"].computed) < 1e-12  # that of a ratio error over a turn
 
 

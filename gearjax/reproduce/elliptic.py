@@ -9,6 +9,7 @@ import numpy as np
 from gearjax.analysis.ratio_error import ratio_error
 from gearjax.errors import Eccentricity
 from gearjax.geometry.noncircular import EllipseRatio, PitchCurves
+from gearjax.geometry.noncircular_outline import flank
 from gearjax.geometry.noncircular_teeth import MOST_LEAN, circular_contact_ratio, closing_centre_distance, contact_ratio
 from gearjax.progress import Progress, silent
 from gearjax.reproduce import elliptic_construction as paper
@@ -46,6 +47,7 @@ ARTEFACT = (
     "simplified formula (21) with a constant of 1 mm beside the run-outs, which makes the mean, and run-outs fitted to "
     "these ten numbers: others fit as well"
 )
+RACK = "from the flank that a rack cuts, a module along the normal to both sides; (4) mirrors the line below the curve"
 FROZEN = "of its largest value, run-outs of 50 um: it leaves out that lever and pressure angle change with the angle"
 
 
@@ -106,7 +108,7 @@ def rows(say: Progress = silent) -> list[Row]:
         say: is told what is being worked out.
     """
     say("pitch curves and contact ratios")
-    report = [*_closure(), *_pressure_angles(), *_contact_ratios()]
+    report = [*_closure(), *_flanks(), *_pressure_angles(), *_contact_ratios()]
     say("ratio errors")
     return report + _ratio_errors() + _constructions()
 
@@ -120,6 +122,22 @@ def _closure() -> list[Row]:
         Row("Table 1, centre distance that closes", "150", own / mm, "mm", 0.01, why=told),
         Row("Table 1, pitch curve, p", "64.667", parameter / mm, "mm", 1e-3),
     ]
+
+
+def _flanks() -> list[Row]:
+    """The paper's tooth profile against the flank that a rack cuts, of one tooth, up to a module along the normal."""
+    own = curves(ECCENTRICITY, None)
+    crossing = np.asarray(5 * math.pi * MODULE)
+    whole = _turn()
+    t = np.interp(crossing + np.linspace(-1.0, 1.0, 41) * MODULE, own.arc_length(jnp.asarray(whole)), whole)
+    along = (np.asarray(own.arc_length(jnp.asarray(t))) - crossing) * math.cos(PRESSURE_ANGLE)
+    cut = flank(own, 0, 1, t, crossing) * np.array([1.0, -1.0])  # angles of the paper run the other way
+    gears = paper.Ellipse(float(own.centre_distance) / 2, ECCENTRICITY, PRESSURE_ANGLE, t)
+    report = []
+    for name, as_printed in (("(6)", False), ("(2) and (4)", True)):
+        off = np.hypot(*(paper.right_flank(gears, along, as_printed) - cut).T).max()
+        report.append(Row(f"Tooth profile {name}, off by", "", float(off) / mm, "mm", 0.0, why=RACK))
+    return report
 
 
 def _pressure_angles() -> list[Row]:

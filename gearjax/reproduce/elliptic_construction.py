@@ -143,3 +143,25 @@ def integrated(t1: np.ndarray, ratio_error: np.ndarray) -> np.ndarray:
     """Transmission error by integration of a ratio error from the first angle (24), shape (n,) [rad]."""
     steps = 0.5 * (ratio_error[1:] + ratio_error[:-1]) * np.diff(t1)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def right_flank(gears: Ellipse, along: np.ndarray, as_printed: bool) -> np.ndarray:
+    """Right flank of a tooth, cut from the pitch points at ``t1``, in axes of the gear, shape (n, 2) [m].
+
+    By (2) above the pitch curve and (4) below it, as printed, or by (6), whose line runs on with its sign turned: mu is
+    the angle from the pitch radius to the tangent, ``tan mu = (1 - e cos t1) / (e sin t1)``.
+
+    Args:
+        gears: at the angles of the pitch points.
+        along: distance of the flank from them, above the pitch curve positive, shape (n,) [m].
+        as_printed: whether points below are by (4).
+    """
+    e, t1 = gears.eccentricity, gears.t1
+    mu = np.arctan2(1 - e * np.cos(t1), e * np.sin(t1))
+    size, below = np.abs(along), along < 0
+    alpha = gears.pressure_angle
+    angle = np.where(below & as_printed, t1 - mu - alpha, t1 - mu + alpha)
+    sign = np.where(below & (not as_printed), -1.0, 1.0)
+    radius = gears.radii[0]
+    x, y = radius * np.cos(t1) + sign * size * np.cos(angle), radius * np.sin(t1) + sign * size * np.sin(angle)
+    return np.stack([x, y], axis=-1)
