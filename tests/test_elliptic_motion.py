@@ -183,6 +183,21 @@ def test_gradients(kind, clearance):
         assert float(slopes[number]) == pytest.approx(float(wanted), rel=1e-7), name
 
 
+def test_gradient_by_the_centre_distance():
+    """At a given one gears need not close while it is traced."""
+    gears = scene()
+
+    @jax.jit
+    @jax.vmap
+    def measure(distance):
+        own = dataclasses.replace(gears, system=dataclasses.replace(gears.system, centre_distance=distance))
+        return 1e3 * gj.transmission_error(own, jnp.linspace(0.0, 3.0, 21), extremes="samples").te.std()
+
+    slope = jax.grad(lambda distance: measure(distance[None])[0])(jnp.asarray(0.145))
+    far, near, ahead, further = measure(0.145 + 1e-4 * jnp.asarray([-2.0, -1.0, 1.0, 2.0]))
+    assert float(slope) == pytest.approx(float((far - 8 * near + 8 * ahead - further) / 1.2e-3), rel=1e-7)
+
+
 @pytest.mark.slow
 def test_gradients_of_motion():
     gears = moving(60.0)

@@ -65,7 +65,8 @@ class AbstractNoncircularPair(AbstractSystem):
         if driven % self.driver_lobes:
             words = f"the driven gear would have {driven / self.driver_lobes:.6g} teeth, must be a whole number"
             raise ParameterError("teeth", self.teeth, f"{words}: give a multiple of {self.driver_lobes}")
-        if not is_concrete((self.ratio_function, self.module, self.pressure_angle, self.addendum)):
+        shape = self.ratio_function, self.module, self.pressure_angle, self.addendum, self.centre_distance
+        if not is_concrete(shape):
             return
         with jax.ensure_compile_time_eval():  # while something else is traced
             self._check_closure()
@@ -74,7 +75,7 @@ class AbstractNoncircularPair(AbstractSystem):
 
     def _check_closure(self) -> None:
         """Refuse pitch curves that are not as long as their teeth."""
-        if self.centre_distance is None or not is_concrete(self.centre_distance):
+        if self.centre_distance is None:
             return
         right, given = float(_closing(self)), float(self.centre_distance)
         if abs(given / right - 1) <= CLOSES:
