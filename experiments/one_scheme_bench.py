@@ -9,7 +9,7 @@ the march at equal error, 2 to 7 times as long as its windows, 10 to 12 times fo
 times for 64 lanes, which the march lays last. Levers that turn (RV): with 48 steps a sample their error is a hundredth
 of that of the march with 192, in a third of its time (as installed, where the march is slow, a sixtieth); at equal
 steps a gradient takes 0.2 (reverse) to 0.4 (forward) of its time, lanes as long. Such gear sets take constant
-modes (`levers_turn`), which this bench turns off.
+modes (`by_constant_modes`), which this bench turns off.
 
     python experiments/one_scheme_bench.py [--repeats 5] [--only two_kv]
 
@@ -38,7 +38,7 @@ from gearjax.analysis import modes
 from gearjax.analysis.choice import MODELLED, phase_of, suitable_step
 from gearjax.analysis.equation import Equation
 
-gj.RVCycloidal.levers_turn = False  # by both schemes
+gj.RVCycloidal.by_constant_modes = False  # by both schemes
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 LANES = 64

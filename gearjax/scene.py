@@ -209,8 +209,7 @@ class Scene(eqx.Module):
     def springs_alone(self) -> "Scene":
         """What the springs of its contacts depend on: scenes with other errors share a program of that."""
         others = dict.fromkeys(("load", "inertia", "damping", "reference", "run"))
-        nothing = {slot: {} for slot in ("errors", "supports", "shafts", "body_inertia")}
-        return self._with(**others, **nothing, contact=HardContact())
+        return self._with(**others, errors={}, body_inertia={}, contact=HardContact())
 
     def _with(self, **changed: Any) -> "Scene":
         """The same with other parts and numbers of a definite dtype. Parts of a scene that was checked need no new

@@ -93,6 +93,38 @@ class TestExactly:
             slope = np.fft.irfft(1j * np.arange(len(lines)) * lines, 256)
             np.testing.assert_allclose(ratio.error[:-1], slope, atol=1e-10 * float(ratio.peak_to_peak) + 1e-13)
 
+    @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
+    def test_studies_take_exact_geometry(self):
+        """Populations and grids are quick where contacts touch to first order; here they are not."""
+        gears = scene((500 * um, 400 * um), {"clearance": "exact"}, **MOVING)
+        theta = np.linspace(0.0, 2 * math.pi, 61)
+        population = gj.Tolerances(gears, {"errors.driver.phase": gj.Discrete((DRIVER, DRIVER + 1.0), (0.5, 0.5))})
+        measures = ["no_load.peak_to_peak", "static.peak_to_peak@15Nm"]
+        study = gj.monte_carlo(population, measures, n=4, theta=theta, extremes="samples", sampler="monte_carlo")
+        known = {}
+        for phase in (DRIVER, DRIVER + 1.0):
+            turned = {**gears.errors, "driver": gj.Eccentricity("driver", 500 * um, phase)}
+            own = dataclasses.replace(gears, errors=turned)
+            swings = [
+                float(jnp.ptp(gj.transmission_error(own, theta, torque, extremes="samples").te))
+                for torque in (None, 15.0)
+            ]
+            known[phase] = swings
+        for row in np.asarray(study.values):
+            assert min(np.abs(row / np.array(swings) - 1).max() for swings in known.values()) < 1e-9
+        where = ["errors.driver.phase", "errors.driven.phase"]
+        grid = gj.grid_search("no_load_peak_to_peak", gears, where=where, step=math.pi / 2, theta=theta)
+        values = {}
+        for one in (0.0, 90.0, 180.0, 270.0):
+            for other in (0.0, 90.0, 180.0, 270.0):
+                errors = {
+                    "driver": gj.Eccentricity("driver", 500 * um, math.radians(one)),
+                    "driven": gj.Eccentricity("driven", 400 * um, math.radians(other)),
+                }
+                own = dataclasses.replace(gears, errors=errors)
+                values[one, other] = float(gj.transmission_error(own, theta).peak_to_peak)
+        assert float(grid.objective) == pytest.approx(min(values.values()), rel=1e-6)
+
     def test_first_order_of_the_ratio(self):
         theta = np.linspace(0.0, 2 * math.pi, 257)
         linear, exact = (
@@ -202,8 +234,14 @@ class TestForces:
         gears = scene(**MOVING)
         soft = dataclasses.replace(gears, supports={"driver": gj.Support(x=1e8, y=2e8), "driven": gj.Support(y=3e8)})
         free = gj.transmission_error(gears, THETA).te
-        te = gj.transmission_error(soft, THETA, 15.0).te
+        found = gj.transmission_error(soft, THETA, 15.0)
+        te = found.te
         slant = ALPHA + OWN.psi(THETA)
         lever = OWN.r2(THETA) * np.cos(slant)
         gives = 1 / 3e8 + np.sin(slant) ** 2 / 1e8 + np.cos(slant) ** 2 * (1 / 2e8 + 1 / 3e8)
         np.testing.assert_allclose(te, free - 15.0 / lever**2 * gives, atol=1e-14)
+        # the force pushes the gears apart, the driver back and the driven gear ahead
+        force = 15.0 / lever
+        assert found.coordinates == ("output", "driven.y", "driver.x", "driver.y")
+        moved = force * np.cos(slant) / 3e8, -force * np.sin(slant) / 1e8, -force * np.cos(slant) / 2e8
+        np.testing.assert_allclose(found.moved, np.stack(moved, axis=1), rtol=1e-9)

@@ -133,9 +133,9 @@ def test_what_closes_the_printed_gears():
     right = float(teeth.closing_centre_distance(ratio, TEETH, jnp.asarray(MODULE)))
     assert 0.5 * right == pytest.approx(72.4998586595e-3, abs=1e-13)
     assert 0.5 * right * (1 - E * E) == pytest.approx(64.6667064e-3, abs=1e-10)
-    assert teeth.closing_eccentricity(ratio, 0.15, TEETH, MODULE) == pytest.approx(0.4786262506, abs=1e-10)
+    assert teeth.closing_eccentricity(ratio, 0.15, TEETH, MODULE, ALPHA) == pytest.approx(0.4786262506, abs=1e-10)
     assert MODULE * 0.15 / right == pytest.approx(3.1034543e-3, abs=1e-10)
-    assert teeth.closing_eccentricity(ratio, 0.10, TEETH, MODULE) is None
+    assert teeth.closing_eccentricity(ratio, 0.10, TEETH, MODULE, ALPHA) is None
 
 
 @pytest.mark.parametrize(("e", "depth"), [(0.792901, 1.25), (0.845256, 1.0)])

@@ -112,7 +112,10 @@ def test_a_scene_is_exported_as_its_gear_set(tmp_path, rv_text):
 
 def test_mistakes_are_one_line(tmp_path, scene):
     own = SYSTEMS["hu_2020"]
-    with pytest.raises(gj.SceneError, match="two_kv has no disc with a profile; an rv_cycloidal has one"):
+    with pytest.raises(
+        gj.SceneError,
+        match="two_kv has no disc with a profile and no gears with outlines; an rv_cycloidal or an elliptic_pair has",
+    ):
         gj.export_profile(scene, tmp_path / "disc.dxf")
     with pytest.raises(gj.ParameterError, match=r'path = ".*disc.step": must end in \.csv or \.dxf'):
         gj.export_profile(own, "disc.step")

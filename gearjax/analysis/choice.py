@@ -30,7 +30,7 @@ APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position 
 
 
 class Modes(NamedTuple):
-    """Even steps of constant modes, of a scene whose bodies move too."""
+    """Even steps of constant modes: bodies move too, contacts are slices, or levers of many turn."""
 
     spacing: Spacing
 
@@ -148,7 +148,8 @@ def method_of(
             words = "windows are for a scene whose output alone moves, on springs of pairs of teeth"
             raise SceneError(f"{words}: give FixedStep(...) without")
         return _modes(scene, ts, steps)
-    if scene.system.levers_turn and stepper.windows is None:
+    alternates = scene.load is not None and scene.load.alternates  # the march tells of gradients that mean nothing then
+    if scene.system.by_constant_modes and stepper.windows is None and not alternates:
         return _modes(scene, ts, steps)
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
@@ -197,7 +198,7 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
         return ChosenSteps(type(method.solver).__name__, given, step)
     if isinstance(method, Modes):
         if scene.output_alone:
-            reason = "levers turn" if scene.springs_apart else "slices of contact lines come and go"
+            reason = "levers of many contacts turn" if scene.springs_apart else "slices of contact lines come and go"
             return ChosenSteps("constant modes", reason, step)
         moving = ", ".join(scene.coordinates[1:4]) + (", ..." if len(scene.coordinates) > 4 else "")
         return ChosenSteps("constant modes", f"more moves than the output: {moving}", step)

@@ -236,7 +236,7 @@ def _followed(equation: Equation, ts: Array, settle: Array, method: QuasiStatic)
 
 
 def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str, method: Modes) -> Motion:
-    """By constant modes, of a scene whose bodies move too."""
+    """By constant modes."""
     state = equation.initial(ts[0], start)
     there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from gearjax import arguments
 from gearjax.analysis.metrics import extremes
-from gearjax.analysis.quasi_static import angles_of
+from gearjax.analysis.quasi_static import angles_of, torque_on
 from gearjax.analysis.resting import edge
 from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.scene import Scene
@@ -37,7 +37,7 @@ class RatioError(eqx.Module):
 
     @property
     def mean(self) -> Float[Array, "..."]:
-        """Mean error of the samples [-]; zero over a whole cycle."""
+        """Mean error of the samples [-]; zero over a whole cycle whose end is left out."""
         return self.error.mean(axis=-1)
 
 
@@ -82,13 +82,13 @@ def separation_speed(scene: Scene, torque: float | Scalar) -> Scalar:
 
     Args:
         scene: with inertia, of a gear set whose ideal output turns unevenly.
-        torque: load torque on the output [N m]; positive presses on the driving flanks.
+        torque: constant load torque on the output [N m]; positive presses on the driving flanks.
 
     Returns:
-        The speed [rad/s]; differentiable.
+        The speed [rad/s], infinite where nothing slows down; differentiable.
 
     Raises:
-        SceneError: the output turns evenly, or the scene has no inertia.
+        SceneError: the output turns evenly, the scene has no inertia, or the torque loads flanks that it lacks.
         ParameterError: the torque is zero.
 
     Example:
@@ -104,7 +104,8 @@ def separation_speed(scene: Scene, torque: float | Scalar) -> Scalar:
     require(scene, "separation_speed", "inertia")
     if is_concrete(torque) and float(torque) == 0.0:
         raise ParameterError("torque", torque, "must not be zero: without load teeth separate at any speed")
-    return _separation_speed(scene.physics("inertia"), jnp.asarray(torque, scene.dtype))
+    load = torque_on(scene, jnp.zeros(1, scene.dtype), torque)
+    return _separation_speed(scene.physics("inertia"), load)
 
 
 @eqx.filter_jit
@@ -121,4 +122,5 @@ def _separation_speed(scene: Scene, torque: Scalar) -> Scalar:
 
     found = extremes(bend, scene, theta, jax.vmap(bend, in_axes=(None, 0))(scene, theta))
     lifts = jnp.where(torque > 0, -found.minimum, found.maximum)
-    return jnp.sqrt(jnp.abs(torque) / (moment * lifts))
+    lifting = lifts > 0  # pitch circles never do
+    return jnp.where(lifting, jnp.sqrt(jnp.abs(torque) / (moment * jnp.where(lifting, lifts, 1.0))), jnp.inf)

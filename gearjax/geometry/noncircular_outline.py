@@ -12,7 +12,7 @@ from gearjax.geometry.noncircular_teeth import offset_points, reach
 from gearjax.typing import Array
 
 ROOT = 0.25  # modules, by which roots lie below the tips of the other gear
-LOOKED_AT = 64  # places of each tooth that flanks are looked for between
+LOOKED_AT = 256  # places of each tooth that flanks are looked for between
 
 
 class Teeth(NamedTuple):

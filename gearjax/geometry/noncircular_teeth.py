@@ -142,15 +142,18 @@ def closing_centre_distance(ratio: AbstractRatio, teeth: int, module: Scalar) ->
     return math.pi * module * teeth / one.perimeter
 
 
-def closing_eccentricity(ratio: EllipseRatio, centre_distance: float, teeth: int, module: float) -> float | None:
-    """Eccentricity with which the driver's pitch curve is ``pi m z`` long, ``None`` where there is none."""
+def closing_eccentricity(
+    ratio: EllipseRatio, centre_distance: float, teeth: int, module: float, pressure_angle: float
+) -> float | None:
+    """Eccentricity with which the driver's pitch curve is ``pi m z`` long, ``None`` where gears of none do not lock
+    themselves."""
     from scipy.optimize import brentq
 
     def short_by(e: float) -> float:
         own = dataclasses.replace(ratio, eccentricity=jnp.asarray(e))
         return float(closing_centre_distance(own, teeth, jnp.asarray(module))) - centre_distance
 
-    ends = 0.0, 0.95
+    ends = 0.0, most_eccentricity(ratio, pressure_angle)
     if short_by(ends[0]) * short_by(ends[1]) > 0:
         return None
     root = brentq(short_by, *ends, xtol=1e-13)
@@ -163,32 +166,17 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
     continuous contact. Numbers must be known; keys are those of the gear sets."""
     t, numbers = np.linspace(0.0, 2 * math.pi, PLACES + 1), (jnp.asarray(module), jnp.asarray(addendum))
     leans, bends, rounded_ratio = (np.asarray(part) for part in _looked_at(curves, *numbers))
-    own = "eccentricity" if isinstance(curves.ratio, EllipseRatio) else "ratio"
-    most, lean = float(curves.pressure_angle), np.abs(leans)
-    if most + lean.max() > MOST_LEAN * (1 + 1e-6):
-        place = float(t[int(lean.argmax())]) / units.deg
-        words = (
-            f"locks itself: pressure angle {(most + lean.max()) / units.deg:.4g} deg at {place:.4g} deg, must be at "
-        )
-        words = f"{words}most {MOST_LEAN / units.deg:g} deg, a tangent that leans by {(MOST_LEAN - most) / units.deg:g}"
-        yield own, _shown(curves), words + " deg" + _limit(curves)
+    wrong = _locks(curves, t, leans) or _sharp(curves, t, bends, module, addendum)
+    if wrong is not None:
+        yield wrong
         return
-    sine = math.sin(most)
-    for name, sharp in zip(GEARS, bends, strict=True):
-        worst = int(np.abs(sharp).argmax())
-        radius, needed = 1 / sharp[worst], addendum * module / sine**2
-        if abs(radius) < needed:
-            words = f"undercut: the pitch curve of the {name} bends by a radius of {_mm(radius)} at "
-            words = f"{words}{float(t[worst]) / units.deg:.4g} deg, must be at least {_mm(needed)}: give more teeth"
-            yield "addendum", f"{addendum:.6g}", f"{words}, or at most {abs(radius) * sine**2 / module:.4f}"
-            return
     # by the circular gears that fit the pitch curves, and where that comes near, by the gears themselves
-    rounded = _circular_thickness(bends, most, module, addendum).min(axis=1)
+    rounded = _circular_thickness(bends, float(curves.pressure_angle), module, addendum).min(axis=1)
     for gear, name in enumerate(GEARS):
         thinnest = rounded[gear] / module
         if bends[gear].min() <= 0 or thinnest < THINNEST + NEAR:
             thinnest = float(tip_thickness(curves, gear, module, addendum).min()) / module
-        if thinnest < THINNEST:
+        if not thinnest >= THINNEST:
             words = f"tips of the {name} are {thinnest:.4g} modules thick, must be {THINNEST:g} or more: lower it"
             yield "addendum", f"{addendum:.6g}", words
             return
@@ -196,11 +184,55 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
         return
     for side in (1, -1):
         ratio = np.asarray(_contact(curves, jnp.asarray(t), side, *numbers))
-        if ratio.min() < 1:
+        if not ratio.min() >= 1:
             place = float(t[int(ratio.argmin())]) / units.deg
             words = f"no continuous contact: contact ratio {ratio.min():.4g} at {place:.4g} deg, must be at least 1"
             yield "addendum", f"{addendum:.6g}", words + ": raise it"
             return
+
+
+def _locks(curves: PitchCurves, t: np.ndarray, leans: np.ndarray) -> Fault | None:
+    """Gears whose pressure angle grows so large that they may lock themselves."""
+    alpha, worst = float(curves.pressure_angle), int(np.abs(leans).argmax())
+    largest = alpha + abs(float(leans[worst]))
+    if largest <= MOST_LEAN * (1 + 1e-6):
+        return None
+    place = t[worst] / units.deg
+    words = f"locks itself: pressure angle {largest / units.deg:.6g} deg at {place:.4g} deg, must be at most"
+    words = f"{words} {MOST_LEAN / units.deg:g} deg, a tangent that leans by {(MOST_LEAN - alpha) / units.deg:g} deg"
+    ratio = curves.ratio
+    if not isinstance(ratio, EllipseRatio):
+        return "ratio", "(as given)", words
+    limit = _floored(most_eccentricity(ratio, alpha), 4)
+    return "eccentricity", f"{float(ratio.eccentricity):.6g}", f"{words}: eccentricity at most {limit}"
+
+
+def most_eccentricity(ratio: EllipseRatio, pressure_angle: float) -> float:
+    """Largest eccentricity with which gears do not lock themselves, by ``tan psi = n e / sqrt(1 - e^2)`` where the
+    tangent leans most (Dong et al. 2020, eq. 27, of one lobe)."""
+    slope = math.tan(MOST_LEAN - pressure_angle)
+    return slope / math.hypot(ratio.driver_lobes, slope)
+
+
+def _sharp(curves: PitchCurves, t: np.ndarray, bends: np.ndarray, module: float, addendum: float) -> Fault | None:
+    """Pitch curves that bend so much that teeth are undercut: where they are convex, below the curve, where they are
+    concave, above it, as of internal gears, whose flanks end at their own base circle there."""
+    alpha, height = float(curves.pressure_angle), addendum * module
+    shares = math.sin(alpha) ** 2, 1 - math.cos(alpha)
+    for name, sharp in zip(GEARS, bends, strict=True):
+        for share, bend, words in zip(shares, (sharp, -sharp), ("outwards", "inwards"), strict=True):
+            worst = int(bend.argmax())
+            if bend[worst] * height > share:
+                radius = 1 / bend[worst]
+                told = f"undercut: the pitch curve of the {name} bends {words} by a radius of {_mm(radius)} at "
+                told = f"{told}{t[worst] / units.deg:.4g} deg, must be at least {_mm(height / share)}: give more teeth"
+                return "addendum", f"{addendum:.6g}", f"{told}, or at most {_floored(radius * share / module, 4)}"
+    return None
+
+
+def _floored(number: float, digits: int) -> str:
+    """A limit that may be kept to its last digit."""
+    return f"{math.floor(number * 10**digits) / 10**digits:.{digits}f}"
 
 
 @eqx.filter_jit
@@ -221,19 +253,6 @@ def _circular_thickness(bend: np.ndarray, pressure_angle: float, module: float, 
     at_tip = np.arccos(np.clip(radius * math.cos(pressure_angle) / tip, -1.0, 1.0))
     turned = (math.tan(pressure_angle) - pressure_angle) - (np.tan(at_tip) - at_tip)
     return 2 * tip * (math.pi * module / (4 * radius) + turned)
-
-
-def _limit(curves: PitchCurves) -> str:
-    """The largest eccentricity in words, where there is one: ``tan psi = n e / sqrt(1 - e^2)`` at its largest."""
-    if not isinstance(curves.ratio, EllipseRatio):
-        return ""
-    slope = math.tan(MOST_LEAN - float(curves.pressure_angle))
-    return f": eccentricity at most {slope / math.hypot(curves.ratio.driver_lobes, slope):.4f}"
-
-
-def _shown(curves: PitchCurves) -> str:
-    ratio = curves.ratio
-    return f"{float(ratio.eccentricity):.6g}" if isinstance(ratio, EllipseRatio) else "(a table)"
 
 
 def _mm(length: Scalar | float) -> str:

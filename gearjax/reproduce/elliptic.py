@@ -10,7 +10,13 @@ from gearjax.analysis.ratio_error import ratio_error
 from gearjax.errors import Eccentricity
 from gearjax.geometry.noncircular import EllipseRatio, PitchCurves
 from gearjax.geometry.noncircular_outline import flank
-from gearjax.geometry.noncircular_teeth import MOST_LEAN, circular_contact_ratio, closing_centre_distance, contact_ratio
+from gearjax.geometry.noncircular_teeth import (
+    MOST_LEAN,
+    circular_contact_ratio,
+    closing_centre_distance,
+    contact_ratio,
+    most_eccentricity,
+)
 from gearjax.progress import Progress, silent
 from gearjax.reproduce import elliptic_construction as paper
 from gearjax.reproduce.rows import Row, printed_precision
@@ -141,8 +147,7 @@ def _flanks() -> list[Row]:
 
 
 def _pressure_angles() -> list[Row]:
-    limit = math.tan(MOST_LEAN - PRESSURE_ANGLE)
-    largest = limit / math.hypot(1.0, limit)
+    largest = most_eccentricity(EllipseRatio(eccentricity=jnp.zeros(())), PRESSURE_ANGLE)
     return [
         Row("Figure 9, pressure angle, e = 0", "20", _most_slant(0.0) / deg, "deg", 1e-6),
         Row("Text, largest pressure angle, e = 0.7071", "65", _most_slant(0.7071) / deg, "deg", 0.01),

@@ -49,10 +49,11 @@ class Contributions(NamedTuple):
 
 def is_separable(scene: Scene, free: Free) -> bool:
     """Whether every free number belongs to an error of its own, and the same contacts drive at all times: which of
-    contacts whose levers tell their side do changes with the input angle, and a train's touch as its shafts turn."""
+    contacts whose levers tell their side do changes with the input angle, a train's touch as its shafts turn, and exact
+    gaps of several errors are no sum."""
     owners = [tuple(path.split(".")[:2]) for path in free.paths]
     apart = all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
-    return apart and not scene.layout.sides_turn and not scene.is_train
+    return apart and not (scene.layout.sides_turn or scene.is_train or scene.system.exact)
 
 
 @eqx.filter_jit

@@ -65,8 +65,9 @@ class AbstractSystem(eqx.Module):
     """Whether its contacts are line contacts whose radii of curvature it shows."""
     has_places: ClassVar[bool] = False
     """Whether it shows where on their teeth the contacts are."""
-    levers_turn: ClassVar[bool] = False
-    """Whether levers of its contacts change with the input angle: its motion is then followed by constant modes."""
+    by_constant_modes: ClassVar[bool] = False
+    """Whether constant modes follow its motion best where the output alone moves: so it is with many contacts whose
+    levers change with the input angle."""
     has_slices: ClassVar[bool] = False
     """Whether its contacts are slices of contact lines, which it shows."""
     input_speed: eqx.AbstractVar[Array]

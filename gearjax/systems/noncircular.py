@@ -1,5 +1,6 @@
 """Non-circular gears on parallel axes: elliptic ones (Dong et al. 2020), and any whose ratio is given by a table."""
 
+import abc
 import dataclasses
 import math
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ CURVE = 8.0  # turns for each lobe, of what pitch curves and errors make togethe
 CLOSES = 1e-4  # of the perimeter, which rounded numbers explain
 SCALES = 1e-3  # of the ratio
 KINKED = 0.8  # of the largest second difference of a table, by which it may change from one value to the next
+BENT = 0.1  # of the largest value per radian, by which a slope must change for a corner: rounded values have less
 FEWEST = 8  # values of a table
 
 
@@ -50,9 +52,9 @@ class AbstractNoncircularPair(AbstractSystem):
     clearance: eqx.AbstractVar[str]
 
     @property
+    @abc.abstractmethod
     def ratio_function(self) -> AbstractRatio:
         """How the driven gear turns as its driver does."""
-        raise NotImplementedError
 
     def _check(self) -> None:
         """Refuse gears that do not close, mesh or last.
@@ -64,7 +66,8 @@ class AbstractNoncircularPair(AbstractSystem):
         driven = self.teeth * self.driven_lobes
         if driven % self.driver_lobes:
             words = f"the driven gear would have {driven / self.driver_lobes:.6g} teeth, must be a whole number"
-            raise ParameterError("teeth", self.teeth, f"{words}: give a multiple of {self.driver_lobes}")
+            multiple = self.driver_lobes // math.gcd(self.driver_lobes, self.driven_lobes)
+            raise ParameterError("teeth", self.teeth, f"{words}: give a multiple of {multiple}")
         shape = self.ratio_function, self.module, self.pressure_angle, self.addendum, self.centre_distance
         if not is_concrete(shape):
             return
@@ -85,7 +88,8 @@ class AbstractNoncircularPair(AbstractSystem):
         ways = [f"centre_distance = {_mm(right)}", f"module = {_mm(module)}"]
         ratio = self.ratio_function
         if isinstance(ratio, EllipseRatio):
-            other = closing_eccentricity(ratio, given, self.teeth, float(self.module))
+            numbers = self.teeth, float(self.module), float(self.pressure_angle)
+            other = closing_eccentricity(ratio, given, *numbers)
             ways += [] if other is None else [f"eccentricity = {other:.8g}"]
         words = f"the driver's pitch curve is {_mm(long * given / right)} long, its {self.teeth} teeth {_mm(long)}"
         raise ParameterError("centre_distance", _mm(given), f"{words}: it closes with {' or '.join(ways)}")
@@ -193,7 +197,9 @@ class AbstractNoncircularPair(AbstractSystem):
         # it turns clockwise, from x to -y
         carried = driven.y * cosine - driven.x * sine, -driven.x * cosine - driven.y * sine
         centres = (driver.x, driver.y), (x, y)
-        return self.curves.displaced_gaps(Placed(theta, self.output(theta) + position, centres, carried), side)
+        placed = Placed(theta, self.output(theta) + position, centres, carried)
+        gaps, rates = self.curves.displaced_gaps(placed, side)
+        return gaps + driver.gap + driven.gap, rates
 
 
 @eqx.filter_jit  # one program: single operations would each be compiled apart
@@ -225,7 +231,8 @@ class EllipticPair(AbstractNoncircularPair):
         centre_distance_error: by how much the axes are further apart than the pitch curves need [m].
         addendum: height of the teeth above the pitch curves, in modules.
         clearance: ``"linear"``, gaps and levers to first order in the errors, or ``"exact"``, by the common normals of
-            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um.
+            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um. In motion the exact one is
+            that about the output's ideal position.
 
     Raises:
         ParameterError: a value is not physical, pitch curves do not close (with the numbers that would close them), or
@@ -273,7 +280,8 @@ class NoncircularPair(AbstractNoncircularPair):
         centre_distance_error: by how much the axes are further apart than the pitch curves need [m].
         addendum: height of the teeth above the pitch curves, in modules.
         clearance: ``"linear"``, gaps and levers to first order in the errors, or ``"exact"``, by the common normals of
-            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um.
+            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um. In motion the exact one is
+            that about the output's ideal position.
 
     Raises:
         ParameterError: as of an `EllipticPair`; or the table is too short, has a corner, or pitch curves stay open.
@@ -318,8 +326,8 @@ def _check_table(values: np.ndarray, driver_lobes: int, driven_lobes: int) -> No
         raise ParameterError("ratio", values, f"{words} (driver_lobes / driven_lobes): multiply by {scale:.6g}")
     bends = np.roll(values, 1) - 2 * values + np.roll(values, -1)
     apart = np.abs(bends - 0.5 * (np.roll(bends, 1) + np.roll(bends, -1)))
-    largest = np.abs(bends).max()
-    if largest > 1e-3 * values.max() and apart.max() > KINKED * largest:
+    largest, step = np.abs(bends).max(), 2 * np.pi / (driver_lobes * len(values))
+    if largest > BENT * step * values.max() and apart.max() > KINKED * largest:
         place = 360 / driver_lobes * int(apart.argmax()) / len(values)
         words = f"has a corner or a jump near {place:.4g} deg, or too few values: its slope must change gradually"
         raise ParameterError("ratio", values, words)

@@ -64,7 +64,7 @@ class RVCycloidal(AbstractSystem):
 
     kind: ClassVar[str] = "rv_cycloidal"
     has_radii: ClassVar[bool] = True
-    levers_turn: ClassVar[bool] = True
+    by_constant_modes: ClassVar[bool] = True
 
     pins: int = count(at_least=3, at_most=1000, example=40)
     pin_circle: Number = length(at_least=1e-6, at_most=100.0, example="76 mm")

@@ -97,7 +97,7 @@ class Measures:
 
     def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
         """Curves of contacts that touch on one side, where they come quickly: with springs one by one."""
-        if population.is_train or ("static" in analyses and not population.springs_apart):
+        if population.is_train or population.system.exact or ("static" in analyses and not population.springs_apart):
             return None
         stiffness = "mean" if "static" in analyses else "rigid"
         curves = Curves.of(population, self.theta, stiffness, not self._system_varies)
