@@ -43,7 +43,10 @@ def test_how_far_the_construction_is_off(rows):
     assert paper.integrated(TURN, own)[-1] / arcmin == pytest.approx(5.5, abs=0.05)
     linear = paper.linear_ratio_error(gears, errors)
     assert np.abs(own - linear).max() / np.abs(linear).max() < 1e-3
-    assert rows["Construction (14)-(20), e = 0.5, off by"].computed > 20
+    for e, off in ((0.2, 23), (0.3287, 37), (0.5, 55), (0.7, 77)):  # the reference's, of run-outs that it does not tell
+        row = rows[f"Construction (14)-(20), run-out of the driven wheel, e = {e:g}, off by"]
+        assert row.computed == pytest.approx(off, abs=2.5)
+    assert rows["Construction (14)-(20), e = 0.3287, drift in a turn"].computed == pytest.approx(5.5, abs=0.05)
 
 
 TURN = np.linspace(0.0, 2 * np.pi, 1001)
