@@ -135,7 +135,7 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
             continue
         for case, lines in spectra:
             ax.semilogy(lines.order, lines.amplitude / arcmin, label=case.title, linewidth=1.0)
-        limit = 2.2 * orders["mesh"] if dynamic else 8 * orders[name]
+        limit = 2.2 * orders["mesh"] if dynamic else 8 * orders.get("crank", scene.system.fastest_order)
         ax.set_xlim(0, min(limit / orders["output"], highest))
         top = ax.get_ylim()[1]
         ax.set_ylim(1e-5 * top, 2 * top)
