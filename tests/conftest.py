@@ -93,7 +93,7 @@ def pytest_sessionfinish() -> None:
     gc.freeze()
 
 
-MOST_WORKERS = 4  # each takes up to 3 GB
+MOST_WORKERS = 4  # each takes up to 7 GB
 
 
 @pytest.hookimpl(optionalhook=True)
