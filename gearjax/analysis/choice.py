@@ -30,7 +30,7 @@ APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position 
 
 
 class Modes(NamedTuple):
-    """Even steps of constant modes: bodies move too, contacts are slices, or levers of many turn."""
+    """Even steps of constant modes, where bodies move too, contacts are slices, or a gear set asks for them."""
 
     spacing: Spacing
 

@@ -55,10 +55,8 @@ def reach(
     nx, ny = way * jnp.sin(slant), way * side * jnp.cos(slant)
     at = curves.at(t)
     bend = at.curvatures[gear]
-    sine, cosine = jnp.sin(curves.pressure_angle), jnp.cos(curves.pressure_angle)
-    # of the circle that fits the pitch curve there, (12) of Dong et al. (2020) without its cancellation
-    about = height * (2 + bend * height) / (sine + jnp.sqrt(sine * sine + bend * height * (2 + bend * height)))
-    guess = t - way * side * about * cosine / (at.speed * (1 + bend * height))
+    about = _circular_reach(bend, curves.pressure_angle, height)
+    guess = t - way * side * about * jnp.cos(curves.pressure_angle) / (at.speed * (1 + bend * height))
 
     def across(place: Array) -> Array:
         (x, y), _ = offset_points(curves, gear, place, height)
@@ -71,6 +69,13 @@ def reach(
     place = jax.lax.fori_loop(0, STEPS, step, guess)
     (x, y), _ = offset_points(curves, gear, place, height)
     return (x - x0) * nx + (y - y0) * ny, place
+
+
+def _circular_reach(bend: Array, pressure_angle: Scalar, height: Scalar | float) -> Array:
+    """How far the line of action runs from the pitch point to tips of a height, of a circular gear of a curvature
+    [1/m]: L of Dong et al. (2020), eq. 12, without its cancellation [m]."""
+    sine, more = jnp.sin(pressure_angle), height * (2 + bend * height)
+    return more / (sine + jnp.sqrt(sine * sine + bend * more))
 
 
 def contact_ratio(
@@ -106,12 +111,8 @@ def circular_contact_ratio(
     curves: PitchCurves, t: Float[Array, "..."], module: Scalar, addendum: Scalar
 ) -> Float[Array, "..."]:
     """The same of the circular gears that fit the pitch curves there (Dong et al. 2020, eqs. 12 and 13)."""
-    sine, height = jnp.sin(curves.pressure_angle), addendum * module
-
-    def long(bend: Array) -> Array:
-        return height * (2 + bend * height) / (sine + jnp.sqrt(sine * sine + bend * height * (2 + bend * height)))
-
-    along = sum(long(bend) for bend in curves.at(t).curvatures)
+    bends = curves.at(t).curvatures
+    along = sum(_circular_reach(bend, curves.pressure_angle, addendum * module) for bend in bends)
     return along / (math.pi * module * jnp.cos(curves.pressure_angle))
 
 

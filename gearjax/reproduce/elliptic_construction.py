@@ -80,19 +80,20 @@ def corrected(gears: Ellipse, errors: RunOuts) -> np.ndarray:
     """The same by eq. 19 as it should stand, with ``L = (R01 + R02) / R02`` and x3 in its second product, shape (n,)
     [m]."""
     first, second = gears.radii
-    x1, y1, x3, y3 = _points(gears, errors)
-    whole, tangent = (first + second) / second, np.tan(gears.slant)
-    above = -y1 * y1 - (whole - 2) * y1 * y3 - whole * y1 * x3 * tangent - x1 * x1
-    above = above + whole * x1 * y3 * tangent - (whole - 2) * x1 * x3 + (whole - 1) * (x3 * x3 + y3 * y3)
-    return above / (whole * (tangent * (x1 - x3) - (y1 - y3)))
+    return _equation_19(gears, errors, (first + second) / second, _points(gears, errors)[2])
 
 
 def printed(gears: Ellipse, errors: RunOuts) -> np.ndarray:
     """The same by eq. 19 as it is printed, shape (n,) [m]."""
     first, second = gears.radii
+    return _equation_19(gears, errors, (first + second) / first, _points(gears, errors)[3])
+
+
+def _equation_19(gears: Ellipse, errors: RunOuts, whole: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Eq. 19 with its L, and what y1 is multiplied by in its second product."""
     x1, y1, x3, y3 = _points(gears, errors)
-    whole, tangent = (first + second) / first, np.tan(gears.slant)
-    above = -y1 * y1 - (whole - 2) * y1 * y3 - whole * y1 * y3 * tangent - x1 * x1
+    tangent = np.tan(gears.slant)
+    above = -y1 * y1 - (whole - 2) * y1 * y3 - whole * y1 * other * tangent - x1 * x1
     above = above + whole * x1 * y3 * tangent - (whole - 2) * x1 * x3 + (whole - 1) * (x3 * x3 + y3 * y3)
     return above / (whole * (tangent * (x1 - x3) - (y1 - y3)))
 

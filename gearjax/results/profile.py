@@ -8,6 +8,7 @@ from gearjax.arguments import one_number
 from gearjax.checks import ParameterError, SceneError
 from gearjax.files import write_file
 from gearjax.geometry.cycloid import Cycloid, profile
+from gearjax.geometry.noncircular_outline import outline
 from gearjax.results.dxf import DIGITS, drawing
 from gearjax.scene import Scene
 from gearjax.systems import AbstractSystem, DiscProfile, GearOutlines
@@ -101,7 +102,7 @@ def _teeth(system: GearOutlines, body: str, backlash: float, tolerance: float) -
             words = f"needs more than {MOST_POINTS} points: give a longer one"
             raise ParameterError("tolerance", f"{tolerance:g} m", words)
     pieces = [piece[:, ::2] for piece in fine]
-    points = np.concatenate([piece for tooth in zip(*pieces, strict=True) for piece in tooth])
+    points = outline(pieces)
     apart = np.hypot(*(points - np.roll(points, 1, axis=0)).T)
     points = points[apart > FINEST]  # pieces that meet share a point
     x, y = points.T
