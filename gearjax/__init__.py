@@ -66,7 +66,7 @@ from gearjax.compliance import (
     ToothSlices,
     iso6336_stiffness,
 )
-from gearjax.config import load, loads, read_flank, read_pitch
+from gearjax.config import load, loads, read_flank, read_measurement, read_pitch
 from gearjax.contact import (
     AbstractContact,
     BodyView,
@@ -98,6 +98,25 @@ from gearjax.errors import (
     TipRelief,
 )
 from gearjax.geometry import BasicRack
+from gearjax.identification import (
+    Combination,
+    Comparison,
+    Gain,
+    Identification,
+    IdentifiedNumber,
+    Measurement,
+    Order,
+    OrderBeside,
+    Reassembly,
+    RecordBeside,
+    Suggestion,
+    Unknowns,
+    Visible,
+    compare,
+    identify,
+    reassemble,
+    synthetic_measurement,
+)
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.influence import (
     InfluenceTable,
@@ -109,6 +128,7 @@ from gearjax.influence import (
 )
 from gearjax.load import AbstractLoad, ConstantLoad, SinusoidalLoad
 from gearjax.registry import register
+from gearjax.results.joint import Joint, export_joint, joint_model
 from gearjax.results.profile import export_profile
 from gearjax.run import Published, Run
 from gearjax.scene import Scene
@@ -192,6 +212,8 @@ __all__ = [
     "BodyInertia",
     "BodyView",
     "ChosenSteps",
+    "Combination",
+    "Comparison",
     "Compensation",
     "ConstantLoad",
     "Correlation",
@@ -213,6 +235,7 @@ __all__ = [
     "FewAngles",
     "FewCandidates",
     "FixedStep",
+    "Gain",
     "GearOutlines",
     "GearSize",
     "GearjaxError",
@@ -224,6 +247,8 @@ __all__ = [
     "HelixSlope",
     "HertzLineContact",
     "HuLineContact",
+    "Identification",
+    "IdentifiedNumber",
     "InfluenceMatrix",
     "InfluenceTable",
     "InitialBacklash",
@@ -233,6 +258,7 @@ __all__ = [
     "Iso1328RunOut",
     "Iso6336Stiffness",
     "Iso6336Teeth",
+    "Joint",
     "Judged",
     "Layout",
     "LineStiffness",
@@ -243,6 +269,7 @@ __all__ = [
     "Measure",
     "MeasuredFlank",
     "MeasuredPitch",
+    "Measurement",
     "MeshStiffness",
     "Minimisation",
     "MomentOfInertia",
@@ -251,6 +278,8 @@ __all__ = [
     "NoncircularPair",
     "Normal",
     "Objective",
+    "Order",
+    "OrderBeside",
     "ParameterError",
     "Periodic",
     "Pose",
@@ -263,6 +292,8 @@ __all__ = [
     "RVCycloidal",
     "RatioError",
     "Rayleigh",
+    "Reassembly",
+    "RecordBeside",
     "Reduction",
     "RepairedData",
     "Request",
@@ -279,6 +310,7 @@ __all__ = [
     "SoftplusContact",
     "Spectrum",
     "Study",
+    "Suggestion",
     "Support",
     "Sweep",
     "Term",
@@ -291,6 +323,8 @@ __all__ = [
     "TwoKV",
     "Uniform",
     "UniformPhase",
+    "Unknowns",
+    "Visible",
     "Waterfall",
     "Windows",
     "ZeroAtStart",
@@ -298,18 +332,22 @@ __all__ = [
     "allocate",
     "backlash",
     "chosen_steps",
+    "compare",
     "compensate",
     "contact_pressure",
+    "export_joint",
     "export_profile",
     "flank_tolerance",
     "grid_search",
     "growth_rate",
     "harmonic_balance",
+    "identify",
     "influence_between",
     "influence_on_grid",
     "interference",
     "iso6336_stiffness",
     "it_tolerance",
+    "joint_model",
     "load",
     "loads",
     "local_sensitivity",
@@ -325,7 +363,9 @@ __all__ = [
     "ratio_error",
     "read_flank",
     "read_influence",
+    "read_measurement",
     "read_pitch",
+    "reassemble",
     "register",
     "run_out_tolerance",
     "save_influence",
@@ -335,6 +375,7 @@ __all__ = [
     "simulate",
     "single_pitch_tolerance",
     "speed_sweep",
+    "synthetic_measurement",
     "tooth_influence",
     "torsion",
     "total_pitch_tolerance",

@@ -2,6 +2,8 @@
 
 import dataclasses
 import inspect
+import tempfile
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +33,8 @@ OTHERS = {  # arguments that a function needs besides those that are tried
     "bounds": {},
     "distributions": {},
     "body": "planet_1",
+    "measured": gj.Measurement(THETA, te=1e-4 * THETA),
+    "folder": Path(tempfile.gettempdir()) / "gearjax_joint",
 }
 FUNCTIONS = {name: f for name in gj.__all__ if inspect.isfunction(f := getattr(gj, name))}
 PUBLIC = {"Tolerances": gj.Tolerances, **FUNCTIONS}

@@ -41,6 +41,7 @@ LAYERS = {
     "analysis": 3,
     "studies": 4,
     "tolerance": 4,
+    "identification": 4,
     "config": 5,
     "results": 5,
     "plot": 5,

@@ -206,6 +206,15 @@ class Case:
     def population(self) -> gj.Tolerances:
         return gj.Tolerances(self.scene, {number.path: number.spread for number in self.numbers})
 
+    @property
+    def recording(self) -> gj.Measurement:
+        return gj.synthetic_measurement(self.moved, TORQUE, rows=64, turns=2 * self.scene.system.orders["output"])
+
+    @property
+    def identified(self) -> gj.Identification:
+        first = f"errors.{next(iter(self.scene.errors))}"
+        return gj.identify(self.moved, self.recording, [first], starts=1, orders=[], suggest=False)
+
     def te(self, torque: float | None = None) -> Any:
         return gj.transmission_error(self.moved, self.theta, torque)
 
@@ -222,8 +231,12 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "backlash": lambda case: gj.backlash(case.moved, case.theta),
     "chosen_steps": lambda case: gj.chosen_steps(case.moved, case.ts, TORQUE).step,
     "accuracy_grades": lambda case: gj.accuracy_grades(case.scene, case.scene.system.bodies[0]),
+    "compare": lambda case: [record.computed for record in gj.compare(case.moved, case.recording).records],
     "contact_pressure": lambda case: gj.contact_pressure(case.moved, case.te(TORQUE), STEEL),
+    "identify": lambda case: case.identified.fit.values,
     "interference": lambda case: gj.interference(case.moved, case.theta),
+    "joint_model": lambda case: gj.joint_model(case.moved, TORQUE).cosine,
+    "export_joint": lambda case: len(gj.export_joint(case.moved, tempfile.mkdtemp(), torque=TORQUE)),
     "export_profile": lambda case: np.loadtxt(_written(gj.export_profile, case.moved), delimiter=",", skiprows=1),
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
@@ -235,9 +248,11 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "ratio_error": lambda case: gj.ratio_error(case.moved, case.theta),
     "separation_speed": lambda case: gj.separation_speed(case.moved, TORQUE),
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
+    "reassemble": lambda case: gj.reassemble(case.identified, case.identified.vectors[:1], draws=4).after,
     "shooting": lambda case: gj.shooting(case.moved, TORQUE, 0.02, steps=64).te,
     "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
     "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
+    "synthetic_measurement": lambda case: case.recording.output,
     "torsion": lambda case: gj.torsion(case.moved, case.theta[:3], np.array([-TORQUE, TORQUE])),
     "transmission_error": lambda case: [case.te(), case.te(TORQUE)],
     "waterfall": lambda case: (
@@ -315,6 +330,7 @@ OF_NUMBERS: dict[str, Callable[[Case], Any]] = {
 OF_NO_GEAR_SET = {
     "flank_tolerance",
     "read_flank",
+    "read_measurement",
     "read_pitch",
     "influence_between",
     "influence_on_grid",
@@ -339,7 +355,11 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
     ("accuracy_grades", "", ""): "lists no measured_flank",
     ("contact_pressure", "two_kv", ""): "line contacts",
     ("contact_pressure", "elliptic_pair", ""): "line contacts",
-    ("one_contact", "elliptic_pair", ""): "outputs that turn evenly",
+    **{
+        (name, "elliptic_pair", ""): "outputs that turn evenly"
+        for name in ("one_contact", "joint_model", "export_joint")
+    },
+    **{(name, "involute_rv", ""): "more than 131072" for name in ("joint_model", "export_joint")},
     **{
         ("separation_speed", kind, ""): "outputs that turn unevenly"
         for kind in ("two_kv", "rv_cycloidal", "involute_rv", "helical_pair")
@@ -472,6 +492,8 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
         }
     },
     "tradeoff": None,  # some forty settings: tests/test_tradeoff.py
+    "compare": None,  # of recordings: tests/test_bench_commands.py; both functions are above
+    "identify": None,
     "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
     "reproduce": None,  # of papers, not of a configuration: test_published.py and others
 }

@@ -11,6 +11,7 @@ from typing import Any
 from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractToothCompliance
+from gearjax.config.identify import IdentifySection, read_identify
 from gearjax.config.measured import READERS
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
@@ -46,6 +47,7 @@ _SECTIONS = (
     "run",
     "published",
     "optimise",
+    "identify",
     "tolerance",
 )
 
@@ -248,6 +250,18 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
             'objective = "no_load_amplitude", where = ["errors.planet_1.phase"]'
         )
     return scene, read_optimise(tables["optimise"], scene)
+
+
+def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, IdentifySection]:
+    """A scene and its identify section from TOML text, the usual one where there is none; files named in it are
+    relative to the folder.
+
+    Raises:
+        GearjaxError: something in it is wrong; one line that says where.
+    """
+    tables = with_files(read_tables(text), Path(folder))
+    scene = _scene(tables)
+    return scene, read_identify(tables.get("identify", {}), scene, Path(folder))
 
 
 def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any], Scene, ToleranceSection]:

@@ -12,7 +12,7 @@ from gearjax.config.build import read_tables, with_files
 from gearjax.config.tables import written
 from gearjax.parameters import Parameter
 
-STUDIES = ("optimise", "tolerance", "published")  # sections that do not hold for the changed scene
+STUDIES = ("optimise", "identify", "tolerance", "published")  # sections that do not hold for the changed scene
 
 
 def self_contained(text: str, folder: str | Path) -> str:

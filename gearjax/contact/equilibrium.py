@@ -274,14 +274,14 @@ def hard_edges(touch: Sequence[Array], side: Sequence[int]) -> tuple[Array, Arra
     return lower, functools.reduce(lambda one, other: jnp.where(one <= other, one, other), back)
 
 
-def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[int], applied: Scalar) -> Array:
+def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[int], applied: Array) -> Array:
     """Position of the equilibrium by the hard law, as `equilibrium`, with one array for each contact.
 
     Args:
         touch: position at which each contact touches, arrays of any one shape [rad].
         strength: stiffness of each on the output [N m/rad].
         side: of each contact, 1 for driving flanks and -1 for back flanks.
-        applied: generalised force on the output [N m].
+        applied: generalised force on the output, one or of the shape of the others [N m].
 
     Returns:
         The position [rad], nan where no contact can carry the load.

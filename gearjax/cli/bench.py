@@ -1,0 +1,186 @@
+"""``gearjax compare`` and ``gearjax identify``: recordings of a test bench beside what is computed."""
+
+import json
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from gearjax.checks import GearjaxError, RepairedData
+from gearjax.cli.commands import ConfigArgument, JsonOption, OutOption, _folder, _read_text, _say, app
+from gearjax.cli.tables import output
+from gearjax.config import loads_identify, read_measurement
+from gearjax.identification import Comparison, Measurement
+from gearjax.units import arcmin, deg
+
+MeasuredOption = Annotated[
+    list[Path] | None,
+    typer.Option("--measured", metavar="CSV", help="a recording; several of the same unit with --measured again"),
+]
+
+
+@app.command()
+def compare(
+    config: ConfigArgument,
+    measured: MeasuredOption = None,
+    shift: Annotated[bool, typer.Option("--shift", help="look for the start angle too")] = False,
+    out: OutOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Recordings of a test bench beside what the configuration computes: curves, orders, metrics.
+
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
+    """
+    from gearjax.identification import compare as beside_each_other
+    from gearjax.results.identification import save_comparison
+
+    text = _read_text(config)
+    scene, section = loads_identify(text, config.parent)
+    records = _records(measured, section.measured)
+    folder = _folder(out, json_, config)
+    _say(f"computing beside {len(records)} recordings")
+    beside = beside_each_other(scene, records, shift="find" if shift else "none")
+    _notes(beside.notes)
+    if folder is not None:
+        from gearjax.plot.identification import save_comparison_figures
+
+        written = save_comparison(beside, folder) + save_comparison_figures(beside, folder)
+        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+    if json_:
+        print(json.dumps({"config": str(config)} | beside.as_json(), allow_nan=False))
+    else:
+        _print_comparison(beside)
+
+
+@app.command()
+def identify(
+    config: ConfigArgument,
+    measured: MeasuredOption = None,
+    out: OutOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Which errors explain recordings of a test bench, what they cannot tell, and how to assemble the unit anew.
+
+    An [identify] section may say what is looked for, what is known before and what can be turned. Without --out the
+    results go to out/NAME; with --json and no --out nothing is written.
+    """
+    from gearjax.results.identification import identified, save_identified
+
+    text = _read_text(config)
+    scene, section = loads_identify(text, config.parent)
+    records = _records(measured, section.measured)
+    folder = _folder(out, json_, config)
+    result = identified(section, scene, records, _say)
+    _notes(result.found.notes)
+    if folder is not None:
+        from gearjax.plot.identification import save_identification_figures
+
+        written = save_identified(result, text, folder, config.parent)
+        written += save_identification_figures(result.found, result.beside, folder)
+        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+    if json_:
+        print(json.dumps({"config": str(config)} | result.as_json(), allow_nan=False))
+    else:
+        _print_found(result)
+
+
+def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> list[Measurement]:
+    """The recordings of a command; those of the configuration where none are given."""
+    files = list(given or listed)
+    if not files:
+        raise GearjaxError("no recording: give --measured FILE.csv, or measured = [...] in [identify]")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RepairedData)  # told again with the results
+        return [read_measurement(file) for file in files]
+
+
+def _notes(notes: tuple[str, ...]) -> None:
+    for words in notes:
+        _say(f"note: {words}")
+
+
+def _print_comparison(beside: Comparison) -> None:
+    table = Table(title="Transmission error in arcmin, measured and computed")
+    columns = (
+        "recording",
+        "rows",
+        "offset",
+        "start [deg]",
+        "explained [%]",
+        "peak-to-peak",
+        "computed",
+        "std",
+        "computed",
+    )
+    for column in columns:
+        table.add_column(column, justify="left" if column == "recording" else "right")
+    for record in beside.records:
+        values = [f"{value / arcmin:.4f}" for pair in record.metrics.values() for value in pair]
+        told = f"{record.offset / arcmin:.4f}", f"{record.start / deg:.4g}", f"{100 * record.explained:.4g}"
+        table.add_row(record.name, str(record.theta.size), *told, *values)
+    console = output()
+    console.print(table)
+    if beside.lost_motion is not None:
+        one, other = (value / arcmin for value in beside.lost_motion)
+        console.print(f"lost motion: measured {one:.4f} arcmin, computed {other:.4f} arcmin", soft_wrap=True)
+    for record in beside.records:
+        table = Table(title=f"{record.name}: largest orders")
+        for column in ("turns with", "order", "measured [arcmin]", "computed", "phase [deg]", "computed"):
+            table.add_column(column, justify="left" if column == "turns with" else "right")
+        for each in record.orders:
+            phases = [f"{np.degrees(phase):.1f}" for phase in (each.phase_measured, each.phase_computed)]
+            sizes = [f"{value / arcmin:.4f}" for value in (each.measured, each.computed)]
+            table.add_row(each.name, f"{each.order:.5g}", *sizes, *phases)
+        console.print(table)
+
+
+def _print_found(result) -> None:
+    found, console = result.found, output()
+    table = Table(title=f"Numbers that explain the recordings; {found.fit.sigma:.4g} arcmin are left per row")
+    for column in ("number", "value", "standard error", "95 % from", "to", "unit"):
+        table.add_column(column, justify="left" if column in ("number", "unit") else "right")
+    for each in found.estimates:
+        interval = each.interval
+        told = ("not told", "", "") if interval is None else tuple(f"{v:.5g}" for v in (each.error, *interval))
+        table.add_row(each.name, f"{each.value:.5g}", *told, each.unit)
+    console.print(table)
+    if found.visible.combinations:
+        table = Table(title="Told together")
+        for column in ("sum", "value", "standard error", "unit"):
+            table.add_column(column, justify="left" if column in ("sum", "unit") else "right")
+        for each in found.visible.combinations:
+            table.add_row(each.words, f"{each.value:.5g}", f"{each.error:.3g}", each.unit)
+        console.print(table)
+    for words in found.hidden:
+        console.print(f"hidden: {words}", soft_wrap=True)
+    for order in found.orders:
+        words = f"{order.name}, {order.amplitude:.4g} arcmin, {np.degrees(order.phase):.1f} deg: {order.body}"
+        console.print(f"order that the gear set does not explain: {words}", soft_wrap=True)
+    for one, other, value in found.correlations[:8]:
+        console.print(f"go together: {one} and {other} ({value:+.3f})", soft_wrap=True)
+    for each in found.suggestions[:3]:
+        console.print(f"would show {' and '.join(each.shows)}: {each.words}", soft_wrap=True)
+    _print_comparison(result.beside)
+    if result.advice is not None:
+        _print_advice(console, result.advice)
+
+
+def _print_advice(console, advice) -> None:
+    turns = ", ".join(f"{path.partition('.')[2]} by {angle / deg:.1f} deg" for path, angle in advice.turns.items())
+    gain = advice.gain
+    console.print(
+        f"reassembly: turn {turns}: {advice.metric.replace('_', '-')} {advice.before / arcmin:.4f} -> "
+        f"{advice.after / arcmin:.4f} arcmin expected; after over before {gain.median:.2f} (5 % {gain.low:.2f}, 95 % "
+        f"{gain.high:.2f}), worse than before in {100 * gain.worse:.0f} %",
+        soft_wrap=True,
+    )
+    if advice.second is not None:
+        second = advice.second
+        console.print(
+            f"with one more recording first ({advice.second_words}): {second.median:.2f} (5 % {second.low:.2f}, 95 % "
+            f"{second.high:.2f}), worse in {100 * second.worse:.0f} %",
+            soft_wrap=True,
+        )

@@ -1,0 +1,402 @@
+"""Recordings of test benches: CSV files with named columns and units, and a small TOML file beside them."""
+
+import dataclasses
+import re
+import tomllib
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gearjax import units
+from gearjax.checks import GearjaxError, ParameterError, RepairedData, check_path, nearest
+from gearjax.config.csv_files import read_rows
+from gearjax.config.quantities import read_quantity, unit_size
+from gearjax.config.tables import known_keys
+from gearjax.identification.measurement import Measurement
+
+DIMENSIONS = {
+    "time": units.TIME,
+    "input angle": units.ANGLE,
+    "output angle": units.ANGLE,
+    "te": units.ANGLE,
+    "torque": units.TORQUE,
+}
+ALSO = {"transmission error": "te", "t": "time", "input": "input angle", "output": "output angle", "load": "torque"}
+BESIDE = ("columns", "torque", "turned", "input_counts", "output_counts", "name")
+OF_COLUMN = ("column", "unit", "sign")
+CHUNK = 500_000  # rows read at once
+MOST_KEPT = 1_000_000  # rows, beyond which they are averaged while they are read
+MOST_MISSING = 0.3  # of the rows, that may be left out
+FARTHEST = 1 / 3  # of a turn, that an angle which wraps around may move from row to row
+ALONE = 0.05  # of the rows, that may hold zero among others
+_COLUMN = re.compile(r"([^\[(]+?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Column:
+    """Where a quantity stands in a file, and the size of its unit in SI with its sign."""
+
+    place: int
+    size: float
+
+
+def read_measurement(file: str | Path, *, torque: float | None = None) -> Measurement:
+    """Read a recording of a test bench.
+
+    The file is CSV with a first line of names and units, such as
+    ``time [s],input angle [deg],output angle [deg],torque [N m]``. It needs ``input angle`` and either ``output angle``
+    or ``te``; ``time`` and ``torque`` are optional, other columns are left alone. Names and units may stand in a TOML
+    file of the same name beside it::
+
+        torque = "40 N*m"                       # of the whole run, positive resists the output
+        input_counts = 262144                   # counts per turn of the encoders
+        turned = {"errors.planet_1" = "30 deg"} # bodies turned in their seats before this run
+        [columns]
+        "input angle" = {column = "phi_1", unit = "deg", sign = -1}
+
+    A unit ``counts`` needs the counts per turn. Rows are ordered by time; repeated ones and those with a missing value
+    are left out and counted; angles that wrap around once a turn are carried on. More than a million rows are averaged
+    while they are read.
+
+    Args:
+        file: the CSV file.
+        torque: of the whole run, where neither file tells it [N m].
+
+    Returns:
+        The recording; what was mended stands in its ``repairs``.
+
+    Raises:
+        GearjaxError: the file is no such table, or cannot be told from a broken one; one line that says where.
+
+    Example:
+        >>> import gearjax as gj, pathlib, tempfile
+        >>> file = pathlib.Path(tempfile.mkdtemp()) / "te.csv"
+        >>> rows = "\\n".join(f"{10 * i},{0.1 * (i % 7)}" for i in range(50))
+        >>> _ = file.write_text(f"input angle [deg],te [arcmin]\\n{rows}\\n")
+        >>> gj.read_measurement(file, torque=40.0).theta.shape
+        (50,)
+    """
+    check_path("file", file)
+    path = Path(file).expanduser()
+    key = f"file: {file}"
+    beside = _beside(path)
+    header, lines = read_rows("file", path)
+    next(lines)  # refuses what has no rows, or other cells than names
+    columns, own = _columns(key, header, beside), _Reader(key, beside)
+    _even(key, path, len(header))
+    table, averaged = _table(key, path, columns, own)
+    record = _record(key, beside.get("name", path.stem), table, beside, torque, own, averaged)
+    for words in record.told():
+        warnings.warn(words, RepairedData, stacklevel=2)
+    return record
+
+
+def _beside(path: Path) -> dict[str, Any]:
+    """What the TOML file beside a recording tells."""
+    toml = path.with_suffix(".toml")
+    if not toml.is_file():
+        return {}
+    try:
+        table = tomllib.loads(toml.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as fault:
+        raise GearjaxError(f"{toml}: cannot be read ({fault})") from fault
+    known_keys(str(toml), table, BESIDE)
+    for name in ("input_counts", "output_counts"):
+        given = table.get(name, 1)
+        if isinstance(given, bool) or not isinstance(given, int) or given < 1:
+            raise ParameterError(f"{toml}: {name}", given, "must be a whole number of counts per turn")
+    if not isinstance(table.get("name", ""), str):
+        raise ParameterError(f"{toml}: name", table["name"], "must be a name in quotes")
+    for key in ("columns", "turned"):
+        if not isinstance(table.get(key, {}), dict):
+            raise ParameterError(f"{toml}: {key}", table[key], "must be a table")
+    turned = {
+        name: read_quantity(f"{toml}: turned.{name}", given, units.ANGLE)
+        for name, given in table.get("turned", {}).items()
+    }
+    return table | {"turned": turned, "file": str(toml)}
+
+
+def _columns(key: str, header: list[str], beside: dict[str, Any]) -> dict[str, _Column]:
+    """Where each quantity stands."""
+    if len(header) == 1 and re.search("[;\t]", header[0]):
+        raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
+    plain = [_plain(text) for text in header]
+    found: dict[str, _Column] = {}
+    for name, told in beside.get("columns", {}).items():
+        where = f"{beside['file']}: columns.{name}"
+        if name not in DIMENSIONS:
+            raise ParameterError(where, told, nearest(name, DIMENSIONS))
+        told = {"column": told} if isinstance(told, str) else told
+        if not isinstance(told, dict):
+            raise ParameterError(where, told, 'must be the name of a column, or {column = "...", unit = "..."}')
+        known_keys(where, told, OF_COLUMN)
+        names = [text.strip() for text in header]
+        text = told.get("column", name)
+        place = names.index(text) if text in names else plain.index(text) if text in plain else None
+        if place is None:
+            raise ParameterError(f"{where}.column", text, nearest(text, [*names, *plain]))
+        sign = told.get("sign", 1)
+        if sign not in (1, -1):
+            raise ParameterError(f"{where}.sign", sign, "must be 1 or -1")
+        unit = told.get("unit", _unit(header[place]))
+        found[name] = _Column(place, sign * _size(where, name, unit, beside))
+    for place, text in enumerate(header):
+        name = ALSO.get(plain[place], plain[place])
+        if name not in DIMENSIONS or any(column.place == place for column in found.values()):
+            continue
+        if name in found:
+            if name in beside.get("columns", {}):
+                continue
+            raise GearjaxError(f"{key}: line 1: two columns are named {name}")
+        found[name] = _Column(place, _size(f"{key}: line 1: {name}", name, _unit(text), beside))
+    _require(key, found, header)
+    return found
+
+
+def _require(key: str, found: dict[str, _Column], header: list[str]) -> None:
+    """Refuse a table without the columns that are needed."""
+    has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200]}"
+    if "input angle" not in found:
+        words = " (time alone is no angle: speeds are never even)" if "time" in found else ""
+        raise GearjaxError(f"{key}: line 1 must name a column input angle{words}; {has}")
+    if "output angle" not in found and "te" not in found:
+        raise GearjaxError(f"{key}: line 1 must name a column output angle, or te; {has}")
+    if "output angle" in found and "te" in found:
+        del found["te"]  # both angles tell it
+
+
+def _plain(text: str) -> str:
+    """Name of a column without its unit, in small letters."""
+    match = _COLUMN.fullmatch(text.strip())
+    name = match[1] if match else text
+    return re.sub(r"[\s_]+", " ", name).strip().lower()
+
+
+def _unit(text: str) -> str | None:
+    match = _COLUMN.fullmatch(text.strip())
+    return match[2] if match else None
+
+
+def _size(where: str, name: str, unit: str | None, beside: dict[str, Any]) -> float:
+    """Size of a unit in SI; counts by those of the encoder."""
+    dimension = DIMENSIONS[name]
+    if not unit:
+        example = dimension.example.rpartition(" ")[2]
+        raise GearjaxError(f"{where} needs its unit, such as {name} [{example}]")
+    if unit in ("counts", "count") and dimension is units.ANGLE:
+        counts = beside.get(f"{name.partition(' ')[0]}_counts")
+        if counts is None:
+            words = f"is in counts: give {name.partition(' ')[0]}_counts, per turn, in a TOML file beside it"
+            raise GearjaxError(f"{where} {words}")
+        return 2 * np.pi / counts
+    try:
+        return unit_size("unit", unit, re.sub(r"(?<=\w)\s+(?=\w)", "*", unit), dimension)
+    except ParameterError as fault:
+        raise GearjaxError(f"{where}: {fault}") from fault
+
+
+def _even(key: str, path: Path, columns: int) -> None:
+    """Refuse lines with more values than names, which would be taken for others."""
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            if line.count(b",") >= columns and b'"' not in line:
+                words = f"has {line.count(b',') + 1} values, the first line has {columns}"
+                raise GearjaxError(f"{key}: line {number} {words}")
+
+
+class _Reader:
+    """What was found while a file is read: repairs, and angles that wrap around."""
+
+    def __init__(self, key: str, beside: dict[str, Any]):
+        self.key, self.beside = key, beside
+        self.repairs: dict[str, int] = {}
+        self.wrapped: dict[str, tuple[float, float]] = {}
+
+    def count(self, what: str, where: np.ndarray) -> None:
+        """Count a repair, by how often it is needed or by where it is."""
+        number = int(where.sum())
+        if number:
+            self.repairs[what] = self.repairs.get(what, 0) + number
+
+
+def _chunks(key: str, path: Path, columns: dict[str, _Column]) -> Iterator[dict[str, np.ndarray]]:
+    """Parts of a file as numbers in SI, what is none as nan."""
+    import pandas as pd  # half a second that others need not wait
+
+    places = sorted({column.place for column in columns.values()})
+    try:
+        with pd.read_csv(
+            path, header=0, usecols=places, chunksize=CHUNK, skipinitialspace=True, encoding="utf-8-sig", engine="c"
+        ) as parts:
+            for part in parts:
+                numbers = {
+                    place: np.asarray(pd.to_numeric(part.iloc[:, i], errors="coerce"), dtype=float)
+                    for i, place in enumerate(places)
+                }
+                yield {name: column.size * numbers[column.place] for name, column in columns.items()}
+    except (pd.errors.ParserError, UnicodeDecodeError, ValueError) as fault:
+        raise GearjaxError(f"{key}: not a table with as many values in each line as names in the first") from fault
+    except OSError as fault:
+        raise GearjaxError(f"{key}: cannot be read ({fault.strerror or fault})") from fault
+
+
+def _table(key: str, path: Path, columns: dict[str, _Column], own: _Reader) -> tuple[dict[str, np.ndarray], int]:
+    """The cleaned rows, and how many of the file's each is the mean of."""
+    kept: list[dict[str, np.ndarray]] = []
+    size, averaged, rows = path.stat().st_size, 1, 0
+    for number, part in enumerate(_chunks(key, path, columns)):
+        length = part["input angle"].size
+        rows += length
+        if number == 0 and length == CHUNK:
+            per_row = _bytes_of(path, CHUNK) / CHUNK
+            averaged = max(1, int(np.ceil(size / per_row / MOST_KEPT)))
+        part = _whole_rows(part, own)
+        if averaged > 1:
+            part = _averaged(_continued(part, own), averaged)
+        kept.append(part)
+    table = {name: np.concatenate([part[name] for part in kept]) for name in columns}
+    left = table["input angle"].size * averaged
+    if left < 3 or left < (1 - MOST_MISSING) * rows:
+        lacking = own.repairs.get("rows with missing values left out", 0)
+        raise GearjaxError(f"{key}: {lacking} of {rows} rows lack a value in a column that is needed")
+    if averaged == 1:
+        table = _continued(_distinct(_ordered(table, own), own), own)
+    return table, averaged
+
+
+def _bytes_of(path: Path, rows: int) -> int:
+    """Bytes of the first rows of a file, about: by those of its first megabyte."""
+    with path.open("rb") as file:
+        begin = file.read(1_000_000)
+    return max(1, round(rows * len(begin) / max(begin.count(b"\n"), 1)))
+
+
+def _whole_rows(part: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
+    """Rows that lack nothing."""
+    good = np.logical_and.reduce([np.isfinite(values) for values in part.values()])
+    own.count("rows with missing values left out", ~good)
+    return {name: values[good] for name, values in part.items()}
+
+
+def _averaged(part: dict[str, np.ndarray], size: int) -> dict[str, np.ndarray]:
+    """Means of as many rows that follow each other."""
+    whole = part["input angle"].size // size * size
+    return {name: values[:whole].reshape(-1, size).mean(axis=1) for name, values in part.items()}
+
+
+def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
+    """Rows in the order of time."""
+    if "time" in table:
+        steps = np.diff(table["time"])
+        if (steps < 0).any():
+            order = np.argsort(table["time"], kind="stable")
+            own.count("rows out of the order of time sorted", order != np.arange(order.size))
+            return {name: values[order] for name, values in table.items()}
+        return table
+    steps = np.diff(table["input angle"])
+    far = 20 * np.median(np.abs(steps))
+    way = np.sign(np.sum(np.sign(steps)))
+    wrong = way * steps < -far
+    wraps = np.ptp(table["input angle"]) < 2 * np.pi * 1.001 and np.abs(steps).max(initial=0.0) > np.pi
+    if wrong.mean() < 1e-3 and not wraps and wrong.any():
+        raise GearjaxError(f"{own.key}: the input angle jumps back: without a column time its rows cannot be ordered")
+    if not wraps and wrong.any():
+        order = np.argsort(table["input angle"], kind="stable")
+        own.count("rows out of the order of the input angle sorted", order != np.arange(order.size))
+        return {name: values[order] for name, values in table.items()}
+    return table
+
+
+def _distinct(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
+    """Rows that do not repeat the one before them."""
+    told = ("time",) if "time" in table else tuple(table)
+    same = np.logical_and.reduce([np.diff(table[name]) == 0 for name in told])
+    own.count("repeated rows left out", same)
+    keep = np.concatenate([[True], ~same])
+    return {name: values[keep] for name, values in table.items()}
+
+
+def _continued(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
+    """Angles that wrap around once a turn, carried on; zeros that stand for missing values left out."""
+    for name in ("te", "output angle", "input angle"):
+        if name in table:
+            stray = _stray(table[name])
+            own.count(f"rows whose {name} is exactly zero among others left out", stray)
+            table = {key: values[~stray] for key, values in table.items()}
+    for name in ("input angle", "output angle"):
+        if name in table:
+            table[name] = _unwrapped(name, table[name], own)
+    return table
+
+
+def _stray(values: np.ndarray) -> np.ndarray:
+    """Where a value is exactly zero, and far from those before and behind it that are not."""
+    zero = values == 0
+    others = np.flatnonzero(~zero)
+    if not zero.any() or zero.mean() > ALONE or others.size < 2:
+        return np.zeros(values.shape, bool)
+    usual = 20 * max(float(np.median(np.abs(np.diff(values[others])))), 1e-12)
+    behind = np.searchsorted(others, np.arange(values.size))
+    within = (behind > 0) & (behind < others.size)  # a recording may begin and end at zero
+    behind = np.clip(behind, 1, others.size - 1)
+    far = (np.abs(values[others[behind]]) > usual) & (np.abs(values[others[behind - 1]]) > usual)
+    return zero & within & far
+
+
+def _unwrapped(name: str, angle: np.ndarray, own: _Reader) -> np.ndarray:
+    """An angle that falls back by a turn once a turn, carried on from part to part of a file."""
+    turn = 2 * np.pi
+    before, turns = own.wrapped.get(name, (angle[0], 0.0))
+    given = np.concatenate([[before], angle])
+    steps = np.diff(given)
+    wraps = np.ptp(given) <= turn * 1.001 and bool((np.abs(steps) > turn / 2).any())
+    falls = -np.round(steps / turn) if wraps else np.zeros(angle.size)
+    if wraps:
+        usual = np.median(np.abs(steps + turn * falls))
+        if usual > FARTHEST * turn:
+            words = f"wraps around and moves {usual / units.deg:.3g} deg from row to row: its turns cannot be counted"
+            raise GearjaxError(f"{own.key}: the {name} {words}, more than {360 * FARTHEST:.3g} deg")
+        own.count(f"turns of the {name} carried on where it wraps around", np.abs(falls))
+    moved = angle + turn * (turns + np.cumsum(falls))
+    own.wrapped[name] = float(angle[-1]), float(turns + falls.sum())
+    return moved
+
+
+def _record(
+    key: str,
+    name: str,
+    table: dict[str, np.ndarray],
+    beside: dict[str, Any],
+    torque: float | None,
+    own: _Reader,
+    averaged: int,
+) -> Measurement:
+    """The recording of cleaned rows."""
+    for column in ("input angle", "output angle", "te", "time"):
+        if column in table and np.ptp(table[column]) == 0:
+            raise GearjaxError(f"{key}: the column {column} holds the same value in every row")
+    if "torque" in beside:
+        if "torque" in table:
+            raise ParameterError(f"{beside['file']}: torque", beside["torque"], "is a column of the file too")
+        torque = read_quantity(f"{beside['file']}: torque", beside["torque"], units.TORQUE)
+    counts = [beside.get(f"{side}_counts") for side in ("input", "output")]
+    resolution = None if counts[1] is None else 2 * np.pi / counts[1]
+    try:
+        return Measurement(
+            table["input angle"],
+            table.get("output angle"),
+            table.get("te"),
+            table.get("torque", torque),
+            table.get("time"),
+            name,
+            beside.get("turned", {}),
+            resolution,
+            own.repairs,
+            averaged,
+        )
+    except ParameterError as fault:
+        raise GearjaxError(f"{key}: {fault}") from fault

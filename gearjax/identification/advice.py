@@ -1,0 +1,111 @@
+"""Which further recording would show what recordings so far do not."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from gearjax.identification.fit import Fit
+from gearjax.identification.measurement import Measurement
+from gearjax.identification.model import Model, Problem
+from gearjax.identification.rows import rows_of
+from gearjax.identification.visible import Visible, hidden_directions, hidden_in_words
+from gearjax.progress import Progress, silent
+from gearjax.units import deg
+
+ROWS = 2000
+TURN = 90 * deg
+LIGHT = 0.1  # of the smallest torque so far
+TOLD_APART = 30.0  # variances of a row, by which another solution must be off
+
+
+@dataclasses.dataclass(frozen=True)
+class Suggestion:
+    """A further recording.
+
+    Args:
+        words: what to record.
+        hidden: directions that stay hidden with it.
+        shows: what it would show, in words.
+    """
+
+    words: str
+    hidden: int
+    shows: tuple[str, ...]
+
+
+def suggestions(
+    model: Model, fit: Fit, told: Visible, records: Sequence[Measurement], progress: Progress = silent
+) -> list[Suggestion]:
+    """Further recordings that show hidden directions, or tell other solutions apart; the best first.
+
+    Each is tried on the model: rows of it at the solution, with the noise found, are added to those that were measured.
+    """
+    if not len(told.hidden) and not len(fit.others):
+        return []
+    progress("trying which further recording would show more")
+    found = []
+    before = set(hidden_in_words(model.unknowns, told.hidden))
+    for words, record in _tried(model, told, records):
+        if record.back.any() and not model.scene.has_back and not model.scene.layout.sides_turn:
+            continue
+        hidden, apart = _with(model, fit, record)
+        after = set(hidden_in_words(model.unknowns, hidden))
+        shows = []
+        if len(hidden) < len(told.hidden):
+            shows.append(f"{len(told.hidden) - len(hidden)} of {len(told.hidden)} hidden directions")
+        if apart:
+            shows.append(f"which of {1 + len(fit.others)} solutions is right")
+        if shows:
+            found.append((len(hidden), -apart, len(after - before), Suggestion(words, len(hidden), tuple(shows))))
+    found.sort(key=lambda each: each[:3])
+    return [each[3] for each in found]
+
+
+def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[tuple[str, Measurement]]:
+    """Recordings that may be made."""
+    first = records[0]
+    theta = np.linspace(first.theta.min(), first.theta.max(), min(ROWS, first.theta.size))
+    flat = np.zeros(theta.shape)
+    torques = [float(np.median(record.loads)) for record in records]
+    largest = max(torques, key=abs)
+    tried = []
+    if model.loaded and largest:
+        light = LIGHT * min(abs(torque) for torque in torques if torque) * np.sign(largest)
+        tried.append((f"the same under a light torque of {light:.3g} N m", light, {}))
+        if not any(torque * largest < 0 for torque in torques):
+            tried.append((f"the same under a torque that drives, {-largest:.4g} N m", -largest, {}))
+        if len(set(torques)) == 1:
+            tried.append((f"the same under another torque, {0.3 * largest:.4g} N m", 0.3 * largest, {}))
+    hidden = told.is_hidden(len(model.unknowns.each))
+    tells = largest if model.loaded else 0.0
+    for path, (along, across) in model.unknowns.vectors.items():
+        if hidden[along] or hidden[across]:
+            body = path.partition(".")[2]
+            tried.append((f"the same after turning {body} by 90 deg in its seat", tells, {path: TURN}))
+    return [
+        (words, Measurement(theta, te=flat, torque=np.full(theta.shape, torque), turned=turned))
+        for words, torque, turned in tried
+    ]
+
+
+def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, bool]:
+    """Directions hidden with a further recording, and whether it tells the solutions apart."""
+    size = len(model.unknowns.each)
+    own = dataclasses.replace(model, turns=Model.of(model.unknowns, [record], loaded=model.loaded).turns)
+    rows = rows_of([record], model.scene, [], False)
+    problem = Problem(own, rows)
+    values = np.concatenate([fit.values[:size], [fit.values[size]]])
+    curve, jacobian = problem.curve(values)
+    more = np.zeros((rows.theta.size, fit.values.size))
+    more[:, : size + 1] = jacobian
+    whole = dataclasses.replace(fit, matrix=fit.matrix + more.T @ more)
+    apart = bool(len(fit.others)) and all(
+        _off(problem.curve(np.concatenate([other[:size], [other[size]]]))[0] - curve) > TOLD_APART * fit.sigma**2
+        for other in fit.others
+    )
+    return hidden_directions(whole, size), apart
+
+
+def _off(difference: np.ndarray) -> float:
+    return float(((difference - difference.mean()) ** 2).sum())

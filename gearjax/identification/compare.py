@@ -1,0 +1,251 @@
+"""A measured transmission error beside the computed one."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gearjax import arguments
+from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.identification.measurement import Measurement, a_measurement, several
+from gearjax.identification.orders import candidates, waves
+from gearjax.identification.synthetic import computed_error
+from gearjax.scene import Scene
+from gearjax.units import arcmin
+
+LISTED = 12  # orders
+START_ANGLES = 720  # that are tried over a cycle
+SHIFTS = ("none", "find")
+PATHS_PER_CURVE = 4000  # angles at which the computed curve is known when it is shifted
+
+
+@dataclasses.dataclass(frozen=True)
+class OrderBeside:
+    """An order of a measured curve beside that of the computed one.
+
+    Args:
+        order: cycles per turn of the input.
+        name: what turns at it.
+        measured, computed: amplitudes [rad].
+        phase_measured, phase_computed: of cosines at input angle zero [rad].
+    """
+
+    order: float
+    name: str
+    measured: float
+    computed: float
+    phase_measured: float
+    phase_computed: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RecordBeside:
+    """One recording beside the computed curve.
+
+    Args:
+        name: of the recording.
+        theta: input angle [rad].
+        measured: TE as measured [rad].
+        computed: TE of the scene at those angles, with the offset and the start angle of the recording [rad].
+        offset: what the encoders' zeros add [rad].
+        start: input angle of the scene where that of the recording is zero [rad].
+        orders: the largest ones of both.
+    """
+
+    name: str
+    theta: np.ndarray
+    measured: np.ndarray
+    computed: np.ndarray
+    offset: float
+    start: float
+    orders: tuple[OrderBeside, ...]
+
+    @property
+    def explained(self) -> float:
+        """Share of the measured variance that the computed curve explains; below zero where it makes it worse."""
+        return float(1 - np.var(self.measured - self.computed) / max(np.var(self.measured), 1e-300))
+
+    @property
+    def metrics(self) -> dict[str, tuple[float, float]]:
+        """Peak-to-peak and standard deviation of both, measured first [rad]."""
+        pair = self.measured - self.offset, self.computed - self.offset
+        told = {"peak_to_peak": np.ptp, "std": np.std}
+        return {name: (float(of(pair[0])), float(of(pair[1]))) for name, of in told.items()}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Comparison:
+    """Recordings beside a scene.
+
+    Args:
+        scene: the scene.
+        records: each beside its computed curve.
+        lost_motion: mean of measured and computed lost motion [rad], of a recording of each direction; ``None``
+            without.
+        notes: what a reader should know.
+    """
+
+    scene: Scene
+    records: tuple[RecordBeside, ...]
+    lost_motion: tuple[float, float] | None
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """For a file, in arcmin and degrees."""
+        return {
+            "records": [
+                {
+                    "name": record.name,
+                    "rows": int(record.theta.size),
+                    "offset_arcmin": record.offset / arcmin,
+                    "start_deg": float(np.degrees(record.start)),
+                    "explained": record.explained,
+                    "metrics_arcmin": {
+                        name: {"measured": a / arcmin, "computed": b / arcmin}
+                        for name, (a, b) in record.metrics.items()
+                    },
+                    "orders": [
+                        {
+                            "order": each.order,
+                            "name": each.name,
+                            "measured_arcmin": each.measured / arcmin,
+                            "computed_arcmin": each.computed / arcmin,
+                            "phase_measured_deg": float(np.degrees(each.phase_measured)),
+                            "phase_computed_deg": float(np.degrees(each.phase_computed)),
+                        }
+                        for each in record.orders
+                    ],
+                }
+                for record in self.records
+            ],
+            "lost_motion_arcmin": None
+            if self.lost_motion is None
+            else {"measured": self.lost_motion[0] / arcmin, "computed": self.lost_motion[1] / arcmin},
+            "notes": list(self.notes),
+        }
+
+
+def _a_shift(name: str, value: Any) -> None:
+    if value not in SHIFTS:
+        raise ParameterError(name, value, nearest(value, SHIFTS))
+
+
+@arguments.checked(measured=a_measurement, shift=_a_shift)
+def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shift: str = "none") -> Comparison:
+    """Recordings beside the transmission error that a scene computes: curves, orders with phases, metrics.
+
+    Recordings under torque stand beside the static TE, others beside the no-load TE, of an input that turns back that
+    of the back flanks. The encoders' zeros are taken off as one offset of each recording.
+
+    Args:
+        scene: the scene.
+        measured: one recording, or several.
+        shift: ``"find"`` also looks for the start angle, where zero of the input angle is not that of the phases.
+
+    Raises:
+        GearjaxError: a recording cannot be of this gear set.
+        SceneError: the scene lacks what a recording needs.
+
+    Example:
+        >>> import gearjax as gj
+        >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+        >>> beside = gj.compare(scene, gj.synthetic_measurement(scene, 100.0, noise=1e-6))
+        >>> beside.records[0].explained > 0.99
+        True
+    """
+    records = several(measured)
+    notes = [words for record in records for words in record.check(scene)]
+    found = []
+    for record in records:
+        if record.is_loaded and scene.compliance is None:
+            raise SceneError(f"{record.name} is under torque: list a [compliance]")
+        te = record.error(scene)
+        start = _start_angle(scene, record, te) if shift == "find" else 0.0
+        curve = _computed(scene, record, record.theta + start)
+        offset = float(np.mean(te - curve))
+        found.append(
+            RecordBeside(
+                record.name, record.theta, te, curve + offset, offset, start, _orders(scene, record, te, curve)
+            )
+        )
+    return Comparison(scene, tuple(found), _lost_motion(records, found), tuple(notes))
+
+
+def _computed(scene: Scene, record: Measurement, theta: np.ndarray) -> np.ndarray:
+    """TE of a scene as a recording has it, at any input angles, shape (n,) [rad]."""
+    order = np.argsort(theta, kind="stable")
+    angles, back = np.unique(theta[order], return_inverse=True)
+    loads = record.loads
+    if np.ptp(loads) == 0:
+        own = computed_error(scene, angles, float(loads[0]), bool(record.back[0]))
+    else:
+        sums = np.bincount(back, loads[order]) / np.bincount(back)
+        own = computed_error(scene, angles, sums, bool(record.turns_back))
+    curve = np.empty(theta.shape)
+    curve[order] = own[back]
+    return curve
+
+
+def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
+    """Start angle at which the computed curve is nearest to the measured one [rad]."""
+    from scipy import optimize
+
+    cycle = scene.system.cycle
+    size = max(PATHS_PER_CURVE, int(20 * scene.system.fastest_order * cycle / (2 * np.pi)))
+    grid = np.arange(size) * (cycle / size)
+    torque = float(np.median(record.loads))
+    curve = computed_error(scene, grid, torque, bool(record.back[0]))
+    grid, curve = np.append(grid, cycle), np.append(curve, curve[0])
+    rows = np.unique(np.linspace(0, record.theta.size - 1, min(record.theta.size, PATHS_PER_CURVE)).astype(int))
+    theta, own = record.theta[rows], te[rows]
+
+    def off(start: float) -> float:
+        return float(np.var(own - np.interp((theta + start) % cycle, grid, curve)))
+
+    number = max(START_ANGLES, int(4 * scene.system.fastest_order * cycle / (2 * np.pi)))
+    starts = np.arange(number) * (cycle / number)
+    best = starts[int(np.argmin([off(start) for start in starts]))]
+    step = cycle / number
+    end = optimize.minimize_scalar(off, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-6})
+    angle = float(end.x)
+    return angle if angle <= cycle / 2 else angle - cycle
+
+
+def _orders(scene: Scene, record: Measurement, te: np.ndarray, curve: np.ndarray) -> tuple[OrderBeside, ...]:
+    """The largest orders of both curves."""
+    known = candidates(scene, record.theta, np.zeros(te.size, int))
+    orders = list(known)
+    if not orders:
+        return ()
+    measured, phases = waves(record.theta, te, orders)
+    computed, own = waves(record.theta, curve, orders)
+    largest = np.argsort(-np.maximum(measured, computed))[:LISTED]
+    return tuple(
+        OrderBeside(orders[i], known[orders[i]][0], *(float(part[i]) for part in (measured, computed, phases, own)))
+        for i in sorted(largest, key=lambda i: orders[i])
+    )
+
+
+def _lost_motion(records: list[Measurement], found: list[RecordBeside]) -> tuple[float, float] | None:
+    """Mean distance of two recordings on both flanks, under torques of the same size, or none."""
+    for i, ahead in enumerate(records):
+        for j, behind in enumerate(records):
+            same = np.isclose(abs(np.median(ahead.loads)), abs(np.median(behind.loads)), rtol=0.05)
+            if ahead.back.any() or not behind.back.all() or not same:
+                continue
+            low = max(ahead.theta.min(), behind.theta.min())
+            high = min(ahead.theta.max(), behind.theta.max())
+            if high - low < 0.5 * np.ptp(ahead.theta):
+                continue
+            one, other = found[i], found[j]
+            place = np.linspace(low, high, 4 * min(one.theta.size, other.theta.size))
+            pairs = [(one.measured, other.measured), (one.computed - one.offset, other.computed - other.offset)]
+            told = [float(np.mean(_at(place, other.theta, b) - _at(place, one.theta, a))) for a, b in pairs]
+            return told[0], told[1]
+    return None
+
+
+def _at(place: np.ndarray, theta: np.ndarray, values: np.ndarray) -> np.ndarray:
+    order = np.argsort(theta)
+    return np.interp(place, theta[order], values[order])

@@ -1,0 +1,197 @@
+"""A fit: many starts on means over steps of the angle, the best polished on all rows, outlying rows weighed down."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from gearjax.identification.measurement import Measurement, binned
+from gearjax.identification.model import Model, Problem
+from gearjax.identification.rows import Rows, further
+from gearjax.identification.search import Known, descend
+from gearjax.scene import Scene
+
+BINS = 400  # of a turn of the output: means over them bias fast waves, so that they are for starts alone
+PER_TURN = 12  # rows per turn of what turns fastest, at least
+MOST_BINS = 2000  # of one recording
+ROUGH_STEPS = 20
+NEAR = 0.5  # of the least cost on the means, by which that of a start that is polished may be above it
+POLISHED = 4  # starts
+FAR = 4.0  # standard deviations beyond which a row counts less
+ROUNDS = 4  # of weighing
+NEAR_ZERO = 0.05  # of the spread of the other starts
+LARGEST = 1e4  # units of the search, of a start
+SAME = 12.0  # squared standard errors within which two ends are one, besides what nothing shows
+AS_GOOD = 12.0  # by which the sum of squares may be above the least, in variances of a row
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """The end of a fit.
+
+    Args:
+        values: numbers in units of the search, shape (number,).
+        cost: weighted sum of squares of the rows [arcmin^2].
+        sigma: standard deviation of a row [arcmin].
+        weight: of each row, shape (n,).
+        matrix: ``J^T W J`` of all rows, without what is known before, shape (number, number).
+        others: ends that fit as well but are elsewhere, shape (k, number).
+        problem: all rows.
+        known: what is known before, in variances of a row.
+    """
+
+    values: np.ndarray
+    cost: float
+    sigma: float
+    weight: np.ndarray
+    matrix: np.ndarray
+    others: np.ndarray
+    problem: Problem
+    known: Known
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured minus computed, shape (n,) [arcmin]."""
+        return self.problem.rows.te - self.problem.curve(self.values)[0]
+
+
+def noise_of(rows: Rows) -> float:
+    """Standard deviation of what changes from row to row, slow curves left out [arcmin]."""
+    second = np.diff(rows.te, 2)[np.diff(rows.record, 2) == 0]
+    return float(max(1.4826 * np.median(np.abs(second)) / np.sqrt(6), 1e-6)) if second.size else 1e-6
+
+
+def spread_of(values: np.ndarray) -> float:
+    """Standard deviation of the middle of values, which wild ones do not move."""
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Sequence[float]) -> Rows:
+    """Means of the rows over even steps of the angle; the rows themselves where they are no more than that."""
+    turns = scene.system.orders
+    per_input_turn = max(BINS * turns.get("output", 1.0), PER_TURN * scene.system.fastest_order)
+    parts = []
+    for i in range(len(records)):
+        own = rows.record == i
+        theta = rows.theta[own]
+        width = max(2 * np.pi / per_input_turn, np.ptp(theta) / MOST_BINS)
+        if np.ptp(theta) / width > 0.7 * theta.size:
+            parts.append((theta, rows.torque[own], rows.back[own].astype(float), rows.te[own], np.ones(theta.size)))
+        else:
+            angle, values, number = binned(theta, (rows.torque[own], rows.back[own].astype(float), rows.te[own]), width)
+            parts.append((angle, *values, number))
+    record = np.concatenate([np.full(part[0].size, i) for i, part in enumerate(parts)])
+    theta, torque, back, te, number = (np.concatenate(column) for column in zip(*parts, strict=True))
+    basis = further(theta, record, len(records), orders, rows.basis.shape[1] > 1 + 2 * len(orders))
+    return Rows(theta, torque, back > 0.5, te, number, basis, record)
+
+
+def fitted(
+    model: Model,
+    rows: Rows,
+    bins: Rows,
+    precision: tuple[np.ndarray, np.ndarray],
+    starts: np.ndarray,
+    *,
+    robust: bool,
+) -> Fit:
+    """The best end of several starts.
+
+    Args:
+        model: of the recordings.
+        rows: all of them.
+        bins: their means.
+        precision: means and precisions of what is known before, shape (number,) each; in units of the search.
+        starts: shape (start, number).
+        robust: whether outlying rows are weighed down.
+    """
+    positive = np.zeros(starts.shape[1], bool)
+    positive[: len(model.unknowns.each)] = model.unknowns.reciprocals
+    sigma = noise_of(rows)
+    known = Known(precision[0], precision[1] * sigma**2)
+    problem, rough = Problem(model, rows), Problem(model, bins)
+    if len(starts) > 1:
+        ends, sums = descend(
+            lambda v: rough.normal(v, bins.weight), starts, known, positive, bins.weight.sum(), ROUGH_STEPS
+        )
+        order = np.argsort(sums.cost)
+        good = order[sums.cost[order] <= (1 + NEAR) * sums.cost[order[0]] + 100 * sigma**2]
+        starts = ends[good][_apart(ends[good], sums.matrix[good], sigma)[:POLISHED]]
+    weight = rows.weight.copy()
+    ends, sums = starts, None
+    for turn in range(ROUNDS if robust else 2):
+        ends, sums = descend(lambda v, w=weight: problem.normal(v, w), ends, known, positive, weight.sum())
+        best = int(np.argmin(sums.cost))
+        residual = rows.te - problem.curve(ends[best])[0]
+        sigma = max(spread_of(residual) if robust else float(np.std(residual)), 1e-9)
+        known = Known(precision[0], precision[1] * sigma**2)
+        new = np.minimum(1.0, (FAR * sigma / np.maximum(np.abs(residual), 1e-300)) ** 2) if robust else weight
+        if turn and np.abs(new - weight).max() < 1e-3:
+            break
+        weight = new
+    assert sums is not None
+    sigma = float(np.sqrt(max((weight * residual**2).sum() / max(weight.sum() - ends.shape[1], 1.0), 1e-18)))
+    known = Known(precision[0], precision[1] * sigma**2)
+    ends, sums = descend(lambda v: problem.normal(v, weight), ends, known, positive, weight.sum())
+    order = np.argsort(sums.cost)
+    ends, cost, matrix = ends[order], sums.cost[order], sums.matrix[order]
+    good = cost - cost[0] < AS_GOOD * sigma**2
+    ends, matrix = ends[good], matrix[good]
+    # of ends as good, the one that shows least is the honest one: a search may stop at the rim of a flat valley
+    ranks = [rank_of(part - np.diag(known.precision)) for part in matrix]
+    best = int(np.argmin(ranks))
+    first = [best, *(i for i in range(len(ends)) if i != best)]
+    distinct = [first[i] for i in _apart(ends[first], matrix[first], sigma)[1:]]
+    sums = problem.normal(ends[best : best + 1], weight)
+    return Fit(ends[best], float(sums.cost[0]), sigma, weight, sums.matrix[0], ends[distinct], problem, known)
+
+
+def _apart(ends: np.ndarray, matrix: np.ndarray, sigma: float) -> list[int]:
+    """Ends that are not the same, the first of each."""
+    chosen: list[int] = []
+    for i in range(len(ends)):
+        if all(not _is_same(ends[i], ends[j], matrix[i], matrix[j], sigma) for j in chosen):
+            chosen.append(i)
+    return chosen
+
+
+def _is_same(one: np.ndarray, other: np.ndarray, first: np.ndarray, second: np.ndarray, sigma: float) -> bool:
+    """Whether two ends differ by no more than what neither of both shows, or some standard errors."""
+    way = one - other
+    return bool(max(way @ first @ way, way @ second @ way) < SAME * sigma**2)
+
+
+def rank_of(matrix: np.ndarray) -> int:
+    """Directions that sums of squares show, told apart from rounding."""
+    values = np.linalg.eigvalsh(scaled(matrix)[0])
+    return int((values > 1e-9 * max(values[-1], 1e-300)).sum())
+
+
+def scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A matrix of sums with ones on its diagonal, and what its numbers were divided by."""
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 1e-20 * max(diagonal.max(), 1e-300), diagonal, 1.0))
+    whole = matrix / scale[:, None] / scale[None, :]
+    return np.where(np.isfinite(whole), whole, 0.0), scale
+
+
+def starts_of(model: Model, rows: Rows, number: int, further_numbers: int, seed: int) -> np.ndarray:
+    """Starts: the scene as it is, some near no errors at all, the others as large as the recordings can be of."""
+    each, start = model.unknowns.each, model.unknowns.start
+    draws = np.random.default_rng(seed).standard_normal((number, len(each)))
+    if number == 1:
+        return np.concatenate([start, np.zeros(further_numbers)])[None]
+    _, rate = Problem(model, rows).curve(np.concatenate([start, np.zeros(rows.basis.shape[1])]))
+    moves = np.sqrt((rate[:, : len(each)] ** 2).mean(axis=0))  # of the curve, per unit
+    sizes = np.where(moves > 0, 0.5 * float(np.ptp(rows.te)) / np.where(moves > 0, moves, 1.0), 10.0)
+    small = np.where(np.arange(number) % 2 == 1, NEAR_ZERO, 1.0)
+    points = np.zeros((number, len(each) + further_numbers))
+    for i, unknown in enumerate(each):
+        if unknown.path.startswith("errors."):
+            points[:, i] = small * min(sizes[i], LARGEST) * draws[:, i]
+        elif unknown.kind == "reciprocal":
+            points[:, i] = np.exp(0.4 * draws[:, i])
+        else:
+            points[:, i] = start[i] * (1 + 0.2 * draws[:, i])
+    points[0, : len(each)] = start
+    return points

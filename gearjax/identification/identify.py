@@ -1,0 +1,285 @@
+"""Which errors explain a measured transmission error."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gearjax import arguments
+from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
+from gearjax.identification.advice import suggestions
+from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, noise_of, starts_of
+from gearjax.identification.found import OUTLYING, Identification
+from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
+from gearjax.identification.model import Model
+from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
+from gearjax.identification.rows import names_of_further, rows_of
+from gearjax.identification.unknowns import priors_of, unknowns_of
+from gearjax.identification.visible import Visible, block_length, visible
+from gearjax.progress import Progress, silent
+from gearjax.scene import Scene
+from gearjax.units import arcmin
+
+OFFSET_SPREAD = 0.02 * arcmin  # by which the encoders' offset may change from one recording to the next
+STARTS = 64
+FEW_STARTS = 4  # of scenes that are differentiated as they are
+MOST_ORDERS = 8
+MUCH_BETTER = 0.5  # of the sum of squares: what tells another sign of the torque, or zero of the errors
+WELL = 1.3  # times the noise from row to row: what is left is noise
+POOR = 2.0  # times the noise from row to row: what is left is not noise alone
+LOSSES = ("robust", "least_squares")
+
+
+@arguments.checked(
+    measured=a_measurement,
+    offset_spread=arguments.one_positive,
+    starts=arguments.whole(1),
+    key=arguments.whole(0),
+)
+def identify(
+    scene: Scene,
+    measured: Measurement | Sequence[Measurement],
+    where: str | Sequence[str] | None = None,
+    *,
+    priors: Mapping[str, Any] | None = None,
+    offset_spread: float = OFFSET_SPREAD,
+    starts: int | None = None,
+    loss: str = "robust",
+    orders: str | Sequence[float] = "find",
+    key: int = 0,
+    suggest: bool = True,
+    progress: Progress = silent,
+) -> Identification:
+    """The errors of a gear set that explain recordings of its transmission error, by least squares from many starts.
+
+    Recordings under torque are compared with the static TE under it, those without with the no-load TE; of an input
+    that turns back with that of the back flanks. Errors are looked for as they are in the scene: first order or exact.
+
+    Args:
+        scene: the gear set; its numbers are where one start begins.
+        measured: one recording, or several of the same unit: at two torques and both directions they tell most.
+        where: paths of what is looked for, or of whole errors such as ``errors.planet_1``; without, the errors, the
+            mean stiffness (of recordings under torque) and the initial backlash (of recordings of the back flanks).
+        priors: what is known before, by path: a standard deviation, a pair of mean and standard deviation in SI, or a
+            distribution of a tolerance study; of an eccentricity, of each of its components.
+        offset_spread: standard deviation by which the encoders' offset changes between recordings [rad].
+        starts: of the search; without 64, or 4 where the scene is not in proportion to what is looked for.
+        loss: ``"robust"`` weighs rows beyond four standard deviations down, ``"least_squares"`` does not.
+        orders: ``"find"`` looks for orders that the gear set does not explain and sets them free; else orders that are
+            free, in cycles per turn of the input; empty for none.
+        key: seed of the starts.
+        suggest: whether to try which further recording would show more.
+        progress: told how far it is.
+
+    Raises:
+        GearjaxError: the recordings cannot be of this gear set.
+        ParameterError: a path leads nowhere.
+        SceneError: the scene lacks what the recordings need.
+
+    Example:
+        >>> import gearjax as gj, dataclasses
+        >>> scene = dataclasses.replace(gj.load("configs/two_kv/wang_2020.toml"), reference=None)
+        >>> runs = [gj.synthetic_measurement(scene, torque=t, noise=1e-5) for t in (10.0, 100.0, -10.0)]
+        >>> found = gj.identify(scene, runs, suggest=False)
+        >>> round(found.estimate("backlash.initial").value)
+        150
+    """
+    records = several(measured)
+    if loss not in LOSSES:
+        raise ParameterError("loss", loss, nearest(loss, LOSSES))
+    if isinstance(orders, str) and orders != "find":
+        raise ParameterError("orders", orders, 'must be "find", or orders in cycles per turn of the input')
+    notes = [words for record in records for words in record.check(scene)]
+    scene = _suited(scene, records, notes)
+    back = bool(np.any(np.concatenate([record.back for record in records])))
+    loaded = any(record.is_loaded for record in records)
+    options = _Options(priors or {}, offset_spread, starts, loss == "robust", key)
+    free = {} if isinstance(orders, str) else {float(order): f"order {float(order):.6g}" for order in orders}
+    progress(f"fitting {sum(record.theta.size for record in records)} rows of {len(records)} recordings")
+    wanted = _Wanted(records, where, back, loaded, free, isinstance(orders, str), options, progress)
+    scene, (model, fit, known) = _by_reference(scene, wanted, notes)
+    rows = fit.problem.rows
+    if loaded and fit.sigma > POOR * noise_of(rows):
+        _check_torque(scene, wanted, fit)
+    told = visible(fit, model.unknowns)
+    others = np.stack([_nearest_to_none(fit, told, other) for other in fit.others]) if len(fit.others) else fit.others
+    fit = dataclasses.replace(fit, values=_nearest_to_none(fit, told, fit.values), others=others)
+    names = (
+        *model.unknowns.names,
+        *names_of_further(records, free | {o.order: o.name for o in known}, _drifts(records)),
+    )
+    _remark(fit, model, told, records, notes)
+    further = suggestions(model, fit, told, records, progress) if suggest else []
+    finished = model.unknowns.finished(fit.values[: len(model.unknowns.each)])
+    return Identification(
+        finished, tuple(records), model.unknowns, model, fit, told, tuple(known), names, tuple(notes), tuple(further)
+    )
+
+
+def _suited(scene: Scene, records: list[Measurement], notes: list[str]) -> Scene:
+    """The scene, checked for what the recordings ask of it."""
+    if any(record.is_loaded for record in records) and scene.compliance is None:
+        raise SceneError("recordings under torque need a [compliance]: list one, with about its stiffness")
+    for record in records:
+        if record.back.any() and not scene.has_back and not scene.layout.sides_turn:
+            words = f"{record.name} loads the back flanks, which this scene lacks: list a [backlash]"
+            raise SceneError(words)
+        if record.is_loaded and (record.loads == 0).any():
+            notes.append(f"{record.name}: rows without torque among others are compared with the no-load TE")
+    return scene
+
+
+def _drifts(records: Sequence[Measurement]) -> bool:
+    return len(records) > 1
+
+
+@dataclasses.dataclass(frozen=True)
+class _Options:
+    """Of a fit, as of `identify`."""
+
+    priors: Mapping[str, Any]
+    offset_spread: float
+    starts: int | None
+    robust: bool
+    key: int
+
+
+@dataclasses.dataclass(frozen=True)
+class _Wanted:
+    """What is fitted to a scene, whatever its reference."""
+
+    records: list[Measurement]
+    where: Any
+    back: bool
+    loaded: bool
+    free: Mapping[float, str]
+    look: bool
+    options: _Options
+    progress: Progress
+
+
+_Result = tuple[Model, Fit, list[Order]]
+
+
+def _by_reference(scene: Scene, wanted: _Wanted, notes: list[str]) -> tuple[Scene, _Result]:
+    """The fit, errors counted as they are: a real gear set knows no other zero. Where that leaves more than noise, the
+    scene's own zero at the start is tried too."""
+    absolute = dataclasses.replace(scene, reference=None)
+    found = _found(absolute, wanted)
+    if scene.reference is None:
+        return scene, found
+    if found[1].sigma > WELL * noise_of(found[1].problem.rows):
+        other = _found(scene, wanted)
+        if other[1].cost < found[1].cost - AS_GOOD * found[1].sigma ** 2:
+            return scene, other
+    notes.append("errors are counted as they are: [reference] is left out, as a recording knows no zero at its start")
+    return absolute, found
+
+
+def _found(scene: Scene, wanted: _Wanted) -> _Result:
+    """The fit of a scene, with orders set free where that is asked for."""
+    unknowns = unknowns_of(scene, wanted.where, back=wanted.back, loaded=wanted.loaded)
+    records, options = wanted.records, wanted.options
+    check_turned(records, list(unknowns.vectors))
+    model = Model.of(unknowns, records, loaded=wanted.loaded)
+    fit = _fit(model, scene, records, list(wanted.free), options, None)
+    return (model, *_with_orders(model, fit, scene, wanted)) if wanted.look else (model, fit, [])
+
+
+def _fit(
+    model: Model,
+    scene: Scene,
+    records: list[Measurement],
+    orders: Sequence[float],
+    options: _Options,
+    starts: np.ndarray | None,
+) -> Fit:
+    """The fit with some free orders, from the usual starts without others."""
+    rows = rows_of(records, scene, orders, _drifts(records))
+    bins = coarse(records, scene, rows, orders)
+    mean, own = priors_of(model.unknowns, options.priors)
+    beside = np.zeros(rows.basis.shape[1])
+    if _drifts(records):
+        beside[1 : 1 + len(records)] = (arcmin / options.offset_spread) ** 2
+    precision = np.concatenate([mean, np.zeros(beside.size)]), np.concatenate([own, beside])
+    if starts is None:
+        number = options.starts or (STARTS if model.straight else FEW_STARTS)
+        starts = starts_of(model, bins, number, beside.size, options.key)
+    return fitted(model, rows, bins, precision, starts, robust=options.robust)
+
+
+def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
+    """Refuse a torque whose sign is turned round, where the other one explains the recordings."""
+    records = [dataclasses.replace(record, torque=-record.loads) for record in wanted.records]
+    back = bool(np.any(np.concatenate([record.back for record in records])))
+    if back and not (scene.has_back or scene.layout.sides_turn):
+        return
+    few = dataclasses.replace(wanted.options, starts=wanted.options.starts or FEW_STARTS)
+    other = _found(scene, dataclasses.replace(wanted, records=records, back=back, look=False, options=few))[1]
+    if other.cost < MUCH_BETTER * fit.cost and other.sigma < fit.sigma:
+        raise GearjaxError(
+            f"the torque's sign looks turned round: with the other one what is left falls from {fit.sigma:.3g} to "
+            f"{other.sigma:.3g} arcmin (positive resists the output; sign = -1 of the torque beside the file)"
+        )
+
+
+def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order]]:
+    """The fit with orders set free that the gear set does not explain, as long as a significant one is left."""
+    known: list[Order] = []
+    while len(known) < MOST_ORDERS:
+        rows = fit.problem.rows
+        _, jacobian = fit.problem.curve(fit.values)
+        left = unexplained(fit.residual, fit.weight, jacobian, rows, scene, 1)
+        left = [order for order in left if order.order not in {each.order for each in known}]
+        hangs = block_length(fit.residual, rows.record) / 6 if known else 1.0
+        if not left or left[0].significance < SIGNIFICANT * max(1.0, hangs):
+            break
+        known.append(left[0])
+        wanted.progress(f"set free: {left[0].name} ({left[0].amplitude:.3g} arcmin)")
+        ends = np.concatenate([fit.values[None], fit.others])
+        starts = np.concatenate([ends, np.zeros((len(ends), 2))], axis=1)
+        fit = _fit(model, scene, wanted.records, [each.order for each in known], wanted.options, starts)
+    parts = fit.values[fit.values.size - 2 * len(known) :].reshape(-1, 2)
+    sizes = zip(np.hypot(*parts.T), np.arctan2(-parts[:, 1], parts[:, 0]), strict=True)
+    final = zip(known, sizes, strict=True)
+    return fit, [dataclasses.replace(each, amplitude=float(a), phase=float(b)) for each, (a, b) in final]
+
+
+def _nearest_to_none(fit: Fit, told: Visible, values: np.ndarray) -> np.ndarray:
+    """Values found, as near to zero as the directions allow that nothing shows; settled ones stay."""
+    hidden = told.hidden
+    if not len(hidden) or (fit.known.precision[: hidden.shape[1]] > 0).any():
+        return values
+    values = values.copy()
+    taking = np.abs(hidden).max(axis=0) > 0
+    parts, *_ = np.linalg.lstsq(hidden[:, taking].T, values[: taking.size][taking], rcond=None)
+    own = values[: taking.size]
+    own[taking] -= hidden[:, taking].T @ parts
+    values[: taking.size] = own
+    return values
+
+
+def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], notes: list[str]) -> None:
+    """What a reader should know of the fit."""
+    size = len(model.unknowns.each)
+    outlying = int((fit.weight < OUTLYING).sum())
+    if outlying > 2e-3 * fit.weight.size:
+        notes.append(f"{outlying} of {fit.weight.size} rows lie far off and count less")
+    noise = noise_of(fit.problem.rows)
+    if fit.sigma > POOR * noise and told.blocks > 1:
+        notes.append(
+            f"what is left ({fit.sigma:.3g} arcmin) is more than the noise from row to row ({noise:.3g} arcmin): "
+            f"something is not modelled; standard errors are of blocks of {told.blocks} rows"
+        )
+    for unknown, value in zip(model.unknowns.each, fit.values[:size], strict=True):
+        if unknown.kind == "reciprocal" and value < 0.02:
+            notes.append(f"{unknown.name}: nothing bends under the torque: is the torque right?")
+        if unknown.path == "backlash.initial" and value < 0:
+            notes.append("backlash.initial is below zero: flanks jam, or the recordings' offsets differ by more")
+    if len(fit.others):
+        notes.append(
+            f"{len(fit.others)} other solution(s) explain the recordings as well: intervals are of one of them"
+        )
+    if len(records) == 1 and "compliance.mean" in model.unknowns.names:
+        notes.append("one recording alone hardly tells stiffness from the encoders' offset")

@@ -1,0 +1,262 @@
+"""A recording of a test bench: angles of the input and the output, or the transmission error, row by row in time."""
+
+import dataclasses
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import GearjaxError, ParameterError, RepairedData, nearest
+from gearjax.scene import Scene
+from gearjax.units import arcmin, deg
+
+RATIO_TOLERANCE = 2e-3  # of the slope of the output, from that of the gear set
+FACTORS = {  # of a slope that is wrong, and what it tells
+    180 / np.pi: "the input angle seems to be in radians, or the output angle in degrees, against its header",
+    np.pi / 180: "the input angle seems to be in degrees, or the output angle in radians, against its header",
+    360.0: "one of the angles seems to be in turns, against its header",
+    1 / 360.0: "one of the angles seems to be in turns, against its header",
+    60.0: "one of the angles seems to be in arcmin, against its header",
+    1 / 60.0: "one of the angles seems to be in arcmin, against its header",
+}
+SHORTEST = 3  # rows
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measurement:
+    """One run on a test bench: a direction of turning, rows in the order of time.
+
+    Args:
+        theta: input angle of each row, whose zero is that of the phases, shape (n,) [rad].
+        output: output angle, shape (n,) [rad], or ``None`` where the transmission error was recorded itself.
+        te: transmission error, shape (n,) [rad], or ``None`` where both angles were.
+        torque: load torque on the output, positive resists its positive rotation, shape (n,) [N m]; ``None`` for none.
+        time: of each row, shape (n,) [s], or ``None``.
+        name: for messages and figures.
+        turned: angles that bodies were turned by in their seats before this run, by error, as
+            ``{"errors.planet_1": 0.5}`` [rad]: what the phase of that error counts more.
+        resolution: smallest step of the transmission error that the encoders tell, ``None`` where not known [rad].
+        repairs: what reading has mended, and how often.
+        averaged: rows of the file that one row is the mean of.
+
+    Raises:
+        ParameterError: arrays do not go together, or hold what is not finite.
+    """
+
+    theta: Any  # lists are taken too, and kept as arrays
+    output: Any = None
+    te: Any = None
+    torque: Any = None
+    time: Any = None
+    name: str = "measured"
+    turned: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    resolution: float | None = None
+    repairs: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    averaged: int = 1
+
+    def __post_init__(self):
+        theta = _row(self, "theta", None)
+        if theta.size < SHORTEST:
+            raise ParameterError("theta", theta.size, f"is a number of rows: at least {SHORTEST} are needed")
+        if (self.output is None) == (self.te is None):
+            raise ParameterError("output", "both or none", "give the output angle, or the transmission error (te)")
+        for key in ("output", "te", "time"):
+            if getattr(self, key) is not None:
+                _row(self, key, theta.size)
+        if self.torque is not None:
+            object.__setattr__(self, "torque", np.broadcast_to(np.asarray(self.torque, float), theta.shape))
+            _row(self, "torque", theta.size)
+        if np.ptp(theta) == 0:
+            raise ParameterError("theta", float(theta[0]), "is the same in every row: the input does not turn")
+
+    @property
+    def loads(self) -> np.ndarray:
+        """Torque of each row, zero where none was recorded, shape (n,) [N m]."""
+        return np.zeros(self.theta.shape) if self.torque is None else np.asarray(self.torque)
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether a torque was recorded that is not zero."""
+        return self.torque is not None and bool(np.any(np.asarray(self.torque)))
+
+    @property
+    def turns_back(self) -> bool:
+        """Whether the input angle falls."""
+        return bool(self.theta[-1] < self.theta[0])
+
+    @property
+    def back(self) -> np.ndarray:
+        """Rows whose back flanks carry: under a torque that drives, and without torque where the input turns back."""
+        return np.where(self.loads == 0, self.turns_back, self.loads < 0)
+
+    def error(self, scene: Scene) -> np.ndarray:
+        """Transmission error of the recording, ``phi_out - phi_in / i`` (Wang et al. 2020, eq. 22), shape (n,) [rad].
+
+        Of gear sets whose ratio is not constant, output angle minus ideal output angle.
+        """
+        if self.te is not None:
+            return self.te
+        assert self.output is not None
+        return self.output - ideal(scene, self.theta)
+
+    def check(self, scene: Scene) -> list[str]:
+        """Refuse a recording that cannot be of this gear set; what a reader should know of it is returned.
+
+        Raises:
+            GearjaxError: its ratio or its direction is another, units or columns are exchanged, or it is aliased.
+        """
+        if self.output is not None:
+            _check_ratio(self, scene)
+        return [*self.told(), *_check_span(self, scene)]
+
+    def told(self) -> list[str]:
+        """What reading has mended, in words."""
+        words = [f"{number} {what}" for what, number in self.repairs.items()]
+        if self.averaged > 1:
+            words.append(f"each row is the mean of {self.averaged} rows of the file")
+        return [f"{self.name}: {', '.join(words)}"] if words else []
+
+
+def ideal(scene: Scene, theta: np.ndarray) -> np.ndarray:
+    """Ideal output angle at input angles, shape (n,) [rad]."""
+    system = scene.system
+    return np.asarray(jax.vmap(lambda angle: type(system).output(system, angle))(jnp.asarray(theta, scene.dtype)))
+
+
+def _row(measured: Measurement, key: str, size: int | None) -> np.ndarray:
+    """One of the arrays, kept as float64."""
+    try:
+        array = np.array(getattr(measured, key), dtype=float)
+    except (TypeError, ValueError) as fault:
+        raise ParameterError(key, getattr(measured, key), "must be numbers, in SI") from fault
+    if array.ndim != 1 or (size is not None and array.size != size):
+        raise ParameterError(key, array.shape, f"is a shape: must be ({'n' if size is None else size},), as theta")
+    if not np.isfinite(array).all():
+        where = int(np.argmin(np.isfinite(array)))
+        raise ParameterError(
+            f"{key}[{where}]", array[where], "must be finite: gj.read_measurement leaves such rows out"
+        )
+    object.__setattr__(measured, key, array)
+    return array
+
+
+def _check_ratio(measured: Measurement, scene: Scene) -> None:
+    """Refuse an output that turns in another ratio, or the other way."""
+    expected, output = ideal(scene, measured.theta), measured.output
+    assert output is not None
+    if np.ptp(output) == 0:
+        raise GearjaxError(f"{measured.name}: the output angle is the same in every row")
+    slope = robust_slope(expected, output)
+    off = abs(slope - 1)
+    if off * np.ptp(expected) < 2 * deg or off < RATIO_TOLERANCE:  # of a short record hardly known
+        return
+    order = robust_slope(expected, measured.theta)
+    words = f"{measured.name}: the output turns {slope:.6g} times as far as a {scene.system.kind}'s should"
+    for factor, meaning in FACTORS.items():
+        if abs(abs(slope) / factor - 1) < 0.02:
+            raise GearjaxError(f"{words}: {meaning}")
+    if abs(abs(slope) / order**2 - 1) < 0.02:
+        raise GearjaxError(f"{words}: input angle and output angle look exchanged")
+    if abs(slope + 1) < RATIO_TOLERANCE:
+        raise GearjaxError(f"{words[:-7]}: it turns the other way, give it the other sign (sign = -1 beside the file)")
+    raise GearjaxError(
+        f"{words}: the recording fits a ratio of {order / slope:.6g} turns of the input per turn of the output, this "
+        f"gear set has {order:.6g}: other tooth numbers, or another body is the input"
+    )
+
+
+def robust_slope(x: np.ndarray, y: np.ndarray) -> float:
+    """Slope of y over x, by the median of differences over half of the rows: some wild rows do not move it."""
+    half = x.size // 2
+    run = x[half:] - x[: x.size - half]
+    good = np.abs(run) > 0.1 * np.ptp(x)
+    return float(np.median((y[half:] - y[: y.size - half])[good] / run[good]))
+
+
+def _check_span(measured: Measurement, scene: Scene) -> list[str]:
+    """What a short or a coarse recording cannot show; an aliased one is refused."""
+    theta, orders = measured.theta, scene.system.orders
+    fastest = max(1.0, orders.get("output", 1.0)) * 1.01  # turn of a body; faster are teeth and pins
+    bodies = {name: order for name, order in orders.items() if order <= fastest}
+    step = float(np.median(np.abs(np.diff(theta))))
+    told = []
+    for name, order in bodies.items():
+        if order * step >= np.pi:
+            raise GearjaxError(
+                f"{measured.name}: aliased, {2 * np.pi / step:.3g} rows per turn of the input, of which the {name} has "
+                f"{order:.4g} turns: at least {2 * order:.3g} rows are needed"
+            )
+    if max(orders.values(), default=0.0) * step >= np.pi:
+        name = max(orders, key=lambda each: orders[each])
+        told.append(f"{measured.name}: fewer than two rows per {name}: its waves fold into lower orders")
+    slowest = min(bodies.values(), default=1.0)
+    turns = float(np.ptp(theta)) * slowest / (2 * np.pi)
+    if turns < 0.98:
+        slow = nearest_name(bodies, slowest)
+        told.append(
+            f"{measured.name}: covers {turns:.2g} turns of the {slow}: errors that turn slowly are hard to tell from "
+            "the encoders' offset"
+        )
+    gap = float(np.abs(np.diff(theta)).max())
+    if gap > 20 * step:
+        told.append(f"{measured.name}: has a gap of {gap / deg:.4g} deg of the input")
+    return told
+
+
+def nearest_name(orders: Mapping[str, float], order: float) -> str:
+    """Name of the body that turns nearest to an order."""
+    return min(orders, key=lambda name: abs(orders[name] - order))
+
+
+def a_measurement(name: str, value: Any) -> None:
+    """Refuse what is no recording, as an argument of a public function."""
+    for record in several(value):
+        if not isinstance(record, Measurement):
+            words = "must be a Measurement, or a list of them: gj.read_measurement(path) reads one"
+            raise ParameterError(name, str(record) if not np.ndim(record) else np.shape(record), words)
+    if not several(value):
+        raise ParameterError(name, value, "has no recording in it")
+
+
+def several(records: Any) -> list[Any]:
+    """A list of recordings, of one or several."""
+    return list(records) if isinstance(records, list | tuple) else [records]
+
+
+def check_turned(records: list[Measurement], names: list[str]) -> None:
+    """Refuse bodies that were turned before a run but have no error whose phase would tell.
+
+    Raises:
+        ParameterError: naming the error.
+    """
+    for record in records:
+        for name, angle in record.turned.items():
+            if name not in names:
+                raise ParameterError(f"turned of {record.name}", name, nearest(name, names))
+            if not np.isfinite(angle):
+                raise ParameterError(f"turned of {record.name}", angle, "must be a finite angle [rad]")
+
+
+def warn_of_repairs(record: Measurement) -> None:
+    """Tell what reading has mended."""
+    for words in record.told():
+        warnings.warn(words, RepairedData, stacklevel=3)
+
+
+def binned(
+    theta: np.ndarray, values: tuple[np.ndarray, ...], width: float
+) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
+    """Means over even steps of the angle: angles, values and numbers of rows of each."""
+    place = np.floor((theta - theta.min()) / width).astype(int)
+    number = np.bincount(place)
+    filled = number > 0
+    means = [np.bincount(place, part)[filled] / number[filled] for part in (theta, *values)]
+    return means[0], tuple(means[1:]), number[filled].astype(float)
+
+
+def tell(values: np.ndarray) -> str:
+    """A spread of angles in words."""
+    return f"{float(np.std(values)) / arcmin:.4g} arcmin"

@@ -1,0 +1,206 @@
+"""Recordings as a least-squares problem: which model suits a scene, and its sums."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.contact import HardContact
+from gearjax.identification.measurement import Measurement
+from gearjax.identification.rows import Rows
+from gearjax.identification.tables import Plain, Tables, looked, positions_at, sums, tabulated
+from gearjax.identification.unknowns import Unknowns, turned
+from gearjax.scene import Scene
+from gearjax.typing import Array
+from gearjax.units import arcmin
+
+LANES = 1 << 15  # rows times points that are worked out at once: they stay in the processor's cache
+FEW = 6  # contacts, whose balance is one expression
+LOOKS = 7  # rows at which it is looked at whether gaps go in proportion
+TRIED = 3  # points that are compared there
+STRAIGHT = 1e-6  # of the largest change of a gap or stiffness: what counts as in proportion
+
+
+class Normal(NamedTuple):
+    """Sums of a least-squares problem at several points.
+
+    Args:
+        cost: weighted sum of squares, shape (point,) [arcmin^2].
+        matrix: ``J^T W J``, shape (point, number, number).
+        slope: ``J^T W r``, shape (point, number).
+    """
+
+    cost: np.ndarray
+    matrix: np.ndarray
+    slope: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """What recordings of a gear set look like, by what is looked for.
+
+    Args:
+        unknowns: of the scene.
+        scene: what the model depends on.
+        loaded: whether a torque bends the teeth.
+        straight: whether gaps go in proportion to the unknowns, so that tables do.
+        turns: of each recording, what turned bodies make of the components.
+        opens: which number opens which gap, where derivatives go by contacts.
+        groups: numbers that open no gap together.
+    """
+
+    unknowns: Unknowns
+    scene: Scene
+    loaded: bool
+    straight: bool
+    turns: np.ndarray
+    opens: Array | None = None
+    groups: tuple[tuple[int, ...], ...] = ()
+
+    @classmethod
+    def of(cls, unknowns: Unknowns, records: Sequence[Measurement], *, loaded: bool) -> "Model":
+        """The model of some recordings, the quick one where the scene allows it."""
+        scene = dataclasses.replace(unknowns.scene, contact=HardContact(), run=None)
+        slots = ["backlash", *(["compliance", "supports"] if loaded else [])]
+        scene = scene.physics(*slots)
+        turns = np.stack([turned(unknowns, record.turned) for record in records])
+        model = cls(unknowns, scene, loaded, False, turns)
+        if model._is_straight(records):
+            return dataclasses.replace(model, straight=True)
+        turning = any(record.turned for record in records)  # mixes numbers, so that patterns would not hold
+        return model if turning or not model._is_apart else model._patterned(records)
+
+    @property
+    def _is_apart(self) -> bool:
+        """Whether the output alone moves, against linear springs one by one or rigid teeth."""
+        return (self.scene.springs_apart if self.loaded else self.scene.output_alone) and not self.scene.is_train
+
+    def _patterned(self, records: Sequence[Measurement]) -> "Model":
+        """The same with what is known of which number opens which gap."""
+        few, start = self._few(records), self.unknowns.start
+        _, rate, _, _ = tabulated(self.unknowns.each, self.scene, self._way, few, jnp.asarray(start))
+        opened = np.abs(np.asarray(rate)).max(axis=0).T  # (unknown, contact)
+        opens = opened > 1e-9 * opened.max(initial=0.0)
+        opens[self.unknowns.reciprocals] = True  # of a stiffness, which opens none
+        plain = np.array([unknown.path.startswith("errors.") for unknown in self.unknowns.each])
+        opens[~plain] = True
+        groups: list[list[int]] = []
+        for number in range(len(opens)):
+            own = next((g for g in groups if not (opens[g].any(axis=0) & opens[number]).any()), None)
+            if own is None:
+                groups.append([number])
+            else:
+                own.append(number)
+        return dataclasses.replace(self, opens=jnp.asarray(1.0 * opens), groups=tuple(map(tuple, groups)))
+
+    def _few(self, records: Sequence[Measurement]) -> Array:
+        """Some input angles of the recordings."""
+        theta = np.concatenate([record.theta for record in records])
+        shares = np.modf(np.arange(1, LOOKS + 1) * (np.sqrt(5) - 1) / 2)[0]  # far from even: no wave is zero in all
+        return jnp.asarray(theta[(shares * theta.size).astype(int)])
+
+    @property
+    def _way(self) -> str:
+        return "mean" if self.loaded else "rigid"
+
+    def _is_straight(self, records: Sequence[Measurement]) -> bool:
+        """Whether gaps go in proportion to the unknowns, levers are fixed and all springs share one reciprocal."""
+        each, start = self.unknowns.each, self.unknowns.start
+        soft = self.unknowns.reciprocals
+        if self.scene.system.exact or not self._is_apart or soft.sum() > 1:
+            return False
+        few = self._few(records)
+        rng = np.random.default_rng(0)
+        steps = np.array([10.0 if unknown.kind == "component" else 1.0 for unknown in each])
+        points = start + steps * rng.standard_normal((TRIED, start.size))
+        points[:, soft] = rng.uniform(0.7, 1.4, (TRIED, int(soft.sum())))
+        gap, lever, stiffness = (
+            np.asarray(part)
+            for part in looked(each, self.scene, self._way, few, jnp.asarray(np.concatenate([start[None], points])))
+        )
+        nominal, rate, _, _ = (
+            np.asarray(part) for part in tabulated(each, self.scene, self._way, few, jnp.asarray(start))
+        )
+        expected = nominal + np.einsum("ncu,su->snc", rate, points - start)
+        share = points[:, soft].reshape(TRIED, -1)
+        relaxed = stiffness[1:] * (share[:, :1, None] if soft.any() else 1.0)
+        return (
+            _close(gap[1:], expected, np.abs(gap[1:] - gap[0]).max())
+            and _close(lever[1:], lever[:1], np.abs(lever).max())
+            and _close(relaxed, stiffness[:1] * (start[soft][0] if soft.any() else 1.0), np.abs(stiffness).max())
+        )
+
+    def at(self, rows: Rows) -> Tables | Plain:
+        """The model at rows."""
+        loaded, touching = bool(np.any(rows.torque != 0)), bool(np.any(rows.torque == 0))
+        each, theta = self.unknowns.each, jnp.asarray(rows.theta)
+        if not self.straight:
+            return Plain(
+                self.scene, theta, jnp.asarray(rows.torque), jnp.asarray(rows.back), jnp.asarray(self.turns),
+                jnp.asarray(rows.record), self.opens, each, self.groups, loaded, touching,
+            )  # fmt: skip
+        start = self.unknowns.start
+        nominal, rate, lever, stiffness = tabulated(each, self.scene, self._way, theta, jnp.asarray(start))
+        soft = self.unknowns.reciprocals
+        root = jnp.sqrt(stiffness * (start[soft][0] if soft.any() else 1.0))
+        influence = jnp.einsum("ncu,nuv->vcn", rate, jnp.asarray(self.turns)[jnp.asarray(rows.record)])
+        nominal = nominal - rate @ jnp.asarray(start)
+        levers = np.asarray(lever)
+        few = levers.shape[1] <= FEW and bool(((levers > 0).all(axis=0) | (levers < 0).all(axis=0)).all())
+        side = tuple(-1 if arm > 0 else 1 for arm in levers[0]) if few else ()
+        return Tables(
+            (lever * root).T, (nominal * root).T, influence * root.T[None], jnp.asarray(rows.torque),
+            jnp.asarray(rows.back), side, int(np.argmax(soft)) if soft.any() else None, loaded, touching,
+        )  # fmt: skip
+
+
+def _close(one: np.ndarray, other: np.ndarray, size: float) -> bool:
+    return bool(np.all(np.abs(one - other) <= STRAIGHT * max(size, 1e-30)))
+
+
+class Problem:
+    """A least-squares problem: a model at rows, and what is known before.
+
+    Args:
+        model: of the recordings.
+        rows: that it is compared with.
+    """
+
+    def __init__(self, model: Model, rows: Rows):
+        self.rows = rows
+        self._padded = rows.padded()
+        self.model = model.at(self._padded)
+        self._te, self._basis = jnp.asarray(self._padded.te), jnp.asarray(self._padded.basis)
+
+    def normal(self, values: np.ndarray, weight: np.ndarray) -> Normal:
+        """Sums at several points, shape (point, number)."""
+        if isinstance(self.model, Plain):  # one program for all that is asked of it: it takes seconds to compile
+            return Normal(*(np.stack(parts) for parts in zip(*(self._summed(v, weight) for v in values), strict=True)))
+        size, points = self._padded.theta.size, len(values)
+        weights = jnp.asarray(np.concatenate([weight, np.zeros(size - weight.size)]))
+        at_once = 1 << (max(1, LANES // size).bit_length() - 1)
+        whole = np.concatenate([values, np.repeat(values[-1:], -points % at_once, axis=0)])
+        parts = [
+            sums(self.model, jnp.asarray(whole[begin : begin + at_once]), self._te, weights, self._basis)
+            for begin in range(0, len(whole), at_once)
+        ]
+        return Normal(*(np.concatenate(each)[:points] for each in zip(*parts, strict=True)))
+
+    def _summed(self, values: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Sums at one point."""
+        curve, jacobian = self.curve(values)
+        residual = self.rows.te - curve
+        pulled = weight[:, None] * jacobian
+        return float((weight * residual**2).sum()), pulled.T @ jacobian, pulled.T @ residual
+
+    def curve(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The model's curve [arcmin] and its derivatives at one point, shape (n,) and (n, number)."""
+        rows, size = self.rows, values.size - self.rows.basis.shape[1]
+        q, rate = (
+            np.asarray(part)[0, : rows.theta.size]
+            for part in positions_at(self.model, jnp.asarray(values[None, :size]))
+        )
+        curve = q / arcmin + rows.basis @ values[size:]
+        return curve, np.concatenate([rate / arcmin, rows.basis], axis=1)

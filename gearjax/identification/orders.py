@@ -1,0 +1,114 @@
+"""Orders of a curve: what body turns at them, and which a model does not explain."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gearjax.identification.rows import Rows
+from gearjax.scene import Scene
+
+SIGNIFICANT = 12.0  # of Fisher's ratio of an order, two degrees of freedom
+PER_OUTPUT_TURN = 60  # orders that are looked at
+MULTIPLES = 3  # of the orders of the bodies
+LEFT = 0.01  # of an order beside the model's derivatives, below which it cannot be told from them
+
+
+@dataclasses.dataclass(frozen=True)
+class Order:
+    """A wave that a model does not explain.
+
+    Args:
+        order: cycles per turn of the input.
+        name: such as ``output`` or ``13 per turn of the output``.
+        body: what turns at it, in words.
+        amplitude: [arcmin].
+        phase: of its cosine at input angle zero [rad].
+        significance: Fisher's ratio.
+    """
+
+    order: float
+    name: str
+    body: str
+    amplitude: float
+    phase: float
+    significance: float
+
+
+def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[float, tuple[str, str]]:
+    """Orders that are looked at, with their names and what turns at them; near ones that a recording cannot tell apart
+    once, under the name of the slower multiple."""
+    orders = {name: order for name, order in scene.system.orders.items() if order > 0}
+    output = orders.get("output", 1.0)
+    span = max(float(np.ptp(theta[record == i])) for i in np.unique(record)) / (2 * np.pi)
+    step = float(np.median(np.abs(np.diff(theta))))
+    found: dict[float, tuple[str, str]] = {}
+
+    def add(order: float, name: str, body: str) -> None:
+        if order * step < np.pi and order * span > 0.9 and all(abs(order - other) * span > 0.3 for other in found):
+            found[order] = name, body
+
+    for times in range(1, MULTIPLES + 1):
+        for name, order in ({"input": 1.0} | orders).items():
+            body = f"the {name}" if name != "output" else "the output, what is mounted on it, or its encoder"
+            body = body if name != "input" else "the input, or its encoder"
+            add(times * order, name if times == 1 else f"{times} x {name}", body)
+    for times in range(1, PER_OUTPUT_TURN + 1):
+        add(
+            times * output, f"{times} per turn of the output", "no body of the gear set: the rig, or a slip of its zero"
+        )
+    return found
+
+
+def unexplained(
+    residual: np.ndarray, weight: np.ndarray, jacobian: np.ndarray, rows: Rows, scene: Scene, blocks: int
+) -> list[Order]:
+    """Orders that are left in what a model does not explain, the most significant one first.
+
+    Waves are taken as far as the model could not take them up itself: beside its derivatives.
+
+    Args:
+        residual: measured minus computed [arcmin].
+        weight: of the rows.
+        jacobian: of the model.
+        rows: that it is of.
+        scene: whose bodies turn.
+        blocks: rows that count as one.
+    """
+    known = candidates(scene, rows.theta, rows.record)
+    root = np.sqrt(weight)
+    size = np.linalg.norm(jacobian * root[:, None], axis=0)
+    base, values, _ = np.linalg.svd(jacobian * root[:, None] / np.where(size > 0, size, 1.0), full_matrices=False)
+    base = base[:, values > 1e-6 * values[0]]
+    left = root * residual
+    left = left - base @ (base.T @ left)
+    freedom = max(rows.theta.size - base.shape[1] - 2, 1)
+    found = []
+    for order, (name, body) in known.items():
+        waves = np.stack([np.cos(order * rows.theta), np.sin(order * rows.theta)], axis=1) * root[:, None]
+        beside = waves - base @ (base.T @ waves)
+        if (beside**2).sum() < LEFT * (waves**2).sum():
+            continue
+        parts, *_ = np.linalg.lstsq(beside, left, rcond=None)
+        gained = float(((beside @ parts) ** 2).sum())
+        rest = max(float((left**2).sum()) - gained, 1e-300)
+        ratio = gained / 2 / (rest / freedom) / blocks
+        amplitude, phase = float(np.hypot(*parts)), float(np.arctan2(-parts[1], parts[0]))
+        found.append(Order(order, name, body, amplitude, phase, ratio))
+    return sorted(found, key=lambda each: -each.significance)
+
+
+def waves(theta: np.ndarray, curve: np.ndarray, orders: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes and phases of orders in a curve by least squares, all at once beside its mean, so that recordings need
+    not hold whole turns; phases of cosines at input angle zero [rad]."""
+    columns = [np.ones(theta.shape)]
+    for order in orders:
+        columns += [np.cos(order * theta), np.sin(order * theta)]
+    parts, *_ = np.linalg.lstsq(np.stack(columns, axis=1), curve, rcond=1e-10)
+    cosine, sine = parts[1::2], parts[2::2]
+    return np.hypot(cosine, sine), np.arctan2(-sine, cosine)
+
+
+def named(orders: Mapping[float, tuple[str, str]]) -> dict[float, str]:
+    """Names alone."""
+    return {order: name for order, (name, _) in orders.items()}

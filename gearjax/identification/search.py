@@ -1,0 +1,89 @@
+"""Least squares from many starts at once: Levenberg and Marquardt's steps on sums that a problem works out for all."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from gearjax.identification.model import Normal
+
+STEPS = 40
+SETTLED = 1e-3  # of the variance of a row, less than which a step gains: a thirtieth of a standard error
+RATTLING = 1.0  # of it, that a step may promise and not gain, some times: curves have kinks
+MOST_FAILED = 3
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e10
+SHORTEST = 1e-2  # of a reciprocal, that a step may leave of it
+Sums = Callable[[np.ndarray], Normal]
+
+
+class Known(NamedTuple):
+    """What is known before of the numbers, over the variance of a row: means and precisions, shape (number,) each;
+    precision zero for nothing."""
+
+    mean: np.ndarray
+    precision: np.ndarray
+
+    def added(self, sums: Normal, values: np.ndarray) -> Normal:
+        """The sums with what is known."""
+        away = self.mean - values
+        return Normal(
+            sums.cost + (self.precision * away**2).sum(axis=1),
+            sums.matrix + np.diag(self.precision),
+            sums.slope + self.precision * away,
+        )
+
+
+def descend(
+    sums: Sums, starts: np.ndarray, known: Known, positive: np.ndarray, rows: float, steps: int = STEPS
+) -> tuple[np.ndarray, Normal]:
+    """The ends of all starts.
+
+    Args:
+        sums: least-squares sums at several points, shape (start, number).
+        starts: shape (start, number).
+        known: what is known before.
+        positive: which numbers stay above zero, shape (number,).
+        rows: that the sums are of.
+        steps: at most.
+
+    Returns:
+        The points, shape (start, number), and the sums there, what is known included.
+    """
+    values = starts.copy()
+    found = known.added(sums(values), values)
+    cost = np.where(np.isfinite(found.cost), found.cost, np.inf)
+    matrix, slope = np.nan_to_num(found.matrix), np.nan_to_num(found.slope)
+    damping = np.full(len(values), FIRST_DAMPING)
+    done, failed = np.zeros(len(values), bool), np.zeros(len(values), int)
+    for _ in range(steps):
+        own = np.flatnonzero(~done)  # those that are still on their way
+        if not own.size:
+            break
+        step = _steps(matrix[own], slope[own], damping[own])
+        trial = values[own] + step
+        floor = np.maximum(values[own] * SHORTEST, 1e-6)
+        trial = np.where(positive & (trial < floor), floor, trial)
+        new = known.added(sums(trial), trial)
+        promised = np.einsum("sp,sp->s", slope[own], step)
+        variance = np.where(np.isfinite(cost[own]), cost[own], 0.0) / rows
+        better = new.cost < cost[own]
+        failed[own] = np.where(better, 0, failed[own] + 1)
+        settled = better & (cost[own] - new.cost < SETTLED * variance)
+        rattles = (failed[own] >= MOST_FAILED) & (promised < RATTLING * variance)
+        done[own] = settled | (promised < SETTLED * variance) | rattles | (damping[own] > MOST_DAMPING)
+        damping[own] *= np.where(better, 0.1, 10.0)
+        damping = np.maximum(damping, LEAST_DAMPING)
+        now = own[better]
+        values[now], cost[now] = trial[better], new.cost[better]
+        matrix[now], slope[now] = new.matrix[better], new.slope[better]
+    return values, Normal(cost, matrix, slope)
+
+
+def _steps(matrix: np.ndarray, slope: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Steps of all starts, each by its own damping; numbers that nothing depends on stay."""
+    diagonal = np.einsum("spp->sp", matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = matrix / scale[:, :, None] / scale[:, None, :]
+    eye = np.eye(matrix.shape[1])
+    held = scaled + (damping[:, None] + 1e-13)[:, :, None] * eye + np.where(diagonal > 0, 0.0, 1.0)[:, :, None] * eye
+    return np.linalg.solve(held, (slope / scale)[..., None])[..., 0] / scale

@@ -1,0 +1,213 @@
+"""The transmission error of recordings as a function of what is looked for, with its derivatives.
+
+Where the springs are linear and one by one, and the gaps go in proportion to the unknowns, which is looked at and not
+known by the kind of gear set, tables of influence are worked out once for a recording. A position then takes some
+products, and its derivative is a mean over the contacts that carry:
+
+    dq/dx = sum_carrying(k J dg/dx) / sum_carrying(k J^2)
+
+All other scenes are differentiated as they are (`Plain`).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis.resting import edge, edges, rest
+from gearjax.contact import ContactSet, LinearSprings
+from gearjax.contact.equilibrium import hard_rest
+from gearjax.contact.search import closed_side, hard_balance
+from gearjax.identification.unknowns import Unknown, scene_with
+from gearjax.scene import Scene
+from gearjax.typing import Array, Bool, Float
+from gearjax.units import arcmin
+
+AT_ONCE = 256  # rows of a plain scene that are differentiated side by side
+
+
+class Tables(eqx.Module):
+    """Influence of the unknowns on the contacts of rows, lengths over the root of the springs' flexibility.
+
+    ``side`` is that of each contact where there are few and each stays on its own: their balance is one expression.
+    """
+
+    lever: Float[Array, "contact n"]
+    nominal: Float[Array, "contact n"]
+    influence: Float[Array, "unknown contact n"]
+    torque: Float[Array, " n"]
+    back: Bool[Array, " n"]
+    side: tuple[int, ...] = eqx.field(static=True)
+    softness: int | None = eqx.field(static=True)
+    loaded: bool = eqx.field(static=True)
+    touching: bool = eqx.field(static=True)
+
+    def positions(self, values: Float[Array, "s unknown"]) -> tuple[Float[Array, "s n"], Float[Array, "s n unknown"]]:
+        """Positions of the output and their derivatives [rad]."""
+        gap = self.nominal[None] + jnp.einsum("su,ucn->scn", values, self.influence)
+        softness = jnp.ones_like(values[:, 0]) if self.softness is None else values[:, self.softness]
+        lever = self.lever[None]
+        found = []
+        if self.loaded:
+            many = lambda part: jnp.moveaxis(jnp.broadcast_to(part, gap.shape), 1, 0).reshape(gap.shape[1], -1)  # noqa: E731
+            applied = (-softness[:, None] * self.torque[None]).ravel()
+            if self.side:
+                arms, gaps = many(lever), many(gap)
+                q = hard_rest(list(gaps / arms), list(arms * arms), self.side, applied)
+            else:
+                start = closed_side(many(lever), many(gap), applied)
+                q = hard_balance(many(lever), many(gap), applied, start)
+            q = q.reshape(gap.shape[0], gap.shape[2])
+            active = jnp.where(lever * q[:, None] > gap, lever, 0.0)
+            found.append((q, active))
+        if self.touching:
+            place = gap / jnp.where(lever == 0, 1.0, lever)
+            lower = jnp.where(lever < 0, place, -jnp.inf)
+            upper = jnp.where(lever > 0, place, jnp.inf)
+            which = jnp.where(self.back[None], jnp.argmin(upper, axis=1), jnp.argmax(lower, axis=1))
+            q = jnp.where(self.back[None], upper.min(axis=1), lower.max(axis=1))
+            one = jnp.arange(gap.shape[1])[None, :, None] == which[:, None]
+            found.append((q, jnp.where(one, lever, 0.0)))
+        q, active = found[0]
+        if len(found) == 2:
+            rigid = (self.torque == 0)[None]
+            q = jnp.where(rigid, found[1][0], q)
+            active = jnp.where(rigid[:, None], found[1][1], active)
+        slope = (active * lever).sum(axis=1)
+        slope = jnp.where(slope > 0, slope, 1.0)
+        rate = jnp.einsum("scn,ucn->snu", active, self.influence) / slope[..., None]
+        if self.softness is not None:
+            rate = rate.at[:, :, self.softness].set(jnp.where(self.torque == 0, 0.0, -self.torque)[None] / slope)
+        return q, rate
+
+
+class Plain(eqx.Module):
+    """Rows of a scene whose gaps are not in proportion to the unknowns, such as one of exact geometry.
+
+    Where springs are linear and one by one, derivatives are those of the gaps at the position found, weighed as in
+    `Tables`; numbers that open no gap together share one tangent (Curtis, Powell and Reid 1974).
+    """
+
+    scene: Scene
+    theta: Float[Array, " n"]
+    torque: Float[Array, " n"]
+    back: Bool[Array, " n"]
+    turn: Float[Array, "record unknown unknown"]
+    record: Array
+    opens: Float[Array, "unknown contact"] | None
+    each: tuple[Unknown, ...] = eqx.field(static=True)
+    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    loaded: bool = eqx.field(static=True)
+    touching: bool = eqx.field(static=True)
+
+    def positions(self, values: Float[Array, "s unknown"]) -> tuple[Float[Array, "s n"], Float[Array, "s n unknown"]]:
+        """Positions of the output and their derivatives [rad]."""
+        rows = self.theta, self.torque, self.back, self.record
+        both = self._by_tangents if self.opens is None else self._by_contacts
+        return jax.lax.map(
+            lambda one: jax.lax.map(lambda row: both(one, row), rows, batch_size=min(AT_ONCE, self.theta.shape[0])),
+            values,
+        )
+
+    def _at(self, values: Array, row: tuple) -> Array:
+        """Position of the output at one row [rad]."""
+        theta, torque, back, record = row
+        scene = scene_with(self.each, self.turn[record] @ values, self.scene)
+        found = []
+        if self.loaded:
+            found.append(rest(scene, theta, torque).position)
+        if self.touching:
+            found.append(jnp.where(back, *edges(scene, theta)[::-1]) if scene.has_back else edge(scene, theta))
+        return found[0] if len(found) == 1 else jnp.where(torque == 0, found[1], found[0])
+
+    def _by_tangents(self, values: Array, row: tuple) -> tuple[Array, Array]:
+        position, push = jax.linearize(lambda v: self._at(v, row), values)
+        return position, jax.vmap(push)(jnp.eye(values.shape[0], dtype=values.dtype))
+
+    def _by_contacts(self, values: Array, row: tuple) -> tuple[Array, Array]:
+        theta, torque, back, record = row
+        position = self._at(values, row)
+        way = "mean" if self.loaded else "rigid"
+
+        def seen(values: Array) -> tuple[tuple[Array, Array], Array]:
+            scene = scene_with(self.each, self.turn[record] @ values, self.scene)
+            contacts = scene.contacts(theta, way, position)
+            return (contacts.lever * position - contacts.gap, springs_of(contacts)), contacts.lever
+
+        (overlap, stiffness), push, lever = jax.linearize(seen, values, has_aux=True)
+        seeds = np.zeros((len(self.groups), len(self.each)))
+        for group, members in enumerate(self.groups):
+            seeds[group, list(members)] = 1.0
+        closed, stiffer = jax.vmap(push)(jnp.asarray(seeds))
+        assert self.opens is not None
+        of_number = np.zeros((len(self.each), len(self.groups)))
+        for group, members in enumerate(self.groups):
+            of_number[list(members), group] = 1.0
+        spread = jnp.asarray(of_number)
+        closed, stiffer = self.opens * (spread @ closed), self.opens * (spread @ stiffer)
+        active = jnp.where(overlap > 0, lever, 0.0)
+        if self.touching:
+            side = jnp.where(back, lever > 0, lever < 0)
+            touch = jnp.arange(lever.shape[0]) == jnp.argmax(jnp.where(side, overlap / jnp.abs(lever), -jnp.inf))
+            active = jnp.where(torque == 0, jnp.where(touch, lever, 0.0), active)
+        slope = (active * stiffness * lever).sum()
+        pull = closed @ (active * stiffness) + jnp.where(torque == 0, 0.0, 1.0) * (stiffer @ (active * overlap))
+        return position, -pull / jnp.where(slope > 0, slope, 1.0)
+
+
+@eqx.filter_jit
+def sums(model: Tables | Plain, values: Array, te: Array, weight: Array, basis: Array) -> tuple[Array, Array, Array]:
+    size = values.shape[1] - basis.shape[1]
+    q, rate = model.positions(values[:, :size])
+    further = jnp.broadcast_to(basis[None], (values.shape[0], *basis.shape))
+    jacobian = jnp.concatenate([rate / arcmin, further], axis=-1)
+    residual = te[None] - q / arcmin - jnp.einsum("sf,nf->sn", values[:, size:], basis)
+    residual = jnp.where(weight[None] > 0, residual, 0.0)
+    pulled = jacobian * weight[None, :, None]
+    cost = (weight[None] * residual**2).sum(axis=1)
+    return cost, jnp.einsum("snp,snq->spq", pulled, jacobian), jnp.einsum("snp,sn->sp", pulled, residual)
+
+
+@eqx.filter_jit
+def positions_at(model: Tables | Plain, values: Array) -> tuple[Array, Array]:
+    """Positions of the output [rad] and their derivatives, at several points."""
+    return model.positions(values)
+
+
+@eqx.filter_jit
+def looked(
+    each: tuple[Unknown, ...], scene: Scene, stiffness: str, theta: Array, values: Array
+) -> tuple[Array, Array, Array]:
+    """Gaps, levers and stiffness at some angles and values, shape (value, angle, contact)."""
+
+    def at(values: Array, angle: Array) -> tuple[Array, Array, Array]:
+        contacts = scene_with(each, values, scene).contacts(angle, "mean" if stiffness == "mean" else "rigid")
+        return contacts.gap, contacts.lever, springs_of(contacts)
+
+    return jax.vmap(jax.vmap(at, in_axes=(None, 0)), in_axes=(0, None))(values, theta)
+
+
+@eqx.filter_jit
+def tabulated(
+    each: tuple[Unknown, ...], scene: Scene, stiffness: str, theta: Array, start: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Gaps at the start, their derivatives, levers and stiffness, rows first."""
+
+    def at(angle: Array) -> tuple[Array, Array, Array, Array]:
+        way = "mean" if stiffness == "mean" else "rigid"
+        pose = scene.pose(angle, way)
+
+        def gap(values: Array) -> Array:
+            return scene_with(each, values, scene).contacts(pose, way).gap
+
+        contacts = scene_with(each, start, scene).contacts(pose, way)
+        return contacts.gap, jax.jacfwd(gap)(start), contacts.lever, springs_of(contacts)
+
+    return jax.vmap(at)(theta)
+
+
+def springs_of(contacts: ContactSet) -> Array:
+    if contacts.springs is None:
+        return jnp.ones_like(contacts.gap)
+    assert isinstance(contacts.springs, LinearSprings)
+    return contacts.springs.stiffness

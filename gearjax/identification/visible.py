@@ -1,0 +1,220 @@
+"""What recordings show, and what they cannot tell apart, in numbers and in words."""
+
+import dataclasses
+
+import numpy as np
+
+from gearjax.identification.fit import Fit, scaled
+from gearjax.identification.unknowns import Unknowns
+
+UNSEEN = 1e-9  # of the largest eigenvalue: nothing but rounding
+TAKES_PART = 1e-5  # coefficient in a direction
+CORRELATED = 0.05  # of rows that follow each other, beyond which blocks tell the errors
+SHORTEST_BLOCK = 10
+MOST_CORRELATED = 0.9
+
+
+@dataclasses.dataclass(frozen=True)
+class Combination:
+    """A sum of numbers that the recordings tell, where they do not tell the numbers themselves.
+
+    Args:
+        words: such as ``errors.planet_1.cos + errors.revolution.cos``.
+        coefficients: by name.
+        value, error: and its standard error, in the unit of the first.
+        unit: of the first.
+    """
+
+    words: str
+    coefficients: dict[str, float]
+    value: float
+    error: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Visible:
+    """What a fit tells.
+
+    Args:
+        covariance: of the numbers, in units of the search; of what is hidden by what is known before alone, nan
+            without; shape (number, number).
+        hidden: directions that change nothing, rows, in units of the search, shape (k, unknown).
+        combinations: of the numbers in them, that are told.
+        settled: whether what is known before settles the hidden directions.
+        blocks: rows that count as one, 1 where they are independent.
+        condition: of what is told, largest over smallest standard deviation of a unit.
+    """
+
+    covariance: np.ndarray
+    hidden: np.ndarray
+    combinations: tuple[Combination, ...]
+    settled: bool
+    blocks: int
+    condition: float
+
+    def is_hidden(self, unknowns: int) -> np.ndarray:
+        """Numbers that take part in a hidden direction, shape (unknown,)."""
+        if not len(self.hidden):
+            return np.zeros(unknowns, bool)
+        return np.abs(self.hidden).max(axis=0) > TAKES_PART
+
+
+def visible(fit: Fit, unknowns: Unknowns) -> Visible:
+    """What a fit tells and what it hides."""
+    _, jacobian = fit.problem.curve(fit.values)
+    size = len(unknowns.each)
+    hidden = hidden_directions(fit, size)
+    blocks = block_length(fit.residual, fit.problem.rows.record)
+    settled = _settled(hidden, fit.known.precision[:size] > 0)
+    covariance = _covariance(fit, jacobian, blocks, singular=bool(len(hidden)) and not settled)
+    told = _combinations(fit, unknowns, hidden, covariance)
+    prior = np.diag(fit.known.precision)
+    seen = np.linalg.eigvalsh(scaled(fit.matrix + prior)[0][:size, :size])
+    seen = seen[len(hidden) :]
+    condition = float(np.sqrt(seen[-1] / max(seen[0], 1e-300))) if seen.size else 1.0
+    return Visible(covariance, hidden, told, settled, blocks, condition)
+
+
+def hidden_directions(fit: Fit, size: int) -> np.ndarray:
+    """Directions of the scene's numbers that change nothing which the offsets and free orders would not take up."""
+    whole = fit.matrix + np.diag(np.concatenate([np.zeros(size), fit.known.precision[size:]]))
+    own, cross, further = whole[:size, :size], whole[:size, size:], whole[size:, size:]
+    left = own - cross @ np.linalg.pinv(further, hermitian=True) @ cross.T
+    _, scale = scaled(own)
+    left = left / scale[:, None] / scale[None, :]
+    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    directions = vectors[:, values < UNSEEN * max(values[-1], 1e-300)].T / scale
+    return _reduced(directions)
+
+
+def _reduced(rows: np.ndarray) -> np.ndarray:
+    """Rows of the same span, each with a one where the others have none: easier to read."""
+    rows = rows.copy()
+    row = 0
+    for column in range(rows.shape[1]):
+        if row == len(rows):
+            break
+        pivot = row + int(np.argmax(np.abs(rows[row:, column])))
+        if abs(rows[pivot, column]) < TAKES_PART * np.abs(rows).max():
+            continue
+        rows[[row, pivot]] = rows[[pivot, row]]
+        rows[row] /= rows[row, column]
+        others = np.arange(len(rows)) != row
+        rows[others] -= rows[others, column][:, None] * rows[row]
+        row += 1
+    rows = rows[:row]
+    return np.where(np.abs(rows) < TAKES_PART, 0.0, rows)
+
+
+def block_length(residual: np.ndarray, record: np.ndarray) -> int:
+    """Rows that count as one: some times as many as what is left stays the same over."""
+    centred = residual - residual.mean()
+    follows = np.diff(record) == 0
+    total = float((centred**2).sum())
+    first = float((centred[1:] * centred[:-1])[follows].sum()) / max(total, 1e-300)
+    if abs(first) < CORRELATED:
+        return 1
+    share = min(max(first, 0.0), 0.995)
+    time = (1 + share) / (1 - share)
+    return int(np.clip(np.ceil(6 * time), SHORTEST_BLOCK, max(SHORTEST_BLOCK, residual.size // 40)))
+
+
+def _covariance(fit: Fit, jacobian: np.ndarray, blocks: int, *, singular: bool) -> np.ndarray:
+    """Of the numbers found: by the scatter of the rows, or of blocks of them where rows hang together."""
+    precision = fit.known.precision
+    matrix = fit.matrix + np.diag(precision)
+    part, scale = scaled(matrix)
+    inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True) if singular else np.linalg.inv(part)
+    inverse = inverse / scale[:, None] / scale[None, :]
+    variance = fit.sigma**2
+    if blocks == 1:
+        scatter = variance * matrix
+    else:
+        rows = fit.problem.rows
+        pulls = (fit.weight * fit.residual)[:, None] * jacobian
+        begin = np.flatnonzero(np.concatenate([[True], np.diff(rows.record) != 0]))
+        number = np.concatenate([(np.arange(n) // blocks) for n in np.diff(np.append(begin, rows.theta.size))])
+        key = number + rows.record * (number.max() + 1)
+        _, key = np.unique(key, return_inverse=True)
+        sums = np.zeros((key.max() + 1, jacobian.shape[1]))
+        np.add.at(sums, key, pulls)
+        scatter = sums.T @ sums * len(sums) / max(len(sums) - 1, 1) + variance * np.diag(precision)
+    return inverse @ scatter @ inverse
+
+
+def _settled(hidden: np.ndarray, known: np.ndarray) -> bool:
+    """Whether what is known before settles all directions that the recordings hide."""
+    return bool(np.linalg.matrix_rank(hidden[:, known]) == len(hidden)) if known.any() else False
+
+
+def _combinations(fit: Fit, unknowns: Unknowns, hidden: np.ndarray, covariance: np.ndarray) -> tuple[Combination, ...]:
+    """Sums of the numbers in the hidden directions that are told, as few numbers in each as can be."""
+    if not len(hidden):
+        return ()
+    names = unknowns.names
+    own = np.flatnonzero(np.abs(hidden).max(axis=0) > TAKES_PART)
+    _, _, vectors = np.linalg.svd(hidden[:, own])
+    rest = vectors[len(hidden) :]
+    told = []
+    for row in _reduced(rest):
+        taking = [(int(own[i]), float(row[i])) for i in np.flatnonzero(np.abs(row) > TAKES_PART)]
+        weights = np.zeros(fit.values.size)
+        for place, coefficient in taking:
+            weights[place] = coefficient
+        first = unknowns.each[taking[0][0]]
+        size = first.scale / first.per_unit
+        words = " ".join(_term(names[place], coefficient, i) for i, (place, coefficient) in enumerate(taking))
+        error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+        told.append(
+            Combination(
+                words,
+                {names[place]: coefficient for place, coefficient in taking},
+                float(weights @ fit.values) * size,
+                error * size,
+                first.unit,
+            )
+        )
+    return tuple(told)
+
+
+def _term(name: str, coefficient: float, place: int) -> str:
+    sign = "-" if coefficient < 0 else "+" if place else ""
+    size = abs(coefficient)
+    times = "" if abs(size - 1) < 1e-4 else f"{size:.4g} "
+    return f"{sign}{' ' if sign and place else ''}{times}{name}"
+
+
+def hidden_in_words(unknowns: Unknowns, hidden: np.ndarray) -> list[str]:
+    """Directions that change nothing, a sentence each."""
+    words = []
+    for row in hidden:
+        taking = np.flatnonzero(np.abs(row) > TAKES_PART)
+        names = [unknowns.names[i] for i in taking]
+        if len(names) == 1:
+            words.append(f"nothing in the recordings depends on {names[0]}")
+            continue
+        changes = ", ".join(_change(unknowns.names[i], row[i]) for i in taking)
+        words.append(f"the recordings do not change with {changes} together")
+    return words
+
+
+def _change(name: str, coefficient: float) -> str:
+    size = abs(coefficient)
+    return f"{name} {'-' if coefficient < 0 else '+'} {'' if abs(size - 1) < 1e-4 else f'{size:.4g} '}d"
+
+
+def strongest_correlations(
+    unknowns: Unknowns, covariance: np.ndarray, seen: np.ndarray
+) -> list[tuple[str, str, float]]:
+    """Pairs of numbers whose errors go together."""
+    size = len(unknowns.each)
+    deviation = np.sqrt(np.maximum(np.diag(covariance)[:size], 1e-300))
+    found = []
+    for i in range(size):
+        for j in range(i):
+            if seen[i] and seen[j]:
+                value = float(covariance[i, j] / deviation[i] / deviation[j])
+                if abs(value) > MOST_CORRELATED:
+                    found.append((unknowns.names[j], unknowns.names[i], value))
+    return sorted(found, key=lambda each: -abs(each[2]))

@@ -1,0 +1,128 @@
+"""What ``gearjax compare`` and ``gearjax identify`` find, as files."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gearjax.checks import SceneError
+from gearjax.config import IdentifySection, with_numbers
+from gearjax.files import write_file
+from gearjax.identification import Comparison, Identification, Measurement, Reassembly, compare, identify, reassemble
+from gearjax.progress import Progress
+from gearjax.results.joint import export_joint
+from gearjax.scene import Scene
+from gearjax.studies.select import numbers, pick
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identified:
+    """What was identified, beside the recordings, and the advice.
+
+    Args:
+        section: what was asked for.
+        found: the numbers.
+        beside: the recordings beside the scene found.
+        advice: turns of bodies, where they were asked for.
+    """
+
+    section: IdentifySection
+    found: Identification
+    beside: Comparison
+    advice: Reassembly | None
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that ``gearjax identify --json`` prints."""
+        told = self.found.as_json() | {"comparison": self.beside.as_json()}
+        return told if self.advice is None else told | {"reassembly": self.advice.as_json()}
+
+
+def identified(section: IdentifySection, scene: Scene, records: list[Measurement], progress: Progress) -> Identified:
+    """Identify, compare, and advise where that was asked for."""
+    found = identify(
+        scene,
+        records,
+        section.where,
+        priors=section.priors,
+        offset_spread=section.offset_spread,
+        starts=section.starts,
+        orders=section.orders,
+        key=section.seed,
+        progress=progress,
+    )
+    beside = compare(found.scene, records)
+    ask = section.reassemble
+    advice = None
+    if ask is not None:
+        advice = reassemble(
+            found,
+            ask.where,
+            steps=ask.places,
+            metric=ask.metric,
+            torque=ask.torque,
+            key=section.seed,
+            progress=progress,
+        )
+    return Identified(section, found, beside, advice)
+
+
+def save_identified(result: Identified, text: str, folder: Path, base: Path) -> list[Path]:
+    """Write what was found: ``identification.json``, ``identified.toml``, ``residual.csv``, and the reducer for other
+    programs in ``joint``, where there is one.
+
+    Args:
+        result: what was found.
+        text: the configuration that it began with.
+        folder: where the files go.
+        base: that files named in the configuration are relative to.
+    """
+    found = result.found
+    paths = [path for path in numbers(found.scene) if path.startswith("errors.") or path in found.unknowns.names]
+    values = pick(found.scene, paths).get(found.scene)
+    known = numbers(found.scene)
+    changed = with_numbers(
+        text, dict(zip(paths, map(float, values), strict=True)), {path: known[path] for path in paths}, base
+    )
+    if found.scene.reference is None:
+        changed = _without_reference(changed)
+    written = [
+        write_file(folder / "identification.json", json.dumps(result.as_json(), indent=1, allow_nan=False) + "\n"),
+        write_file(folder / "identified.toml", changed),
+        write_file(folder / "residual.csv", _residual(found)),
+    ]
+    torques = [float(np.abs(record.loads).max()) for record in found.records]
+    if max(torques) > 0:
+        try:
+            written += export_joint(found.scene, folder / "joint", torque=max(torques))
+        except SceneError as fault:
+            written.append(write_file(folder / "joint.txt", f"no joint model: {fault}\n"))
+    return written
+
+
+def save_comparison(beside: Comparison, folder: Path) -> list[Path]:
+    """Write ``comparison.json``."""
+    return [write_file(folder / "comparison.json", json.dumps(beside.as_json(), indent=1, allow_nan=False) + "\n")]
+
+
+def _without_reference(text: str) -> str:
+    import tomllib
+
+    import tomli_w
+
+    tables = tomllib.loads(text)
+    tables.pop("reference", None)
+    return tomli_w.dumps(tables)
+
+
+def _residual(found: Identification) -> str:
+    lines = ["recording,input angle [rad],measured [rad],computed [rad],weight"]
+    begin = 0
+    for record, (theta, measured, computed) in zip(found.records, found.curves(), strict=True):
+        weight = found.fit.weight[begin : begin + theta.size]
+        begin += theta.size
+        name = record.name.replace('"', "'")
+        rows = zip(theta, measured, computed, weight, strict=True)
+        lines += [f'"{name}",{a:.9g},{b:.9g},{c:.9g},{w:.4g}' for a, b, c, w in rows]
+    return "\n".join(lines) + "\n"

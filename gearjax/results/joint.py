@@ -1,0 +1,257 @@
+"""A reducer for others: its transmission error as orders, as a function without gearjax, and as a robot's joint."""
+
+import dataclasses
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import arguments
+from gearjax.checks import ParameterError, SceneError
+from gearjax.files import writable, write_file
+from gearjax.identification.synthetic import computed_error
+from gearjax.results.joint_files import MUJOCO_FILE, TE_FILE, mjcf
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
+from gearjax.units import arcmin
+
+SHARES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # of the largest torque, at which curves are worked out
+PER_TURN = 24  # angles per turn of what turns fastest
+MOST_ANGLES = 1 << 17
+FAINT = 1e-3  # of the largest order, below which orders are left out
+MOST_ORDERS = 400
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Joint:
+    """A reducer as a joint: where its output is under a torque, at each input angle.
+
+    Args:
+        ratio: turns of the input per turn of the output, 1 / ratio the other way.
+        orders: cycles per turn of the input, shape (m,).
+        torques: increasing, shape (k,) [N m].
+        mean: of the TE under each torque, shape (k,) [rad].
+        cosine, sine: amplitudes of each order under each torque, shape (k, m) [rad].
+        left_out: largest standard deviation of what the orders leave out [rad].
+        backlash: mean travel without torque, 0 where none is modelled [rad].
+        stiffness: mean torsional stiffness at the largest torque [N m/rad].
+        damping: of the output against its ideal motion while flanks touch [N m s/rad]; 0 where none is modelled.
+        inertia: of the output [kg m2]; ``None`` where none is modelled.
+    """
+
+    ratio: float
+    orders: np.ndarray
+    torques: np.ndarray
+    mean: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
+    left_out: float
+    backlash: float
+    stiffness: float
+    damping: float
+    inertia: float | None
+
+    def as_json(self) -> dict[str, Any]:
+        """For a file, SI and radians."""
+        return {
+            "ratio": self.ratio,
+            "backlash_rad": self.backlash,
+            "stiffness_N_m_per_rad": self.stiffness,
+            "damping_N_m_s_per_rad": self.damping,
+            "inertia_kg_m2": self.inertia,
+            "orders_per_input_turn": self.orders.tolist(),
+            "torque_N_m": self.torques.tolist(),
+            "te_mean_rad": self.mean.tolist(),
+            "te_cosine_rad": self.cosine.tolist(),
+            "te_sine_rad": self.sine.tolist(),
+            "left_out_std_rad": self.left_out,
+        }
+
+
+def _largest(name: str, value: Any) -> None:
+    """A torque above zero."""
+    arguments.torque(name, value)
+    arguments.positive(name, value)
+
+
+@arguments.checked(torque=_largest)
+def joint_model(scene: Scene, torque: float) -> Joint:
+    """A reducer as a joint for other programs.
+
+    Its static TE under some torques, in both directions where back flanks are modelled, as orders of one cycle. Between
+    the torques the position goes along straight lines, so that of a position and an input angle the torque is known.
+
+    Args:
+        scene: the gear set, with a compliance.
+        torque: largest load torque that matters [N m].
+
+    Raises:
+        SceneError: the scene has no compliance, or its ratio is not constant.
+
+    Example:
+        >>> import gearjax as gj
+        >>> joint = gj.joint_model(gj.load("configs/two_kv/wang_2020.toml"), 100.0)
+        >>> joint.ratio
+        79.0
+    """
+    require(scene, "a joint model", "compliance")
+    system = scene.system
+    if not system.turns_evenly:
+        raise SceneError(f"a joint model is for outputs that turn evenly, which that of a {system.kind} does not")
+    cycle = system.cycle
+    size = 1 << max(8, int(np.ceil(np.log2(PER_TURN * system.fastest_order * cycle / (2 * np.pi)))))
+    if size > MOST_ANGLES:
+        raise SceneError(f"a joint model of a {system.kind} needs {size} angles for its cycle, more than {MOST_ANGLES}")
+    theta = np.arange(size) * (cycle / size)
+    both = scene.has_back or scene.layout.sides_turn
+    shares = [*(-share for share in reversed(SHARES)), *SHARES] if both else list(SHARES)
+    torques = torque * np.array(shares)
+    te = np.stack([computed_error(scene, theta, float(each), False) for each in torques])
+    if not np.isfinite(te).all():
+        raise SceneError("under some torque no flank carries: no joint model")
+    lines = np.fft.rfft(te, axis=1) / size
+    amplitude = 2 * np.abs(lines[:, 1:-1]).max(axis=0)
+    kept = np.argsort(-amplitude)[:MOST_ORDERS]
+    kept = np.sort(kept[amplitude[kept] > FAINT * amplitude.max(initial=0.0)]) + 1
+    orders = kept * (2 * np.pi / cycle)
+    cosine, sine = 2 * lines[:, kept].real, -2 * lines[:, kept].imag
+    whole = np.zeros_like(lines)
+    whole[:, 0], whole[:, kept] = lines[:, 0], lines[:, kept]
+    left = te - np.fft.irfft(whole * size, size, axis=1)
+    zero = torques.size // 2
+    backlash = float((te[zero - 1] - te[zero]).mean()) if both else 0.0
+    if both:  # the part of both that is elastic, off
+        backlash -= float(
+            torques[zero]
+            * 2
+            * np.abs(np.diff(te[zero : zero + 2], axis=0)).mean()
+            / np.diff(torques[zero : zero + 2])[0]
+        )
+    stiffness = float(np.diff(torques[-2:])[0] / np.abs(np.diff(te[-2:], axis=0)).mean())
+    return Joint(
+        1 / system.orders["output"],
+        orders,
+        torques,
+        te.mean(axis=1),
+        cosine,
+        sine,
+        float(left.std(axis=1).max()),
+        max(backlash, 0.0),
+        stiffness,
+        *_motion(scene),
+    )
+
+
+def _motion(scene: Scene) -> tuple[float, float | None]:
+    """Damping and inertia of the output."""
+    if scene.inertia is None:
+        return 0.0, None
+    lever = scene.contacts(jnp.zeros_like(scene.system.input_speed)).output_levers
+    inertia = float(scene.inertia.moment(lever))
+    if scene.damping is None or not scene.springs_apart:
+        return 0.0, inertia
+    stiffness = scene.linear_compliance.mean_stiffness(scene.layout.teeth)
+    mass = scene.inertia.at_contacts(lever)
+    damper = scene.damping.ratio * jnp.sqrt(2.0 * stiffness.mean() * mass)
+    carrying = 1.0 if scene.layout.sides_turn else float(len(lever))
+    return float(damper * carrying * jnp.mean(lever * lever)), inertia
+
+
+@arguments.checked(torque=_largest)
+def export_joint(scene: Scene, folder: str | Path, *, torque: float) -> list[Path]:
+    """Write a reducer for other programs.
+
+    ``orders.csv`` and ``orders.nc`` hold the TE as orders with phases by torque; ``te_model.py`` a function
+    ``te(theta, torque)`` of numpy alone, and ``torque_of(theta, position)``; ``joint.json`` ratio, backlash, stiffness,
+    damping and orders; ``joint.xml`` a joint for MuJoCo (MJCF) with ``joint_mujoco.py``, which gives it the reducer's
+    forces.
+
+    Args:
+        scene: the gear set, with a compliance, and inertia and damping where a joint should have them.
+        folder: where the files go.
+        torque: largest load torque that matters [N m].
+
+    Returns:
+        The files.
+
+    Raises:
+        SceneError: as of `joint_model`.
+        GearjaxError: the folder cannot be written.
+
+    Example:
+        >>> import gearjax as gj, tempfile
+        >>> files = gj.export_joint(gj.load("configs/two_kv/wang_2020.toml"), tempfile.mkdtemp(), torque=100.0)
+        >>> [file.name for file in files][:2]
+        ['orders.csv', 'orders.nc']
+    """
+    joint = joint_model(scene, torque)
+    place = writable(Path(folder))
+    model = TE_FILE.format(**{key: _array(value) for key, value in _arrays(joint).items()}, ratio=repr(joint.ratio))
+    inertia = joint.inertia if joint.inertia is not None else 0.01
+    return [
+        write_file(place / "orders.csv", _csv(joint)),
+        write_file(place / "orders.nc", _netcdf(joint)),
+        write_file(place / "te_model.py", model),
+        write_file(place / "joint.json", json.dumps(joint.as_json(), indent=1) + "\n"),
+        write_file(place / "joint.xml", mjcf(inertia)),
+        write_file(place / "joint_mujoco.py", MUJOCO_FILE.format(damping=repr(joint.damping))),
+    ]
+
+
+def _arrays(joint: Joint) -> dict[str, np.ndarray]:
+    return {
+        "orders": joint.orders,
+        "torques": joint.torques,
+        "mean": joint.mean,
+        "cosine": joint.cosine,
+        "sine": joint.sine,
+    }
+
+
+def _array(values: np.ndarray) -> str:
+    rows = [values] if values.ndim == 1 else list(values)
+    texts = ["[" + ", ".join(f"{value:.10e}" for value in row) + "]" for row in rows]
+    return texts[0] if values.ndim == 1 else "[\n    " + ",\n    ".join(texts) + ",\n]"
+
+
+def _csv(joint: Joint) -> str:
+    lines = ["torque [N m],order [per turn of the input],amplitude [arcmin],phase of the cosine [deg]"]
+    for k, torque in enumerate(joint.torques):
+        lines.append(f"{torque:.6g},0,{joint.mean[k] / arcmin:.8g},0")
+        for order, cosine, sine in zip(joint.orders, joint.cosine[k], joint.sine[k], strict=True):
+            phase = np.degrees(np.arctan2(-sine, cosine))
+            lines.append(f"{torque:.6g},{order:.10g},{np.hypot(cosine, sine) / arcmin:.8g},{phase:.8g}")
+    return "\n".join(lines) + "\n"
+
+
+def _netcdf(joint: Joint) -> bytes:
+    import xarray as xr
+
+    axes = {"torque": joint.torques, "order": joint.orders}
+    table = xr.Dataset(
+        {
+            "mean": ("torque", joint.mean),
+            "cosine": (("torque", "order"), joint.cosine),
+            "sine": (("torque", "order"), joint.sine),
+        },
+        coords=axes,
+        attrs={"ratio": joint.ratio, "unit": "rad, N m, cycles per turn of the input"},
+    )
+    written = table.to_netcdf(engine="scipy")
+    return bytes(written) if not isinstance(written, io.BytesIO) else written.getvalue()
+
+
+def torques_of(found: Sequence[float]) -> float:
+    """Largest torque of recordings, for a joint model [N m].
+
+    Raises:
+        ParameterError: all are zero.
+    """
+    largest = max((abs(float(torque)) for torque in found), default=0.0)
+    if largest == 0:
+        raise ParameterError("torque", 0.0, "recordings without torque tell no joint model")
+    return largest
