@@ -1,13 +1,15 @@
 """Identification from recordings of gear sets that are known: how often the truth is found, and how long it takes.
 
-    python experiments/identification_bench.py [--units 200] [--stages 100] [--rigs 50] [--seed 1000]
+    python experiments/identification_bench.py [--units 200] [--stages 100] [--rigs 50]
+        [--reassembled 40] [--seed 1000]
 
 The gear sets are written out apart from gearjax (`tests/bench_units.py`): an algebraic 2K-V reducer, recordings of
 10,000 rows, 0.05 arcmin of noise, encoders of 20 bits, whose zero drifts by 0.02 arcmin between runs; and a pin stage
-by exact curves, recordings of 1,380 rows, 0.02 arcmin.
+by exact curves, recordings of 1,380 rows, 0.02 arcmin and the same drift.
 """
 
 import argparse
+import dataclasses
 import sys
 import time
 import warnings
@@ -95,7 +97,7 @@ def pin_stages(number: int, seed: int) -> None:
         larger = 0.3 * um * rng.standard_normal(24)
         larger[rng.choice(24, 2, replace=False)] += rng.uniform(1, 4, 2) * um * rng.choice([-1, 1], 2)
         unit = PinStageUnit(larger, rng.uniform(1, 5) * um * np.exp(2j * np.pi * rng.random()), rng.uniform(1e8, 1.6e8))
-        records = pin_stage_runs(unit, k)
+        records = pin_stage_runs(unit, k, drift=DRIFT)
         begin = time.perf_counter()
         found = gj.identify(scene, records, starts=1, suggest=False)
         seconds.append(time.perf_counter() - begin)
@@ -108,6 +110,30 @@ def pin_stages(number: int, seed: int) -> None:
     cover = [100 * (part < 1.96).mean() for part in (scores[:, :24], scores[:, 24:26], scores[:, 26])]
     print("  intervals cover: pins {:.1f} %, run-out {:.1f} %, stiffness {:.1f} %".format(*cover))
     print(f"  {np.median(seconds):.1f} s each, the first {seconds[0]:.1f} s")
+
+
+def reassembled(number: int, seed: int) -> None:
+    """What advice delivers on the unit itself, from three recordings and from a fourth after turning a planet wheel."""
+    scene, paths = two_kv(), ["errors.planet_1", "errors.planet_2"]
+    theta = np.linspace(0.0, scene.system.cycle, 2001)
+    rows: dict[str, list[tuple[float, bool]]] = {"three recordings": [], "four": []}
+    for k in range(seed, seed + number):
+        unit = random_unit(k)
+        records = drifting_runs(unit, k, rows=3334)
+        turned = dataclasses.replace(unit, planet_1=unit.planet_1 * 1j)
+        more = recorded(turned, 150.0, 7 * k, rows=3334)
+        more = dataclasses.replace(more, turned={paths[0]: np.pi / 2}, name="turned")
+        for name, own in zip(rows, (records, [*records, more]), strict=True):
+            advice = gj.reassemble(gj.identify(scene, own, suggest=False), paths)
+            turns = [np.exp(1j * advice.turns[path]) for path in paths]
+            moved = dataclasses.replace(unit, planet_1=unit.planet_1 * turns[0], planet_2=unit.planet_2 * turns[1])
+            gain = moved.te(theta, 0.0).std() / unit.te(theta, 0.0).std()
+            rows[name].append((gain, advice.gain.low - 1e-3 <= gain <= advice.gain.high + 1e-3))
+    for name, told in rows.items():
+        gains, within = np.array(told).T
+        words = f"after over before {np.median(gains):.2f} (median), worse in {100 * (gains > 1).mean():.0f} %"
+        print(f"{number} units reassembled from {name}: {words},")
+        print(f"  within the promised 5 to 95 % in {100 * within.mean():.0f} %", flush=True)
 
 
 def speed() -> None:
@@ -144,7 +170,7 @@ def speed() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, number in (("units", 200), ("stages", 100), ("rigs", 50), ("seed", 1000)):
+    for name, number in (("units", 200), ("stages", 100), ("rigs", 50), ("reassembled", 40), ("seed", 1000)):
         parser.add_argument(f"--{name}", type=int, default=number)
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -153,6 +179,8 @@ def main() -> None:
         two_kv_units(asked.units, asked.seed)
     if asked.rigs:
         missing_orders(asked.rigs, asked.seed)
+    if asked.reassembled:
+        reassembled(asked.reassembled, asked.seed)
     if asked.stages:
         pin_stages(asked.stages, asked.seed)
 

@@ -206,13 +206,14 @@ def pin_stage(clearance: str = "exact") -> gj.Scene:
 
 
 def pin_stage_runs(
-    unit: PinStageUnit, seed: int, torques=(60.0, 300.0, -60.0), noise=0.02 * arcmin
+    unit: PinStageUnit, seed: int, torques=(60.0, 300.0, -60.0), noise=0.02 * arcmin, drift=0.0
 ) -> list[gj.Measurement]:
     """Recordings of one turn of the output, 60 rows a turn of the crank."""
     rng = np.random.default_rng(seed)
     theta = np.arange(1380) * (2 * np.pi / 60)
     records = []
-    for torque in torques:
-        output = theta / 23 + unit.te(theta, torque) + noise * rng.standard_normal(theta.size)
+    offsets = drift * rng.standard_normal(len(torques))
+    for torque, offset in zip(torques, offsets, strict=True):
+        output = theta / 23 + unit.te(theta, torque) + offset + noise * rng.standard_normal(theta.size)
         records.append(gj.Measurement(theta, output, None, torque, theta / 31.4, f"{torque:g} N m"))
     return records

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import runpy
 import sys
 import tomllib
 
@@ -15,7 +16,7 @@ from gearjax.cli import main
 from gearjax.results.joint_files import TE_FILE
 from gearjax.units import arcmin, deg, um
 from tests.bench_units import RATIO, TwoKVUnit, random_unit, recorded, runs, two_kv
-from tests.conftest import CONFIG
+from tests.conftest import CONFIG, ROOT
 
 ROWS = 1500
 
@@ -328,3 +329,15 @@ def test_a_joint_in_mujoco_moves_as_gearjax_has_it(handed, monkeypatch):
     later = ts > 0.05
     assert position[later].std() == pytest.approx(own[later].std(), rel=0.02)
     assert position[later].mean() == pytest.approx(own[later].mean(), abs=0.02 * arcmin)
+
+
+# the page in experiments ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_page_from_measurement_to_reassembly_runs_and_helps(capsys, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    runpy.run_path(str(ROOT / "experiments" / "notebooks" / "from_measurement_to_reassembly.py"))
+    last = capsys.readouterr().out.strip().splitlines()[-1]
+    assert last.startswith("standard deviation without load: ")
+    assert float(last.rpartition(" ")[2]) < 0.8

@@ -325,6 +325,34 @@ def test_another_unit_compiles_nothing(scene, found):
     assert len(compiled) <= 3
 
 
+@pytest.mark.slow
+def test_a_posterior_checks_the_intervals(scene, unit):
+    """Means and spreads of least squares, but where one number is held by nothing but its prior."""
+    records = runs(unit, 3, rows=400)
+    found = gj.identify(scene, records, priors={"errors.revolution": 5e-6}, suggest=False)
+    drawn = gj.posterior(found, chains=2, draws=400)
+    assert drawn.draws.shape == (2, 400, len(found.names))
+    assert drawn.scale_reduction.max() < 1.05
+    assert drawn.differs == []
+    told = {name: i for i, name in enumerate(drawn.names)}
+    for name in ("errors.output_wheel.cos", "compliance.mean", "errors.revolution.sin"):
+        each, i = found.estimate(name), told[name]
+        assert drawn.std[i] == pytest.approx(each.error, rel=0.15)
+        assert drawn.mean[i] == pytest.approx(each.value, abs=0.3 * each.error)
+    low, high = drawn.interval[:, told["errors.output_wheel.sin"]]
+    each = found.estimate("errors.output_wheel.sin")
+    np.testing.assert_allclose([low, high], each.interval, atol=0.4 * each.error)
+
+
+@pytest.mark.slow
+def test_a_posterior_of_few_rows_that_is_no_ellipse_is_told(scene):
+    """A stiffness from some rows of much noise is told on one side better than on the other."""
+    records = runs(random_unit(1), 1, (1.0, 12.0, -6.0), rows=60, noise=0.4 * arcmin)
+    found = gj.identify(scene, records, priors={"errors.revolution": 5e-6}, orders=[], suggest=False)
+    drawn = gj.posterior(found, chains=2, draws=400)
+    assert drawn.differs
+
+
 # RV, exact ------------------------------------------------------------------------------------------------------
 
 

@@ -247,6 +247,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "order_spectrum": lambda case: gj.order_spectrum(case.te().te, case.theta),
     "ratio_error": lambda case: gj.ratio_error(case.moved, case.theta),
     "separation_speed": lambda case: gj.separation_speed(case.moved, TORQUE),
+    "posterior": lambda case: gj.posterior(case.identified, chains=2, draws=4, warm_up=10).draws,
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
     "reassemble": lambda case: gj.reassemble(case.identified, case.identified.vectors[:1], draws=4).after,
     "shooting": lambda case: gj.shooting(case.moved, TORQUE, 0.02, steps=64).te,

@@ -92,6 +92,7 @@ def test_a_part_of_a_cycle_is_told_in_the_table(scene):
 
 COMMANDS = [
     ("run", "two_kv/wang_2020.toml"),
+    ("identify", "two_kv/measured.toml"),
     ("run", "rv_cycloidal/hu_2020.toml"),
     ("run", "involute_rv/yang_2019.toml"),
     ("run", "helical/guo_2018.toml"),

@@ -6,6 +6,7 @@ from gearjax.identification.found import Identification, IdentifiedNumber
 from gearjax.identification.identify import identify
 from gearjax.identification.measurement import Measurement
 from gearjax.identification.orders import Order
+from gearjax.identification.posterior import Posterior, posterior
 from gearjax.identification.reassembly import Gain, Reassembly, reassemble
 from gearjax.identification.synthetic import synthetic_measurement
 from gearjax.identification.unknowns import Unknowns
@@ -20,6 +21,7 @@ __all__ = [
     "Measurement",
     "Order",
     "OrderBeside",
+    "Posterior",
     "Reassembly",
     "RecordBeside",
     "Suggestion",
@@ -27,6 +29,7 @@ __all__ = [
     "Visible",
     "compare",
     "identify",
+    "posterior",
     "reassemble",
     "synthetic_measurement",
 ]

@@ -10,7 +10,7 @@ from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.identification.measurement import Measurement, a_measurement, several
 from gearjax.identification.orders import candidates, waves
-from gearjax.identification.synthetic import computed_error
+from gearjax.identification.synthetic import computed_error, turned_scene
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
@@ -158,11 +158,12 @@ def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shif
     notes = [words for record in records for words in record.check(scene)]
     found = []
     for record in records:
+        own = turned_scene(scene, record.turned)
         if record.is_loaded and scene.compliance is None:
             raise SceneError(f"{record.name} is under torque: list a [compliance]")
         te = record.error(scene)
-        start = _start_angle(scene, record, te) if shift == "find" else 0.0
-        curve = _computed(scene, record, record.theta + start)
+        start = _start_angle(own, record, te) if shift == "find" else 0.0
+        curve = _computed(own, record, record.theta + start)
         offset = float(np.mean(te - curve))
         found.append(
             RecordBeside(

@@ -155,29 +155,51 @@ class Identification:
             size: standard deviation of hidden numbers, in units of the search.
         """
         unknowns, rng = len(self.unknowns.each), np.random.default_rng(key)
+        centre, root = self.gaussian(1.0, size)
+        drawn = (centre + rng.standard_normal((number, centre.size)) @ root.T)[:, :unknowns]
+        others = [values[:unknowns] for values in self.fit.others]
+        if others:  # ends that are as good, each with its share of the draws
+            shifts = np.stack([np.zeros(unknowns), *(self._towards(other) for other in others)])
+            drawn = drawn + shifts[np.arange(number) % len(shifts)]
+        return drawn
+
+    def held(self, size: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Means and precisions of all numbers before the recordings, in units of the search; those that nothing tells
+        are held to none, as large as the vectors found, or as told.
+
+        Args:
+            size: standard deviation of hidden numbers, in units of the search.
+        """
+        unknowns = len(self.unknowns.each)
         precision = self.fit.known.precision / self.fit.sigma**2
-        mean = self.fit.known.mean[:unknowns]
         hidden = self.is_hidden & (precision[:unknowns] == 0) & (not self.visible.settled)
         if hidden.any():
             vectors = [i for pair in self.unknowns.vectors.values() for i in pair]
             spread = size or float(np.sqrt(np.mean(self.fit.values[vectors or slice(unknowns)] ** 2))) or 1.0
             precision = precision.copy()
             precision[:unknowns][hidden] = 1 / spread**2
-        whole = self.fit.matrix / self.fit.sigma**2 + np.diag(precision)
-        pull = self.fit.matrix / self.fit.sigma**2 @ self.fit.values
-        pull[:unknowns] += precision[:unknowns] * mean
-        pull[unknowns:] += precision[unknowns:] * self.fit.known.mean[unknowns:]
+        return self.fit.known.mean, precision
+
+    def gaussian(self, inflation: float, size: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Centre of what the recordings leave open and a root of its covariance, in units of the search.
+
+        Args:
+            inflation: of the variance of a row.
+            size: of hidden numbers, as of `held`.
+        """
+        mean, precision = self.held(size)
+        information = self.fit.matrix / (self.fit.sigma**2 * inflation)
+        whole = information + np.diag(precision)
         scale = np.sqrt(np.diag(whole))
-        factor = np.linalg.cholesky(whole / scale[:, None] / scale[None, :])
-        centre = np.linalg.solve(whole / scale[:, None] / scale[None, :], pull / scale)
-        normal = rng.standard_normal((self.fit.values.size, number))
-        drawn = (centre[:, None] + np.linalg.solve(factor.T, normal)) / scale[:, None]
-        drawn = drawn.T[:, :unknowns]
-        others = [values[:unknowns] for values in self.fit.others]
-        if others:  # ends that are as good, each with its share of the draws
-            shifts = np.stack([np.zeros(unknowns), *(self._towards(other) for other in others)])
-            drawn = drawn + shifts[np.arange(number) % len(shifts)]
-        return drawn
+        scaled = whole / scale[:, None] / scale[None, :]
+        centre = np.linalg.solve(scaled, (information @ self.fit.values + precision * mean) / scale) / scale
+        root = np.linalg.inv(np.linalg.cholesky(scaled)).T / scale[:, None]
+        return centre, root
+
+    def shown(self, values: np.ndarray) -> np.ndarray:
+        """All numbers in the units that they are shown in, of those in units of the search, shape (..., number)."""
+        size = len(self.unknowns.each)
+        return np.concatenate([self.unknowns.shown(values[..., :size]), values[..., size:]], axis=-1)
 
     def _towards(self, other: np.ndarray) -> np.ndarray:
         return other - self.fit.values[: other.size]

@@ -170,15 +170,15 @@ class Problem:
 
     def __init__(self, model: Model, rows: Rows):
         self.rows = rows
-        self._padded = rows.padded()
-        self.model = model.at(self._padded)
-        self._te, self._basis = jnp.asarray(self._padded.te), jnp.asarray(self._padded.basis)
+        self.padded = rows.padded()
+        self.model = model.at(self.padded)
+        self._te, self._basis = jnp.asarray(self.padded.te), jnp.asarray(self.padded.basis)
 
     def normal(self, values: np.ndarray, weight: np.ndarray) -> Normal:
         """Sums at several points, shape (point, number)."""
         if isinstance(self.model, Plain):  # one program for all that is asked of it: it takes seconds to compile
             return Normal(*(np.stack(parts) for parts in zip(*(self._summed(v, weight) for v in values), strict=True)))
-        size, points = self._padded.theta.size, len(values)
+        size, points = self.padded.theta.size, len(values)
         weights = jnp.asarray(np.concatenate([weight, np.zeros(size - weight.size)]))
         at_once = 1 << (max(1, LANES // size).bit_length() - 1)
         whole = np.concatenate([values, np.repeat(values[-1:], -points % at_once, axis=0)])

@@ -100,7 +100,7 @@ def synthetic_measurement(
     if abs(ripple) >= 1:
         raise ParameterError("ripple", ripple, "must be below 1: the input would turn back")
     theta = theta + ripple / slow * np.sin(slow * theta)
-    te = computed_error(_turned(scene, turned or {}), theta, torque, backward)
+    te = computed_error(turned_scene(scene, turned or {}), theta, torque, backward)
     rng = np.random.default_rng(key)
     output = ideal(scene, theta) + te + offset + noise * rng.standard_normal(rows)
     for wave, (amplitude, phase) in (waves or {}).items():
@@ -117,7 +117,7 @@ def synthetic_measurement(
     return Measurement(theta, output, None, loads, time, label, dict(turned or {}), resolution)
 
 
-def _turned(scene: Scene, turned: Mapping[str, float]) -> Scene:
+def turned_scene(scene: Scene, turned: Mapping[str, float]) -> Scene:
     """The scene with errors turned in their seats."""
     from gearjax.studies.select import pick
 

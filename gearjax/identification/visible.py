@@ -43,6 +43,7 @@ class Visible:
         combinations: of the numbers in them, that are told.
         settled: whether what is known before settles the hidden directions.
         blocks: rows that count as one, 1 where they are independent.
+        inflation: of the variance by rows that hang together.
         condition: of what is told, largest over smallest standard deviation of a unit.
     """
 
@@ -51,6 +52,7 @@ class Visible:
     combinations: tuple[Combination, ...]
     settled: bool
     blocks: int
+    inflation: float
     condition: float
 
     def is_hidden(self, unknowns: int) -> np.ndarray:
@@ -67,13 +69,16 @@ def visible(fit: Fit, unknowns: Unknowns) -> Visible:
     hidden = hidden_directions(fit, size)
     blocks = block_length(fit.residual, fit.problem.rows.record)
     settled = _settled(hidden, fit.known.precision[:size] > 0)
-    covariance = _covariance(fit, jacobian, blocks, singular=bool(len(hidden)) and not settled)
+    singular = bool(len(hidden)) and not settled
+    covariance = _covariance(fit, jacobian, blocks, singular=singular)
+    alone = covariance if blocks == 1 else _covariance(fit, jacobian, 1, singular=singular)
+    inflation = float(np.median(np.diag(covariance)[:size] / np.maximum(np.diag(alone)[:size], 1e-300)))
     told = _combinations(fit, unknowns, hidden, covariance)
     prior = np.diag(fit.known.precision)
     seen = np.linalg.eigvalsh(scaled(fit.matrix + prior)[0][:size, :size])
     seen = seen[len(hidden) :]
     condition = float(np.sqrt(seen[-1] / max(seen[0], 1e-300))) if seen.size else 1.0
-    return Visible(covariance, hidden, told, settled, blocks, condition)
+    return Visible(covariance, hidden, told, settled, blocks, max(inflation, 1.0), condition)
 
 
 def hidden_directions(fit: Fit, size: int) -> np.ndarray:

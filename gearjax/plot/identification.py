@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from gearjax.identification import Comparison, Identification
+from gearjax.identification import Comparison, Identification, IdentifiedNumber
 from gearjax.identification.compare import RecordBeside
 from gearjax.identification.orders import candidates, waves
 from gearjax.plot.axes import finish, new_figure, save_figure, thin
@@ -73,27 +73,34 @@ def _orders(record: RecordBeside, above, below) -> None:
 
 
 def estimates_figure(found: Identification) -> Figure:
-    """Values found with their intervals of 95 %; those that the recordings do not tell are hollow.
+    """Errors found with intervals of 95 %, those that the recordings do not tell hollow; the other numbers in words.
 
     Args:
         found: as of `gearjax.identify`.
     """
-    size = len(found.unknowns.each)
-    units = dict.fromkeys(each.unit for each in found.estimates[:size])
-    figure, axes = new_figure(len(units), height=2.6)
-    for ax, unit in zip(axes, units, strict=True):
-        own = [each for each in found.estimates[:size] if each.unit == unit]
-        place = np.arange(len(own))
-        told = np.array([each.error is not None for each in own])
-        values = np.array([each.value for each in own])
-        spread = np.array([0.0 if each.error is None else 1.96 * each.error for each in own])
+    own = found.estimates[: len(found.unknowns.each)]
+    groups: dict[str, list[IdentifiedNumber]] = {}
+    for each in own:
+        groups.setdefault(each.unit if each.name.startswith("errors.") else "", []).append(each)
+    others = groups.pop("", []) if len(groups) > 1 else []
+    figure, axes = new_figure(len(groups), height=3.0)
+    for ax, (unit, members) in zip(axes, groups.items(), strict=True):
+        place = np.arange(len(members))
+        told = np.array([each.error is not None for each in members])
+        values = np.array([each.value for each in members])
+        spread = np.array([0.0 if each.error is None else 1.96 * each.error for each in members])
+        ax.axhline(0.0, color="0.6", linewidth=0.8)
         ax.errorbar(place[told], values[told], spread[told], fmt="o", capsize=3, color=COMPUTED, label="told, 95 %")
         if not told.all():
             ax.plot(place[~told], values[~told], "o", color=COMPUTED, fillstyle="none", label="not told by itself")
-        ax.set_xticks(place, [each.name.removeprefix("errors.") for each in own])
+        ax.set_xticks(place, [each.name.removeprefix("errors.") for each in members])
         ax.tick_params(axis="x", labelrotation=60, labelsize="x-small")
-        finish(ax, "", "", f"value [{unit or '-'}]")
-    axes[0].set_title("Numbers found")
+        finish(ax, "", "", f"value [{unit or members[0].unit or '-'}]")
+    words = [
+        f"{each.name} {each.value:.4g}{'' if each.error is None else f' ± {1.96 * each.error:.2g}'} {each.unit}"
+        for each in others
+    ]
+    axes[0].set_title("\n".join(["Numbers found", *words]), fontsize="small")
     return figure
 
 
@@ -114,6 +121,7 @@ def residual_figure(found: Identification) -> Figure:
         ax.plot(orders / output, amplitude / arcmin, ".", color=colour, label=label, markersize=4)
     noise = found.fit.sigma * np.sqrt(4 / theta.size)
     ax.axhline(noise, color="0.3", linewidth=0.8, linestyle="--", label="noise")
+    ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(bottom=0.2 * noise)
     finish(ax, f"{found.records[0].name}: orders", "cycles per turn of the output", "amplitude [arcmin]")

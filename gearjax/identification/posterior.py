@@ -1,0 +1,201 @@
+"""All that recordings leave open, sampled: a check of the intervals, which shows where they are not ellipses."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax import arguments
+from gearjax.checks import MissingExtraError, ParameterError
+from gearjax.identification.found import Identification
+from gearjax.identification.tables import Plain, Tables
+from gearjax.progress import Progress, silent
+from gearjax.typing import Array, Float
+from gearjax.units import arcmin
+
+CHAINS, DRAWS, WARM_UP = 4, 1000, 200
+STEP = 0.7  # of the first leaps, in standard deviations of the ellipse
+TARGET = 0.7  # share of leaps that are taken
+TOLD_BY = 0.5  # of the ellipse's standard deviation, that means may differ by
+WIDER = 1.3  # times, that a spread is told as no ellipse
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Posterior:
+    """Draws of the numbers that explain recordings.
+
+    Args:
+        names: of the numbers, as of `Identification.estimates`.
+        units: that they are in.
+        draws: shape (chain, draw, number).
+        ellipse: means and standard deviations that least squares tells of the same, shape (number,) each.
+        scale_reduction: of each number, near 1 where the chains agree (Gelman and Rubin 1992), shape (number,).
+        effective: number of draws that are as good as independent, shape (number,).
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    draws: Float[np.ndarray, "chain draw number"]
+    ellipse: tuple[np.ndarray, np.ndarray]
+    scale_reduction: np.ndarray
+    effective: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Of each number, shape (number,)."""
+        return self.draws.mean(axis=(0, 1))
+
+    @property
+    def std(self) -> np.ndarray:
+        """Of each number, shape (number,)."""
+        return self.draws.std(axis=(0, 1))
+
+    @property
+    def interval(self) -> np.ndarray:
+        """Of 95 %, shape (2, number)."""
+        return np.quantile(self.draws, [0.025, 0.975], axis=(0, 1))
+
+    @property
+    def differs(self) -> list[str]:
+        """Numbers whose draws are not as the ellipse of least squares has them, in words."""
+        mean, spread = self.ellipse
+        words = []
+        for i, name in enumerate(self.names):
+            away, wider = abs(self.mean[i] - mean[i]) / spread[i], self.std[i] / spread[i]
+            if away > TOLD_BY or not 1 / WIDER < wider < WIDER:
+                words.append(f"{name}: {wider:.2f} times as wide, its mean {away:.2f} standard errors away")
+        return words
+
+
+def _found(name: str, value: Any) -> None:
+    if not isinstance(value, Identification):
+        raise ParameterError(name, type(value).__name__, "must be what gj.identify returns")
+
+
+@arguments.checked(
+    found=_found,
+    chains=arguments.whole(1),
+    draws=arguments.whole(2),
+    warm_up=arguments.whole(10),
+    key=arguments.whole(0),
+)
+def posterior(
+    found: Identification,
+    *,
+    chains: int = CHAINS,
+    draws: int = DRAWS,
+    warm_up: int = WARM_UP,
+    key: int = 0,
+    progress: Progress = silent,
+) -> Posterior:
+    """Draws of the numbers that explain recordings, by the no-U-turn sampler (Hoffman and Gelman 2014) of blackjax.
+
+    The noise is that of the fit, with its correlation from row to row; numbers that the recordings hide are held by
+    what was known before (``priors`` of `identify`), else by vectors as large as those found. Chains stay with the
+    solution that is shown: other solutions are told by `Identification.alternatives`.
+
+    Args:
+        found: what was identified.
+        chains, draws, warm_up: number of chains, of draws of each, and of those before that are not kept.
+        key: seed.
+        progress: told how far it is.
+
+    Raises:
+        MissingExtraError: blackjax is not installed (``pip install gearjax[bayes]``).
+
+    Example:
+        >>> import gearjax as gj, dataclasses
+        >>> scene = dataclasses.replace(gj.load("configs/two_kv/wang_2020.toml"), reference=None)
+        >>> run = gj.synthetic_measurement(scene, 40.0, rows=300)
+        >>> found = gj.identify(scene, run, ["errors.output_wheel"], starts=4, suggest=False)
+        >>> gj.posterior(found, chains=2, draws=20, warm_up=20).draws.shape
+        (2, 20, 3)
+    """
+    try:
+        import blackjax
+        from blackjax.diagnostics import effective_sample_size, potential_scale_reduction
+    except ImportError as fault:
+        raise MissingExtraError("a posterior needs blackjax: python -m pip install gearjax[bayes]") from fault
+    centre, root = found.gaussian(found.visible.inflation)
+    problem = found.fit.problem
+    rows = problem.padded
+    weight = np.concatenate([found.fit.weight, np.zeros(rows.theta.size - found.fit.weight.size)])
+    mean, precision = found.held()
+    variance = found.fit.sigma**2 * found.visible.inflation
+    density = _Density(
+        problem.model, *map(jnp.asarray, (rows.te, weight / variance, rows.basis, mean, precision, centre, root))
+    )
+    progress(f"sampling {chains} chains of {warm_up} + {draws} draws")
+    keys = jax.random.split(jax.random.key(key), chains)
+    starts = 0.5 * jax.random.normal(jax.random.key(key + 1), (chains, centre.size))
+    whitened = _sampled(blackjax, density, keys, starts, warm_up, draws)
+    values = centre + np.asarray(whitened) @ root.T
+    shown = found.shown(values)
+    spread = np.sqrt(np.diag(root @ root.T))
+    off = np.abs(found.shown(centre + spread) - found.shown(centre - spread)) / 2
+    reduction = np.asarray(potential_scale_reduction(shown)) if chains > 1 else np.ones(centre.size)
+    effective = np.asarray(effective_sample_size(shown)) if chains > 1 else np.full(centre.size, float(draws))
+    units = tuple(each.unit for each in found.estimates)
+    return Posterior(found.names, units, shown, (found.shown(centre), off), reduction, effective)
+
+
+class _Density(eqx.Module):
+    """Logarithm of the density of numbers, by their place in the ellipse that least squares tells."""
+
+    model: Tables | Plain
+    te: Array
+    weight: Array  # over the variance of a row
+    basis: Array
+    mean: Array
+    precision: Array
+    centre: Array
+    root: Array
+
+    def parts(self, place: Array) -> tuple[Array, Array]:
+        """The logarithm and its gradient."""
+        values = self.centre + self.root @ place
+        size = values.shape[0] - self.basis.shape[1]
+        q, rate = self.model.positions(values[None, :size])
+        left = self.te - q[0] / arcmin - self.basis @ values[size:]
+        left = jnp.where(self.weight > 0, left, 0.0)
+        away = self.mean - values
+        slope = jnp.concatenate([(self.weight * left) @ rate[0] / arcmin, (self.weight * left) @ self.basis])
+        value = -0.5 * ((self.weight * left * left).sum() + (self.precision * away * away).sum())
+        return value, self.root.T @ (slope + self.precision * away)
+
+
+@eqx.filter_jit
+def _sampled(blackjax: Any, density: _Density, keys: Array, starts: Array, warm_up: int, draws: int) -> Array:
+    """Places of the draws, shape (chain, draw, number)."""
+
+    @jax.custom_jvp
+    def logarithm(place: Array) -> Array:
+        return density.parts(place)[0]
+
+    @logarithm.defjvp
+    def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:  # the model tells its own derivatives
+        value, slope = density.parts(primals[0])
+        return value, slope @ tangents[0]
+
+    identity = jnp.ones(starts.shape[1], starts.dtype)
+
+    def chain(key: Array, start: Array) -> Array:
+        kernel = blackjax.nuts.build_kernel()
+
+        def advance(carry: tuple, key: Array) -> tuple[tuple, Array]:
+            state, step, number = carry
+            state, told = kernel(key, state, logarithm, jnp.exp(step), identity)
+            # steps are fitted while warming up (Robbins and Monro 1951)
+            gain = jnp.where(number < warm_up, 2.0 / (number + 10.0) ** 0.75, 0.0)
+            step = step + gain * (told.acceptance_rate - TARGET)
+            return (state, step, number + 1), state.position
+
+        step, number = jnp.log(jnp.asarray(STEP, start.dtype)), jnp.asarray(0.0, start.dtype)
+        first = blackjax.nuts.init(start, logarithm), step, number
+        _, places = jax.lax.scan(advance, first, jax.random.split(key, warm_up + draws))
+        return places[warm_up:]
+
+    return jax.vmap(chain)(keys, starts)
