@@ -115,7 +115,7 @@ def pin_stages(number: int, seed: int) -> None:
 def reassembled(number: int, seed: int) -> None:
     """What advice delivers on the unit itself, from three recordings and from a fourth after turning a planet wheel."""
     scene, paths = two_kv(), ["errors.planet_1", "errors.planet_2"]
-    theta = np.linspace(0.0, scene.system.cycle, 2001)
+    theta = np.linspace(0.0, scene.system.cycle, 4000, endpoint=False)
     rows: dict[str, list[tuple[float, bool]]] = {"three recordings": [], "four": []}
     for k in range(seed, seed + number):
         unit = random_unit(k)

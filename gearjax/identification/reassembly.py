@@ -21,14 +21,15 @@ from gearjax.typing import Array
 from gearjax.units import deg
 
 METRICS = ("std", "peak_to_peak")
-DRAWS, COARSE_DRAWS = 200, 24
-ROWS = 400  # per curve, at least
-PER_TURN = 12  # of what turns fastest
+DRAWS, COARSE_DRAWS = 200, 16
+ROWS = 1021  # per curve, at least; a prime, so that no wave repeats with them
+PER_TURN = 24  # of what turns fastest
 PLACES = 24  # of a body that turns freely, on the first grid
 MOST_CHOICES = 1200  # of a grid; more bodies are turned one after the other
 SWEEPS = 4
 LANES = 2_000_000  # positions worked out at once
 SECOND_TRUTHS, SECOND_DRAWS = 24, 4
+FEW_TRUTHS = 6  # of scenes that are differentiated as they are
 SECOND_TURN = 90 * deg
 
 
@@ -183,7 +184,9 @@ class _Turning:
     def __init__(self, found: Identification, paths: list[str], steps: Mapping[str, int], metric: str, torque: float):
         scene = found.scene
         number = max(ROWS, int(PER_TURN * scene.system.fastest_order * scene.system.cycle / (2 * np.pi)))
-        theta = np.linspace(0.0, scene.system.cycle, min(number, 40 * ROWS), endpoint=False)
+        theta = np.linspace(
+            0.0, scene.system.cycle, min(number, (20 if found.model.straight else 2) * ROWS), endpoint=False
+        )
         record = Measurement(theta, te=np.zeros(theta.shape), torque=np.full(theta.shape, torque))
         model = dataclasses.replace(
             found.model, turns=Model.of(found.unknowns, [record], loaded=found.model.loaded).turns
@@ -251,7 +254,12 @@ class _Turning:
 
         size = 2 * np.pi / PLACES
         simplex = np.concatenate([best[free][None], best[free] + 0.5 * size * np.eye(int(free.sum()))])
-        options = {"maxfev": 60 * int(free.sum()), "xatol": 1e-3, "fatol": 1e-12, "initial_simplex": simplex}
+        options = {
+            "maxfev": (60 if self.found.model.straight else 10) * int(free.sum()),
+            "xatol": 1e-3,
+            "fatol": 1e-12,
+            "initial_simplex": simplex,
+        }
         end = optimize.minimize(expected, best[free], method="Nelder-Mead", options=options)
         turns = best.copy()
         turns[free] = (end.x + np.pi) % (2 * np.pi) - np.pi
@@ -278,7 +286,7 @@ def _with_second(found: Identification, turning: _Turning, drawn: np.ndarray, ke
     spread = float(np.sqrt(np.mean(found.fit.values[[i for pair in vectors.values() for i in pair]] ** 2))) or 1.0
     share = first.theta.size / theta.size
     ratios = []
-    for truth in drawn[:SECOND_TRUTHS]:
+    for truth in drawn[: SECOND_TRUTHS if found.model.straight else FEW_TRUTHS]:
         _, jacobian = problem.curve(np.concatenate([truth, [0.0]]))
         jacobian = jacobian - jacobian.mean(axis=0)
         information = share * jacobian[:, :size].T @ jacobian[:, :size] / found.fit.sigma**2
