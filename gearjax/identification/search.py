@@ -9,7 +9,7 @@ from gearjax.identification.model import Normal
 
 STEPS = 40
 SETTLED = 1e-3  # of the variance of a row, less than which a step gains: a thirtieth of a standard error
-RATTLING = 1.0  # of it, that a step may promise and not gain, some times: curves have kinks
+RATTLING = 0.1  # of it, that a step may promise and not gain, some times: curves have kinks
 MOST_FAILED = 3
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e10
 SHORTEST = 1e-2  # of a reciprocal, that a step may leave of it
