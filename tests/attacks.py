@@ -11,7 +11,7 @@ import tomli_w
 
 from tests.conftest import ROOT
 
-SHIPPED = sorted((ROOT / "configs").rglob("*.toml"))
+SHIPPED = sorted(path for path in (ROOT / "configs").rglob("*.toml") if not path.with_suffix(".csv").exists())
 VALUES: tuple[Any, ...] = (
     *(
         float("nan"),

@@ -147,6 +147,21 @@ def test_orders_stand_side_by_side_with_their_phases():
     assert beside.explained == pytest.approx(1 - 0.5 * (0.1 * arcmin) ** 2 / np.var(beside.measured), abs=1e-3)
 
 
+@pytest.mark.parametrize("start", [0.3, -1.7, 9.0])
+def test_small_start_angles_are_told_from_a_turn_of_a_body(start):
+    scene = two_kv()
+    record = gj.synthetic_measurement(scene, 100.0, rows=2000, noise=0.02 * arcmin)
+    moved = dataclasses.replace(record, theta=record.theta - start, output=record.output - start / RATIO)
+    assert gj.compare(scene, moved, shift="find").records[0].start == pytest.approx(start, abs=0.03)
+
+
+def test_start_angles_of_uneven_outputs_are_refused():
+    elliptic = gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml")
+    record = gj.synthetic_measurement(elliptic, rows=400)
+    with pytest.raises(gj.SceneError, match="outputs that turn evenly"):
+        gj.compare(elliptic, record, shift="find")
+
+
 def test_a_start_angle_is_found():
     scene = two_kv()
     record = gj.synthetic_measurement(scene, 100.0, rows=3000, noise=0.02 * arcmin, offset=2 * arcmin)
@@ -278,6 +293,14 @@ def test_the_function_of_numpy_is_the_static_te(handed, torque):
         assert model["torque_of"](angle, position) == pytest.approx(torque, rel=1e-6)
     inside = 0.5 * (model["te"](1.0, 1e-9) + model["te"](1.0, -1e-9))
     assert model["torque_of"](1.0, inside) == 0.0
+
+
+def test_without_back_flanks_nothing_pulls(tmp_path):
+    scene = dataclasses.replace(gj.load(CONFIG), backlash=None)
+    gj.export_joint(scene, tmp_path, torque=100.0)
+    model = module(tmp_path)
+    assert model["torque_of"](1.0, 1e-2) == 0.0
+    assert model["torque_of"](1.0, model["te"](1.0, 40.0)) == pytest.approx(40.0)
 
 
 def test_tables_tell_the_same(handed):

@@ -13,6 +13,7 @@ from gearjax.cli import commands, main
 from tests.conftest import CONFIG, ROOT
 
 PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
+MEASURED = ROOT / "configs" / "two_kv" / "measured.toml"
 STUDY = ROOT / "configs" / "two_kv" / "wang_2020_tolerance.toml"
 ARGUMENTS = {
     "run": [str(CONFIG)],
@@ -20,6 +21,8 @@ ARGUMENTS = {
     "optimise": [str(PHASES)],
     "tradeoff": [str(CONFIG)],
     "tolerance": [str(STUDY)],
+    "compare": [str(MEASURED)],
+    "identify": [str(MEASURED)],
 }
 WITH_OUT = [
     entry.callback
@@ -55,6 +58,8 @@ def nothing_computed(monkeypatch):
     for name in ("run_cases", "run_optimise", "run_tradeoff", "accurate_step"):
         monkeypatch.setattr(commands, name, computed)
     monkeypatch.setattr("gearjax.cli.tolerance.study", computed)
+    monkeypatch.setattr("gearjax.identification.compare", computed)
+    monkeypatch.setattr("gearjax.results.identification.identified", computed)
     monkeypatch.setattr(commands, "PAPERS", {"two_kv": ("a paper", computed)})
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -353,6 +354,67 @@ def test_a_posterior_of_few_rows_that_is_no_ellipse_is_told(scene):
     assert drawn.differs
 
 
+# what is hidden stays harmless ------------------------------------------------------------------------------------
+
+
+def test_hidden_numbers_are_moved_only_where_no_curve_changes(scene):
+    """One run on the back flanks hides stiffness, play and offset in each other."""
+    record = gj.synthetic_measurement(scene, -100.0, rows=ROWS)
+    found = gj.identify(scene, record, suggest=False)
+    theta, measured, computed = found.curves()[0]
+    assert theta.shape == (ROWS,)
+    assert np.std(measured - computed) == pytest.approx(found.sigma, rel=0.05)
+    assert found.estimate("backlash.initial").error is None
+    assert found.estimate("backlash.initial").value > 20
+    assert found.estimate("compliance.mean").value > 0
+    plain = dataclasses.replace(scene, errors={})
+    record = gj.synthetic_measurement(plain, 100.0, rows=ROWS)
+    alone = gj.identify(plain, record, ["compliance.mean"], orders=[], suggest=False)
+    assert alone.estimate("compliance.mean").error is None
+    assert alone.estimate("compliance.mean").value == pytest.approx(9.245e7, rel=1e-3)
+
+
+def test_draws_and_fit_share_a_strong_prior(scene, unit):
+    records = runs(unit, 3, rows=ROWS)
+    found = gj.identify(
+        scene, records, priors={"errors.output_wheel": 0.01e-6, "errors.revolution": 5e-6}, suggest=False
+    )
+    name = "errors.output_wheel.cos"
+    place = found.names.index(name)
+    drawn = found.shown(found.gaussian(1.0)[0])[place]
+    assert drawn == pytest.approx(found.estimate(name).value, abs=1e-6)
+    number = gj.identify(scene, records[2], priors={"backlash.initial": 20e-6}, suggest=False)
+    assert number.estimate("backlash.initial").value == pytest.approx(150, abs=40)
+
+
+def test_recordings_without_noise_do_not_break_what_follows(scene, unit):
+    records = runs(unit, 3, rows=600, noise=0.0)
+    found = gj.identify(scene, records, suggest=False)
+    assert np.isfinite(gj.reassemble(found, ["errors.planet_1"], draws=6).after)
+
+
+def test_noise_of_a_torque_sensor_is_no_load(scene):
+    plain = gj.synthetic_measurement(scene, rows=ROWS)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(ROWS)
+    record = dataclasses.replace(plain, torque=noise)
+    assert not record.is_loaded
+    beside = gj.compare(scene, record)
+    assert beside.records[0].explained == pytest.approx(gj.compare(scene, plain).records[0].explained)
+    assert any("is taken for none" in words for words in beside.notes)
+    forth = np.concatenate([plain.theta, plain.theta[::-1]])
+    both = gj.Measurement(forth, np.concatenate([plain.output, plain.output[::-1]]))
+    with pytest.raises(gj.GearjaxError, match="turns both ways"):
+        gj.identify(scene, both)
+
+
+def test_long_recordings_are_averaged(scene, unit, monkeypatch):
+    monkeypatch.setattr(sys.modules["gearjax.identification.identify"], "MOST_ROWS", 3000)
+    found = gj.identify(scene, runs(unit, 3, rows=4000), suggest=False)
+    assert sum(record.theta.size for record in found.records) <= 3000
+    assert scores(found, unit).max() < 4
+    assert any("are averaged" in words for words in found.notes)
+
+
 # RV, exact ------------------------------------------------------------------------------------------------------
 
 
@@ -390,6 +452,11 @@ def test_pins_of_a_wrong_size_are_found_by_exact_geometry():
         ({"priors": {"errors.planet_1": "5 um"}}, "must be a standard deviation"),
         ({"loss": "huber"}, "valid: robust, least_squares"),
         ({"orders": "all"}, 'must be "find"'),
+        ({"orders": [0.0]}, "cycles per turn of the input"),
+        ({"orders": [1e-9]}, "cycles per turn of the input"),
+        ({"orders": [np.nan]}, "must be finite"),
+        ({"orders": [0.5, 0.5]}, "cannot be told from another"),
+        ({"priors": {"errors.planet_1": gj.Normal(0.0, 0.0)}}, "above 0|standard deviation"),
         ({"offset_spread": 0.0}, "must be above 0"),
         ({"starts": 0}, "must be at least 1"),
         ({"measured": []}, "has no recording in it"),

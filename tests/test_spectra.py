@@ -127,7 +127,8 @@ WRITTEN = {
 
 
 def test_every_shipped_configuration_has_its_command():
-    files = {str(path.relative_to(ROOT / "configs")) for path in (ROOT / "configs").rglob("*.toml")}
+    paths = [path for path in (ROOT / "configs").rglob("*.toml") if not path.with_suffix(".csv").exists()]
+    files = {str(path.relative_to(ROOT / "configs")) for path in paths}  # others stand beside a recording
     assert {name for _, name in COMMANDS} == files
 
 

@@ -15,7 +15,7 @@ from gearjax.checks import GearjaxError, ParameterError, RepairedData, check_pat
 from gearjax.config.csv_files import read_rows
 from gearjax.config.quantities import read_quantity, unit_size
 from gearjax.config.tables import known_keys
-from gearjax.identification.measurement import Measurement
+from gearjax.identification.measurement import SHORTEST, Measurement
 
 DIMENSIONS = {
     "time": units.TIME,
@@ -106,7 +106,7 @@ def _beside(path: Path) -> dict[str, Any]:
     known_keys(str(toml), table, BESIDE)
     for name in ("input_counts", "output_counts"):
         given = table.get(name, 1)
-        if isinstance(given, bool) or not isinstance(given, int) or given < 1:
+        if isinstance(given, bool) or not isinstance(given, int) or not 1 <= given <= 2**62:
             raise ParameterError(f"{toml}: {name}", given, "must be a whole number of counts per turn")
     if not isinstance(table.get("name", ""), str):
         raise ParameterError(f"{toml}: name", table["name"], "must be a name in quotes")
@@ -143,6 +143,8 @@ def _columns(key: str, header: list[str], beside: dict[str, Any]) -> dict[str, _
         if sign not in (1, -1):
             raise ParameterError(f"{where}.sign", sign, "must be 1 or -1")
         unit = told.get("unit", _unit(header[place]))
+        if unit is not None and not isinstance(unit, str):
+            raise ParameterError(f"{where}.unit", unit, "must be a unit in quotes")
         found[name] = _Column(place, sign * _size(where, name, unit, beside))
     for place, text in enumerate(header):
         name = ALSO.get(plain[place], plain[place])
@@ -187,7 +189,7 @@ def _size(where: str, name: str, unit: str | None, beside: dict[str, Any]) -> fl
     if not unit:
         example = dimension.example.rpartition(" ")[2]
         raise GearjaxError(f"{where} needs its unit, such as {name} [{example}]")
-    if unit in ("counts", "count") and dimension is units.ANGLE:
+    if unit in ("counts", "count") and name.endswith("angle"):
         counts = beside.get(f"{name.partition(' ')[0]}_counts")
         if counts is None:
             words = f"is in counts: give {name.partition(' ')[0]}_counts, per turn, in a TOML file beside it"
@@ -255,17 +257,30 @@ def _table(key: str, path: Path, columns: dict[str, _Column], own: _Reader) -> t
             per_row = _bytes_of(path, CHUNK) / CHUNK
             averaged = max(1, int(np.ceil(size / per_row / MOST_KEPT)))
         part = _whole_rows(part, own)
+        if not part["input angle"].size:
+            continue
         if averaged > 1:
+            _in_order(part, own)
             part = _averaged(_continued(part, own), averaged)
         kept.append(part)
-    table = {name: np.concatenate([part[name] for part in kept]) for name in columns}
-    left = table["input angle"].size * averaged
-    if left < 3 or left < (1 - MOST_MISSING) * rows:
-        lacking = own.repairs.get("rows with missing values left out", 0)
+    lacking = own.repairs.get("rows with missing values left out", 0)
+    if not kept or lacking > MOST_MISSING * rows:
         raise GearjaxError(f"{key}: {lacking} of {rows} rows lack a value in a column that is needed")
+    if rows < SHORTEST:
+        raise GearjaxError(f"{key}: has {rows} rows, at least {SHORTEST} are needed")
+    table = {name: np.concatenate([part[name] for part in kept]) for name in columns}
     if averaged == 1:
         table = _continued(_distinct(_ordered(table, own), own), own)
     return table, averaged
+
+
+def _in_order(part: dict[str, np.ndarray], own: _Reader) -> None:
+    """Refuse rows out of order in a file that is averaged as it is read."""
+    if "time" in part:
+        times = np.concatenate([[own.wrapped.get("time", (part["time"][0], 0.0))[0]], part["time"]])
+        if (np.diff(times) < 0).any():
+            raise GearjaxError(f"{own.key}: rows are not in the order of time: sort a file of so many rows before")
+        own.wrapped["time"] = float(part["time"][-1]), 0.0
 
 
 def _bytes_of(path: Path, rows: int) -> int:
@@ -298,14 +313,15 @@ def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray
             return {name: values[order] for name, values in table.items()}
         return table
     steps = np.diff(table["input angle"])
-    far = 20 * np.median(np.abs(steps))
+    moving = np.abs(steps[steps != 0])
+    far = 20 * np.median(moving) if moving.size else 0.0
     way = np.sign(np.sum(np.sign(steps)))
     wrong = way * steps < -far
     wraps = np.ptp(table["input angle"]) < 2 * np.pi * 1.001 and np.abs(steps).max(initial=0.0) > np.pi
     if wrong.mean() < 1e-3 and not wraps and wrong.any():
         raise GearjaxError(f"{own.key}: the input angle jumps back: without a column time its rows cannot be ordered")
     if not wraps and wrong.any():
-        order = np.argsort(table["input angle"], kind="stable")
+        order = np.argsort(way * table["input angle"], kind="stable")
         own.count("rows out of the order of the input angle sorted", order != np.arange(order.size))
         return {name: values[order] for name, values in table.items()}
     return table
@@ -313,8 +329,7 @@ def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray
 
 def _distinct(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
     """Rows that do not repeat the one before them."""
-    told = ("time",) if "time" in table else tuple(table)
-    same = np.logical_and.reduce([np.diff(table[name]) == 0 for name in told])
+    same = np.logical_and.reduce([np.diff(table[name]) == 0 for name in table])
     own.count("repeated rows left out", same)
     keep = np.concatenate([[True], ~same])
     return {name: values[keep] for name, values in table.items()}
@@ -339,7 +354,9 @@ def _stray(values: np.ndarray) -> np.ndarray:
     others = np.flatnonzero(~zero)
     if not zero.any() or zero.mean() > ALONE or others.size < 2:
         return np.zeros(values.shape, bool)
-    usual = 20 * max(float(np.median(np.abs(np.diff(values[others])))), 1e-12)
+    steps = np.abs(np.diff(values[others]))
+    moving = steps[steps > 0]  # of coarse encoders most are none
+    usual = 20 * max(float(np.median(moving)) if moving.size else 0.0, 1e-12)
     behind = np.searchsorted(others, np.arange(values.size))
     within = (behind > 0) & (behind < others.size)  # a recording may begin and end at zero
     behind = np.clip(behind, 1, others.size - 1)

@@ -55,7 +55,8 @@ def suggestions(
         if len(hidden) < len(told.hidden):
             shows.append(f"{len(told.hidden) - len(hidden)} of {len(told.hidden)} hidden directions")
         if apart:
-            shows.append(f"which of {1 + len(fit.others)} solutions is right")
+            some = "which of" if apart == len(fit.others) else f"that {apart} are wrong of"
+            shows.append(f"{some} {1 + len(fit.others)} solutions{' is right' if apart == len(fit.others) else ''}")
         if shows:
             found.append((len(hidden), -apart, len(after - before), Suggestion(words, len(hidden), tuple(shows))))
     found.sort(key=lambda each: each[:3])
@@ -89,8 +90,8 @@ def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[
     ]
 
 
-def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, bool]:
-    """Directions hidden with a further recording, and whether it tells the solutions apart."""
+def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, int]:
+    """Directions hidden with a further recording, and how many of the other solutions it shows to be wrong."""
     size = len(model.unknowns.each)
     own = dataclasses.replace(model, turns=Model.of(model.unknowns, [record], loaded=model.loaded).turns)
     rows = rows_of([record], model.scene, [], False)
@@ -98,9 +99,9 @@ def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, bool
     values = np.concatenate([fit.values[:size], [fit.values[size]]])
     curve, jacobian = problem.curve(values)
     more = np.zeros((rows.theta.size, fit.values.size))
-    more[:, : size + 1] = jacobian
+    more[:, :size] = jacobian[:, :size] - jacobian[:, :size].mean(axis=0)  # its own offset may be any
     whole = dataclasses.replace(fit, matrix=fit.matrix + more.T @ more)
-    apart = bool(len(fit.others)) and all(
+    apart = sum(
         _off(problem.curve(np.concatenate([other[:size], [other[size]]]))[0] - curve) > TOLD_APART * fit.sigma**2
         for other in fit.others
     )

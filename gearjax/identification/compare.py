@@ -17,6 +17,10 @@ from gearjax.units import arcmin
 LISTED = 12  # orders
 START_ANGLES = 720  # that are tried over a cycle
 SHIFTS = ("none", "find")
+POLISHED = 24  # of the lowest ones: waves of bodies leave many nearly alike
+CLOSE = {"xatol": 1e-6}  # rad
+MOST_ROWS = 200_000  # of a recording; more are averaged, some that follow each other
+MOST_ANGLES = 1 << 17  # of a computed curve
 PATHS_PER_CURVE = 4000  # angles at which the computed curve is known when it is shifted
 
 
@@ -161,6 +165,7 @@ def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shif
         own = turned_scene(scene, record.turned)
         if record.is_loaded and scene.compliance is None:
             raise SceneError(f"{record.name} is under torque: list a [compliance]")
+        record = record if record.theta.size <= MOST_ROWS else record.averaged_by(-(-record.theta.size // MOST_ROWS))
         te = record.error(scene)
         start = _start_angle(own, record, te) if shift == "find" else 0.0
         curve = _computed(own, record, record.theta + start)
@@ -193,7 +198,12 @@ def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
     from scipy import optimize
 
     cycle = scene.system.cycle
+    kind = scene.system.kind
+    if not scene.system.turns_evenly:
+        raise SceneError(f"a start angle is for outputs that turn evenly, which that of a {kind} does not")
     size = max(PATHS_PER_CURVE, int(20 * scene.system.fastest_order * cycle / (2 * np.pi)))
+    if size > MOST_ANGLES:
+        raise SceneError(f"a start angle needs {size} angles of a {kind}'s cycle, more than {MOST_ANGLES}")
     grid = np.arange(size) * (cycle / size)
     torque = float(np.median(record.loads))
     curve = computed_error(scene, grid, torque, bool(record.back[0]))
@@ -206,10 +216,15 @@ def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
 
     number = max(START_ANGLES, int(4 * scene.system.fastest_order * cycle / (2 * np.pi)))
     starts = np.arange(number) * (cycle / number)
-    best = starts[int(np.argmin([off(start) for start in starts]))]
+    heights = np.array([off(start) for start in starts])
+    lowest = np.flatnonzero((heights <= np.roll(heights, 1)) & (heights <= np.roll(heights, -1)))
     step = cycle / number
-    end = optimize.minimize_scalar(off, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-6})
-    angle = float(end.x)
+    ends: list[tuple[float, float]] = []
+    for i in lowest[np.argsort(heights[lowest])][:POLISHED]:
+        bounds = starts[i] - step, starts[i] + step
+        end: Any = optimize.minimize_scalar(off, bounds=bounds, method="bounded", options=CLOSE)
+        ends.append((float(end.fun), float(end.x)))
+    angle = min(ends)[1]
     return angle if angle <= cycle / 2 else angle - cycle
 
 

@@ -16,11 +16,12 @@ PER_TURN = 12  # rows per turn of what turns fastest, at least
 MOST_BINS = 2000  # of one recording
 ROUGH_STEPS = 20
 NEAR = 0.5  # of the least cost on the means, by which that of a start that is polished may be above it
-POLISHED = 4  # starts
+POLISHED, FLATTEST = 4, 2  # starts: the best, and of those as good the ones that show least
 FAR = 4.0  # standard deviations beyond which a row counts less
 ROUNDS = 4  # of weighing
 NEAR_ZERO = 0.05  # of the spread of the other starts
 LARGEST = 1e4  # units of the search, of a start
+LEAST = 1e-6  # of the span of the TE, that a row is known to
 SAME = 12.0  # squared standard errors within which two ends are one, besides what nothing shows
 AS_GOOD = 12.0  # by which the sum of squares may be above the least, in variances of a row
 
@@ -116,7 +117,9 @@ def fitted(
         )
         order = np.argsort(sums.cost)
         good = order[sums.cost[order] <= (1 + NEAR) * sums.cost[order[0]] + 100 * sigma**2]
-        starts = ends[good][_apart(ends[good], sums.matrix[good], sigma)[:POLISHED]]
+        apart = good[_apart(ends[good], sums.matrix[good], sigma)]
+        flattest = sorted(apart, key=lambda i: rank_of(sums.matrix[i] - np.diag(known.precision)))[:FLATTEST]
+        starts = ends[list(dict.fromkeys([*apart[:POLISHED], *flattest]))]
     weight = rows.weight.copy()
     ends, sums = starts, None
     for turn in range(ROUNDS if robust else 2):
@@ -130,7 +133,8 @@ def fitted(
             break
         weight = new
     assert sums is not None
-    sigma = float(np.sqrt(max((weight * residual**2).sum() / max(weight.sum() - ends.shape[1], 1.0), 1e-18)))
+    sigma = float(np.sqrt((weight * residual**2).sum() / max(weight.sum() - ends.shape[1], 1.0)))
+    sigma = max(sigma, LEAST * float(np.ptp(rows.te)))
     known = Known(precision[0], precision[1] * sigma**2)
     ends, sums = descend(lambda v: problem.normal(v, weight), ends, known, positive, weight.sum())
     order = np.argsort(sums.cost)

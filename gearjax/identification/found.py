@@ -18,6 +18,8 @@ from gearjax.scene import Scene
 from gearjax.units import arcmin
 
 Z = 1.959964  # standard errors to either side of an interval of 95 %
+LOOSELY = 0.3  # of its value, that a hidden number is held to by
+SOFTEST = 0.05  # of a reciprocal, that is drawn
 OUTLYING = 0.99  # weight below which a row counts as lying off
 
 
@@ -53,7 +55,7 @@ class Identification:
         unknowns: what was looked for.
         fit: the end of the fit.
         visible: what it tells and hides.
-        orders: waves that the gear set does not explain, found and set free, or asked for.
+        orders: waves that the gear set does not explain, found and set free; those asked for are among the names.
         names: of all numbers: the scene's, offsets, free orders.
         notes: what a reader should know.
         suggestions: recordings that would show more.
@@ -155,8 +157,10 @@ class Identification:
             size: standard deviation of hidden numbers, in units of the search.
         """
         unknowns, rng = len(self.unknowns.each), np.random.default_rng(key)
-        centre, root = self.gaussian(1.0, size)
+        centre, root = self.gaussian(self.visible.inflation, size)
         drawn = (centre + rng.standard_normal((number, centre.size)) @ root.T)[:, :unknowns]
+        soft = self.unknowns.reciprocals
+        drawn[:, soft] = np.maximum(drawn[:, soft], SOFTEST)
         others = [values[:unknowns] for values in self.fit.others]
         if others:  # ends that are as good, each with its share of the draws
             shifts = np.stack([np.zeros(unknowns), *(self._towards(other) for other in others)])
@@ -164,37 +168,41 @@ class Identification:
         return drawn
 
     def held(self, size: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Means and precisions of all numbers before the recordings, in units of the search; those that nothing tells
-        are held to none, as large as the vectors found, or as told.
+        """Means and precisions that hold what neither recordings nor priors tell, in units of the search, beside those
+        of the fit: vectors to none, as large as those found or as told; other numbers to about what the scene has.
 
         Args:
-            size: standard deviation of hidden numbers, in units of the search.
+            size: standard deviation of hidden vectors, in units of the search.
         """
         unknowns = len(self.unknowns.each)
-        precision = self.fit.known.precision / self.fit.sigma**2
-        hidden = self.is_hidden & (precision[:unknowns] == 0) & (not self.visible.settled)
-        if hidden.any():
-            vectors = [i for pair in self.unknowns.vectors.values() for i in pair]
-            spread = size or float(np.sqrt(np.mean(self.fit.values[vectors or slice(unknowns)] ** 2))) or 1.0
-            precision = precision.copy()
-            precision[:unknowns][hidden] = 1 / spread**2
-        return self.fit.known.mean, precision
+        mean, precision = np.zeros(self.fit.values.size), np.zeros(self.fit.values.size)
+        hidden = self.is_hidden & (self.fit.known.precision[:unknowns] == 0) & (not self.visible.settled)
+        vectors = [i for pair in self.unknowns.vectors.values() for i in pair]
+        spread = size or float(np.sqrt(np.mean(self.fit.values[vectors] ** 2))) if vectors else size or 1.0
+        start = self.unknowns.start
+        for i in np.flatnonzero(hidden):
+            if self.unknowns.each[i].path.startswith("errors."):
+                precision[i] = 1 / (spread or 1.0) ** 2
+            else:
+                mean[i], precision[i] = start[i], 1 / max(LOOSELY * abs(start[i]), 1e-3) ** 2
+        return mean, precision
 
     def gaussian(self, inflation: float, size: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Centre of what the recordings leave open and a root of its covariance, in units of the search.
 
         Args:
             inflation: of the variance of a row.
-            size: of hidden numbers, as of `held`.
+            size: of hidden vectors, as of `held`.
         """
-        mean, precision = self.held(size)
-        information = self.fit.matrix / (self.fit.sigma**2 * inflation)
-        whole = information + np.diag(precision)
-        scale = np.sqrt(np.diag(whole))
-        scaled = whole / scale[:, None] / scale[None, :]
-        centre = np.linalg.solve(scaled, (information @ self.fit.values + precision * mean) / scale) / scale
-        root = np.linalg.inv(np.linalg.cholesky(scaled)).T / scale[:, None]
-        return centre, root
+        mean, extra = self.held(size)
+        told = self.fit.matrix / (self.fit.sigma**2 * inflation) + np.diag(self.fit.known.precision / self.fit.sigma**2)
+        whole = told + np.diag(extra)
+        diagonal = np.diag(whole)
+        scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        values, vectors = np.linalg.eigh(whole / scale[:, None] / scale[None, :])
+        values = np.maximum(values, 1e-12 * values[-1])  # rounding, of recordings without noise
+        pull = vectors.T @ ((told @ self.fit.values + extra * mean) / scale)
+        return vectors @ (pull / values) / scale, vectors / np.sqrt(values) / scale[:, None]
 
     def shown(self, values: np.ndarray) -> np.ndarray:
         """All numbers in the units that they are shown in, of those in units of the search, shape (..., number)."""

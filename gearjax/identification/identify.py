@@ -25,9 +25,12 @@ OFFSET_SPREAD = 0.02 * arcmin  # by which the encoders' offset may change from o
 STARTS = 64
 FEW_STARTS = 4  # of scenes that are differentiated as they are
 MOST_ORDERS = 8
+SHORTEST_WAVE = 0.5  # of an order, that a recording must hold
 MUCH_BETTER = 0.5  # of the sum of squares: what tells another sign of the torque, or zero of the errors
 WELL = 1.3  # times the noise from row to row: what is left is noise
 POOR = 2.0  # times the noise from row to row: what is left is not noise alone
+STAYS = 0.1  # of the variance of a row, that curves may change where hidden numbers are moved
+MOST_ROWS = 300_000  # of all recordings; more are averaged, some that follow each other
 LOSSES = ("robust", "least_squares")
 
 
@@ -88,14 +91,15 @@ def identify(
     records = several(measured)
     if loss not in LOSSES:
         raise ParameterError("loss", loss, nearest(loss, LOSSES))
-    if isinstance(orders, str) and orders != "find":
-        raise ParameterError("orders", orders, 'must be "find", or orders in cycles per turn of the input')
     notes = [words for record in records for words in record.check(scene)]
     scene = _suited(scene, records, notes)
     back = bool(np.any(np.concatenate([record.back for record in records])))
     loaded = any(record.is_loaded for record in records)
     options = _Options(priors or {}, offset_spread, starts, loss == "robust", key)
-    free = {} if isinstance(orders, str) else {float(order): f"order {float(order):.6g}" for order in orders}
+    records = _thinned(records, notes)
+    free = _free_orders(orders, records)
+    if priors is not None and not isinstance(priors, Mapping):
+        raise ParameterError("priors", priors, 'must be by path: {"errors.planet_1": 5e-6}')
     progress(f"fitting {sum(record.theta.size for record in records)} rows of {len(records)} recordings")
     wanted = _Wanted(records, where, back, loaded, free, isinstance(orders, str), options, progress)
     scene, (model, fit, known) = _by_reference(scene, wanted, notes)
@@ -103,8 +107,8 @@ def identify(
     if loaded and fit.sigma > POOR * noise_of(rows):
         _check_torque(scene, wanted, fit)
     told = visible(fit, model.unknowns)
-    others = np.stack([_nearest_to_none(fit, told, other) for other in fit.others]) if len(fit.others) else fit.others
-    fit = dataclasses.replace(fit, values=_nearest_to_none(fit, told, fit.values), others=others)
+    others = np.array([_nearest(fit, model, told, other) for other in fit.others]).reshape(fit.others.shape)
+    fit = dataclasses.replace(fit, values=_nearest(fit, model, told, fit.values), others=others)
     names = (
         *model.unknowns.names,
         *names_of_further(records, free | {o.order: o.name for o in known}, _drifts(records)),
@@ -115,6 +119,36 @@ def identify(
     return Identification(
         finished, tuple(records), model.unknowns, model, fit, told, tuple(known), names, tuple(notes), tuple(further)
     )
+
+
+def _free_orders(orders: Any, records: Sequence[Measurement]) -> dict[float, str]:
+    """Orders that were asked for, with their names."""
+    if isinstance(orders, str):
+        if orders != "find":
+            raise ParameterError("orders", orders, 'must be "find", or orders in cycles per turn of the input')
+        return {}
+    given = arguments.finite("orders", orders)
+    span = max(float(np.ptp(record.theta)) for record in records) / (2 * np.pi)
+    step = min(float(np.median(np.abs(np.diff(record.theta)))) for record in records)
+    free: dict[float, str] = {}
+    for order in [] if given is None else np.atleast_1d(given).tolist():
+        if not (order * span > SHORTEST_WAVE and order * step < np.pi):
+            words = f"from {SHORTEST_WAVE / span:.3g} (half a wave in a recording) to {np.pi / step:.3g}"
+            raise ParameterError("orders", order, f"must be {words} (two rows per wave), cycles per turn of the input")
+        if any(abs(order - other) * span < 0.3 for other in free):
+            raise ParameterError("orders", order, "cannot be told from another one of them")
+        free[order] = f"order {order:.6g}"
+    return free
+
+
+def _thinned(records: list[Measurement], notes: list[str]) -> list[Measurement]:
+    """Recordings of a bounded number of rows."""
+    rows = sum(record.theta.size for record in records)
+    if rows <= MOST_ROWS:
+        return records
+    size = -(-rows // MOST_ROWS)
+    notes.append(f"{rows} rows: each {size} that follow each other are averaged")
+    return [record.averaged_by(size) for record in records]
 
 
 def _suited(scene: Scene, records: list[Measurement], notes: list[str]) -> Scene:
@@ -215,7 +249,7 @@ def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
     back = bool(np.any(np.concatenate([record.back for record in records])))
     if back and not (scene.has_back or scene.layout.sides_turn):
         return
-    few = dataclasses.replace(wanted.options, starts=wanted.options.starts or FEW_STARTS)
+    few = dataclasses.replace(wanted.options, starts=wanted.options.starts or FEW_STARTS, priors={})
     other = _found(scene, dataclasses.replace(wanted, records=records, back=back, look=False, options=few))[1]
     if other.cost < MUCH_BETTER * fit.cost and other.sigma < fit.sigma:
         raise GearjaxError(
@@ -246,18 +280,27 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
     return fit, [dataclasses.replace(each, amplitude=float(a), phase=float(b)) for each, (a, b) in final]
 
 
-def _nearest_to_none(fit: Fit, told: Visible, values: np.ndarray) -> np.ndarray:
-    """Values found, as near to zero as the directions allow that nothing shows; settled ones stay."""
+def _nearest(fit: Fit, model: Model, told: Visible, values: np.ndarray) -> np.ndarray:
+    """Values found, as near as the directions allow that nothing shows: vectors and other errors to none, what else is
+    hidden to what the scene has. Settled ones stay, and so do all where the curves would change."""
     hidden = told.hidden
     if not len(hidden) or (fit.known.precision[: hidden.shape[1]] > 0).any():
         return values
-    values = values.copy()
+    size, moved = hidden.shape[1], values.copy()
+    errors = np.array([unknown.path.startswith("errors.") for unknown in model.unknowns.each])
+    target = np.where(errors, 0.0, model.unknowns.start)
     taking = np.abs(hidden).max(axis=0) > 0
-    parts, *_ = np.linalg.lstsq(hidden[:, taking].T, values[: taking.size][taking], rcond=None)
-    own = values[: taking.size]
-    own[taking] -= hidden[:, taking].T @ parts
-    values[: taking.size] = own
-    return values
+    parts, *_ = np.linalg.lstsq(hidden[:, taking].T, (values[:size] - target)[taking], rcond=None)
+    moved[:size][taking] -= hidden[:, taking].T @ parts
+    rows = fit.problem.rows
+    curve = fit.problem.curve(np.concatenate([moved[:size], np.zeros(values.size - size)]))[0]
+    root, held = np.sqrt(fit.weight), np.sqrt(fit.known.precision[size:])
+    system = np.concatenate([rows.basis * root[:, None], np.diag(held)])
+    wanted = np.concatenate([root * (rows.te - curve), held * fit.known.mean[size:]])
+    moved[size:] = np.linalg.lstsq(system, wanted, rcond=1e-12)[0]
+    both = np.stack([values, moved])
+    before, after = fit.known.added(fit.problem.normal(both, fit.weight), both).cost
+    return moved if after < before + STAYS * fit.sigma**2 else values
 
 
 def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], notes: list[str]) -> None:

@@ -23,6 +23,8 @@ FACTORS = {  # of a slope that is wrong, and what it tells
     1 / 60.0: "one of the angles seems to be in arcmin, against its header",
 }
 SHORTEST = 3  # rows
+FLIPS = 0.05  # of the rows, in which a torque that is noise changes its sign
+BOTH_WAYS = 0.2  # of its span, that a recording may turn against its direction: encoders jitter
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,7 +69,8 @@ class Measurement:
             if getattr(self, key) is not None:
                 _row(self, key, theta.size)
         if self.torque is not None:
-            object.__setattr__(self, "torque", np.broadcast_to(np.asarray(self.torque, float), theta.shape))
+            if isinstance(self.torque, int | float | np.number):
+                object.__setattr__(self, "torque", np.full(theta.shape, float(self.torque)))
             _row(self, "torque", theta.size)
         if np.ptp(theta) == 0:
             raise ParameterError("theta", float(theta[0]), "is the same in every row: the input does not turn")
@@ -75,12 +78,20 @@ class Measurement:
     @property
     def loads(self) -> np.ndarray:
         """Torque of each row, zero where none was recorded, shape (n,) [N m]."""
-        return np.zeros(self.theta.shape) if self.torque is None else np.asarray(self.torque)
+        return np.zeros(self.theta.shape) if self.torque is None or self.is_noise else np.asarray(self.torque)
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the torque is the noise of its sensor about none."""
+        if self.torque is None or not np.any(self.torque):
+            return False
+        flips = np.mean(np.diff(np.sign(self.torque)) != 0)
+        return bool(flips > FLIPS and abs(np.mean(self.torque)) < np.std(self.torque))
 
     @property
     def is_loaded(self) -> bool:
         """Whether a torque was recorded that is not zero."""
-        return self.torque is not None and bool(np.any(np.asarray(self.torque)))
+        return bool(np.any(self.loads))
 
     @property
     def turns_back(self) -> bool:
@@ -108,9 +119,21 @@ class Measurement:
         Raises:
             GearjaxError: its ratio or its direction is another, units or columns are exchanged, or it is aliased.
         """
+        steps = np.diff(self.theta)
+        if min(np.abs(steps[steps > 0]).sum(), np.abs(steps[steps < 0]).sum()) > BOTH_WAYS * np.ptp(self.theta):
+            raise GearjaxError(f"{self.name}: turns both ways: give one recording for each direction")
         if self.output is not None:
             _check_ratio(self, scene)
-        return [*self.told(), *_check_span(self, scene)]
+        words = [f"{self.name}: its torque is taken for none, as it is noise about zero"] if self.is_noise else []
+        return [*self.told(), *words, *_check_span(self, scene)]
+
+    def averaged_by(self, size: int) -> "Measurement":
+        """The same with the means of as many rows that follow each other."""
+        parts = {
+            key: None if (values := getattr(self, key)) is None else _means(values, size)
+            for key in ("theta", "output", "te", "torque", "time")
+        }
+        return dataclasses.replace(self, **parts, averaged=self.averaged * size)
 
     def told(self) -> list[str]:
         """What reading has mended, in words."""
@@ -118,6 +141,10 @@ class Measurement:
         if self.averaged > 1:
             words.append(f"each row is the mean of {self.averaged} rows of the file")
         return [f"{self.name}: {', '.join(words)}"] if words else []
+
+
+def _means(values: np.ndarray, size: int) -> np.ndarray:
+    return values[: values.size // size * size].reshape(-1, size).mean(axis=1)
 
 
 def ideal(scene: Scene, theta: np.ndarray) -> np.ndarray:
@@ -173,6 +200,8 @@ def robust_slope(x: np.ndarray, y: np.ndarray) -> float:
     half = x.size // 2
     run = x[half:] - x[: x.size - half]
     good = np.abs(run) > 0.1 * np.ptp(x)
+    if not good.any():
+        return float(np.polyfit(x, y, 1)[0])
     return float(np.median((y[half:] - y[: y.size - half])[good] / run[good]))
 
 
@@ -236,7 +265,7 @@ def check_turned(records: list[Measurement], names: list[str]) -> None:
         for name, angle in record.turned.items():
             if name not in names:
                 raise ParameterError(f"turned of {record.name}", name, nearest(name, names))
-            if not np.isfinite(angle):
+            if not isinstance(angle, int | float | np.number) or not np.isfinite(angle):
                 raise ParameterError(f"turned of {record.name}", angle, "must be a finite angle [rad]")
 
 

@@ -180,6 +180,7 @@ class Problem:
             return Normal(*(np.stack(parts) for parts in zip(*(self._summed(v, weight) for v in values), strict=True)))
         size, points = self.padded.theta.size, len(values)
         weights = jnp.asarray(np.concatenate([weight, np.zeros(size - weight.size)]))
+        assert isinstance(self.model, Tables)
         at_once = 1 << (max(1, LANES // size).bit_length() - 1)
         whole = np.concatenate([values, np.repeat(values[-1:], -points % at_once, axis=0)])
         parts = [

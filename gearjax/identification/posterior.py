@@ -123,7 +123,12 @@ def posterior(
     problem = found.fit.problem
     rows = problem.padded
     weight = np.concatenate([found.fit.weight, np.zeros(rows.theta.size - found.fit.weight.size)])
-    mean, precision = found.held()
+    mean, extra = found.held()
+    own = found.fit.known.precision / found.fit.sigma**2
+    precision = own + extra
+    known = precision > 0
+    pulled = own * found.fit.known.mean + extra * mean
+    mean = np.where(known, pulled / np.where(known, precision, 1.0), 0.0)
     variance = found.fit.sigma**2 * found.visible.inflation
     density = _Density(
         problem.model, *map(jnp.asarray, (rows.te, weight / variance, rows.basis, mean, precision, centre, root))

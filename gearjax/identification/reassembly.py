@@ -14,7 +14,7 @@ from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement
 from gearjax.identification.model import Model, Problem
 from gearjax.identification.rows import rows_of
-from gearjax.identification.tables import positions_at
+from gearjax.identification.tables import Tables, positions_at
 from gearjax.identification.unknowns import turned
 from gearjax.progress import Progress, silent
 from gearjax.typing import Array
@@ -159,6 +159,10 @@ def reassemble(
     for path in steps or {}:
         if path not in paths:
             raise ParameterError("steps", path, f"is not turned; {nearest(path, paths)}")
+    if not paths:
+        raise ParameterError("where", (), f"names no eccentricity that was found; {nearest('', vectors)}")
+    if torque < 0 and not (found.scene.has_back or found.scene.layout.sides_turn):
+        raise ParameterError("torque", torque, "loads the back flanks, which this scene lacks")
     if torque and not found.model.loaded:
         raise ParameterError("torque", torque, "needs recordings under torque: stiffness was not found")
     progress(f"turning {', '.join(path.partition('.')[2] for path in paths)}")
@@ -200,7 +204,8 @@ class _Turning:
         unknowns = self.found.unknowns
         every = np.stack([turned(unknowns, dict(zip(self.paths, each, strict=True))) for each in turns])
         points = np.einsum("cuv,dv->cdu", every, drawn).reshape(-1, drawn.shape[1])
-        size = 1 << max(0, (LANES // self._rows).bit_length() - 1)
+        contacts = self._curves.model.lever.shape[0] if isinstance(self._curves.model, Tables) else 1
+        size = 1 << max(0, (LANES // (self._rows * max(1, contacts // 4))).bit_length() - 1)
         size = min(size, 1 << max(0, (len(points) - 1).bit_length()))
         told = []
         for begin in range(0, len(points), size):
@@ -285,19 +290,21 @@ def _with_second(found: Identification, turning: _Turning, drawn: np.ndarray, ke
     rng, size = np.random.default_rng(key + 1), len(found.unknowns.each)
     spread = float(np.sqrt(np.mean(found.fit.values[[i for pair in vectors.values() for i in pair]] ** 2))) or 1.0
     share = first.theta.size / theta.size
+    # what the recordings so far tell, offsets and free orders eliminated, and what was known
+    whole = found.fit.matrix + np.diag(found.fit.known.precision)
+    own, cross, beside = whole[:size, :size], whole[:size, size:], whole[size:, size:]
+    before = (own - cross @ np.linalg.pinv(beside, hermitian=True) @ cross.T) / found.fit.sigma**2
+    before = 0.5 * (before + before.T) + np.eye(size) / (10 * spread) ** 2
     ratios = []
     for truth in drawn[: SECOND_TRUTHS if found.model.straight else FEW_TRUTHS]:
         _, jacobian = problem.curve(np.concatenate([truth, [0.0]]))
         jacobian = jacobian - jacobian.mean(axis=0)
-        information = share * jacobian[:, :size].T @ jacobian[:, :size] / found.fit.sigma**2
-        information = (
-            information + found.fit.matrix[:size, :size] / found.fit.sigma**2 + np.eye(size) / (10 * spread) ** 2
-        )
+        information = before + share * jacobian[:, :size].T @ jacobian[:, :size] / found.fit.sigma**2
         factor = np.linalg.cholesky(np.linalg.inv(information))
         known = truth + (factor @ rng.standard_normal((size, SECOND_DRAWS))).T
         best = turning.best(known, None)
-        before, after = turning.values(truth[None], np.stack([np.zeros(len(best)), best]))[:, 0]
-        ratios.append(after / before)
+        now, then = turning.values(truth[None], np.stack([np.zeros(len(best)), best]))[:, 0]
+        ratios.append(then / now)
     body = path.partition(".")[2]
     return Gain.of(
         np.array(ratios)

@@ -23,6 +23,7 @@ from gearjax.scene import Scene
 from gearjax.typing import Array, Bool, Float
 from gearjax.units import arcmin
 
+ROWS_AT_ONCE = 4096  # whose influences are worked out side by side
 AT_ONCE = 256  # rows of a plain scene that are differentiated side by side
 
 
@@ -203,7 +204,7 @@ def tabulated(
         contacts = scene_with(each, start, scene).contacts(pose, way)
         return contacts.gap, jax.jacfwd(gap)(start), contacts.lever, springs_of(contacts)
 
-    return jax.vmap(at)(theta)
+    return jax.lax.map(at, theta, batch_size=min(ROWS_AT_ONCE, theta.shape[0]))
 
 
 def springs_of(contacts: ContactSet) -> Array:

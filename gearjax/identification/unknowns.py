@@ -49,9 +49,10 @@ class Unknown:
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """What is known before: mean and standard deviation of a number, SI; of a component both of the vector."""
+    """What is known before: mean and standard deviation of a number, SI; without a mean that of the scene, and none of
+    a vector's components."""
 
-    mean: float
+    mean: float | None
     deviation: float
 
 
@@ -117,6 +118,10 @@ class Unknowns:
                 known[unknown.path] = unknown.scale * float(value)
             elif unknown.kind == "reciprocal":
                 known[unknown.path] = unknown.scale / float(value)
+        declared = numbers(self.scene)
+        for path in known:  # a fit knows no bounds: files with others could not be read
+            low, high = declared[path].range
+            known[path] = min(max(known[path], low), high)
         free = pick(self.scene, list(known))
         return free.set(self.scene, jnp.asarray(list(known.values()), self.scene.dtype))
 
@@ -182,9 +187,15 @@ def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, 
         if not paths:
             raise ParameterError("where", (), f"the scene has no errors to find; valid: {nearest('', known)}")
     else:
+        if callable(where):
+            raise ParameterError("where", where, 'must be paths such as "errors.planet_1" or "compliance.mean"')
         paths = [where] if isinstance(where, str) else list(where)
     each: list[Unknown] = []
     for path in paths:
+        if not isinstance(path, str):
+            raise ParameterError("where", path, 'must be paths such as "errors.planet_1" or "compliance.mean"')
+        if not loaded and path.partition(".")[0] in ("compliance", "supports", "shafts"):
+            raise ParameterError("where", path, "needs a recording under torque: without, nothing bends")
         each += _of(scene, path, known)
     names = [unknown.name for unknown in each]
     for name in names:
@@ -248,7 +259,7 @@ def priors_of(unknowns: Unknowns, priors: Mapping[str, Any]) -> tuple[np.ndarray
     Raises:
         ParameterError: a name that is not looked for, or what is no prior.
     """
-    mean, precision = np.zeros(len(unknowns.each)), np.zeros(len(unknowns.each))
+    start, mean, precision = unknowns.start, np.zeros(len(unknowns.each)), np.zeros(len(unknowns.each))
     names = {unknown.name: [i] for i, unknown in enumerate(unknowns.each)}
     for i, unknown in enumerate(unknowns.each):
         names.setdefault(unknown.path, [])
@@ -264,11 +275,12 @@ def priors_of(unknowns: Unknowns, priors: Mapping[str, Any]) -> tuple[np.ndarray
         prior = _prior(f"priors of {name}", given)
         for i in names[name]:
             unknown = unknowns.each[i]
+            centre = start[i] * unknown.scale if prior.mean is None and unknown.kind == "number" else prior.mean or 0.0
             if unknown.kind == "reciprocal":
                 centre = prior.mean or unknown.scale
                 mean[i], spread = unknown.scale / centre, prior.deviation * unknown.scale / centre**2
             else:
-                mean[i], spread = prior.mean / unknown.scale, prior.deviation / unknown.scale
+                mean[i], spread = centre / unknown.scale, prior.deviation / unknown.scale
             precision[i] = 1 / spread**2
     return mean, precision
 
@@ -277,6 +289,8 @@ def _prior(key: str, given: Any) -> Prior:
     """What is known of a number: of the size of an error, the root of its mean square over two, for each component."""
     expected, deviation = getattr(given, "expected", None), getattr(given, "deviation", None)
     if expected is not None and deviation is not None:
+        if not float(deviation) > 0:
+            raise ParameterError(key, given, "must have a standard deviation above 0")
         if key.endswith(".amplitude"):
             return Prior(0.0, math.sqrt((float(expected) ** 2 + float(deviation) ** 2) / 2))
         return Prior(float(expected), float(deviation))
@@ -284,11 +298,10 @@ def _prior(key: str, given: Any) -> Prior:
         array = np.asarray(given, float)
     except (TypeError, ValueError):
         array = np.array([])
-    pair = (0.0, float(array)) if array.shape == () else tuple(array) if array.shape == (2,) else (0.0, 0.0)
-    if not (np.isfinite(pair).all() and pair[1] > 0):
+    if array.shape not in ((), (2,)) or not (np.isfinite(array).all() and array.flat[-1] > 0):
         words = "must be a standard deviation, a pair of mean and standard deviation, or a distribution; SI"
         raise ParameterError(key, given, words)
-    return Prior(*pair)
+    return Prior(None if array.shape == () else float(array[0]), float(array.flat[-1]))
 
 
 def turned(unknowns: Unknowns, angles: Mapping[str, float]) -> np.ndarray:

@@ -89,7 +89,7 @@ def hidden_directions(fit: Fit, size: int) -> np.ndarray:
     _, scale = scaled(own)
     left = left / scale[:, None] / scale[None, :]
     values, vectors = np.linalg.eigh(0.5 * (left + left.T))
-    directions = vectors[:, values < UNSEEN * max(values[-1], 1e-300)].T / scale
+    directions = vectors[:, values < UNSEEN].T / scale
     return _reduced(directions)
 
 
@@ -130,7 +130,8 @@ def _covariance(fit: Fit, jacobian: np.ndarray, blocks: int, *, singular: bool) 
     precision = fit.known.precision
     matrix = fit.matrix + np.diag(precision)
     part, scale = scaled(matrix)
-    inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True) if singular else np.linalg.inv(part)
+    bad = singular or np.linalg.cond(part) > 1 / UNSEEN
+    inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True) if bad else np.linalg.inv(part)
     inverse = inverse / scale[:, None] / scale[None, :]
     variance = fit.sigma**2
     if blocks == 1:

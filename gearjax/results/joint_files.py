@@ -61,6 +61,8 @@ def torque_of(theta, position):
     else:
         i = int(np.searchsorted(known, position)) - 1
     stiffness = (loads[i + 1] - loads[i]) / (known[i + 1] - known[i])
+    if min(loads) > 0:  # no back flanks: beyond the driving ones nothing is carried
+        return max(loads[i] + stiffness * (position - known[i]), 0.0)
     if loads[i] * loads[i + 1] < 0:  # between the driving and the back flanks: the lines beside end at no torque
         return _beside(known, loads, i, position)
     return loads[i] + stiffness * (position - known[i])
