@@ -118,7 +118,8 @@ def fitted(
         order = np.argsort(sums.cost)
         good = order[sums.cost[order] <= (1 + NEAR) * sums.cost[order[0]] + 100 * sigma**2]
         apart = good[_apart(ends[good], sums.matrix[good], sigma)]
-        flattest = sorted(apart, key=lambda i: rank_of(sums.matrix[i] - np.diag(known.precision)))[:FLATTEST]
+        ranks = [rank_of(matrix - np.diag(known.precision)) for matrix in sums.matrix[apart]]
+        flattest = apart[np.argsort(ranks, kind="stable")[:FLATTEST]]
         starts = ends[list(dict.fromkeys([*apart[:POLISHED], *flattest]))]
     weight = rows.weight.copy()
     ends, sums = starts, None

@@ -16,7 +16,7 @@ from gearjax.identification.model import Model
 from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
 from gearjax.identification.rows import names_of_further, rows_of
 from gearjax.identification.unknowns import priors_of, unknowns_of
-from gearjax.identification.visible import Visible, block_length, visible
+from gearjax.identification.visible import Visible, block_length, hidden_directions, visible
 from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
@@ -107,8 +107,9 @@ def identify(
     if loaded and fit.sigma > POOR * noise_of(rows):
         _check_torque(scene, wanted, fit)
     told = visible(fit, model.unknowns)
-    others = np.array([_nearest(fit, model, told, other) for other in fit.others]).reshape(fit.others.shape)
-    fit = dataclasses.replace(fit, values=_nearest(fit, model, told, fit.values), others=others)
+    others = np.array([_nearest(fit, model, _hidden_at(fit, model, other), other) for other in fit.others])
+    values = _nearest(fit, model, told.hidden, fit.values)
+    fit = dataclasses.replace(fit, values=values, others=others.reshape(fit.others.shape))
     names = (
         *model.unknowns.names,
         *names_of_further(records, free | {o.order: o.name for o in known}, _drifts(records)),
@@ -280,10 +281,15 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
     return fit, [dataclasses.replace(each, amplitude=float(a), phase=float(b)) for each, (a, b) in final]
 
 
-def _nearest(fit: Fit, model: Model, told: Visible, values: np.ndarray) -> np.ndarray:
+def _hidden_at(fit: Fit, model: Model, values: np.ndarray) -> np.ndarray:
+    """Directions that nothing shows at another solution."""
+    matrix = fit.problem.normal(values[None], fit.weight).matrix[0]
+    return hidden_directions(dataclasses.replace(fit, matrix=matrix), len(model.unknowns.each))
+
+
+def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values found, as near as the directions allow that nothing shows: vectors and other errors to none, what else is
     hidden to what the scene has. Settled ones stay, and so do all where the curves would change."""
-    hidden = told.hidden
     if not len(hidden) or (fit.known.precision[: hidden.shape[1]] > 0).any():
         return values
     size, moved = hidden.shape[1], values.copy()
