@@ -387,6 +387,18 @@ def test_draws_and_fit_share_a_strong_prior(scene, unit):
     assert number.estimate("backlash.initial").value == pytest.approx(150, abs=40)
 
 
+def test_a_prior_of_one_number_leaves_the_others_near_none(scene, unit):
+    records = runs(unit, 3, rows=ROWS)
+    found = gj.identify(scene, records, priors={"compliance.mean": (1e8, 1e8)}, suggest=False)
+    plain = gj.identify(scene, records, suggest=False)
+    for name in ("planet_1", "revolution"):
+        sizes = [
+            np.hypot(*(each.estimate(f"errors.{name}.{part}").value for part in ("cos", "sin")))
+            for each in (found, plain)
+        ]
+        assert max(sizes) < 25  # um: along the hidden directions a search may end anywhere
+
+
 def test_recordings_without_noise_do_not_break_what_follows(scene, unit):
     records = runs(unit, 3, rows=600, noise=0.0)
     found = gj.identify(scene, records, suggest=False)

@@ -289,8 +289,9 @@ def _hidden_at(fit: Fit, model: Model, values: np.ndarray) -> np.ndarray:
 
 def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values found, as near as the directions allow that nothing shows: vectors and other errors to none, what else is
-    hidden to what the scene has. Settled ones stay, and so do all where the curves would change."""
-    if not len(hidden) or (fit.known.precision[: hidden.shape[1]] > 0).any():
+    hidden to what the scene has. What is known before settles its own, and all stay where the curves would change."""
+    hidden = hidden[(hidden[:, fit.known.precision[: hidden.shape[1]] > 0] == 0).all(axis=1)]
+    if not len(hidden):
         return values
     size, moved = hidden.shape[1], values.copy()
     errors = np.array([unknown.path.startswith("errors.") for unknown in model.unknowns.each])
