@@ -212,8 +212,8 @@ class Case:
 
     @property
     def identified(self) -> gj.Identification:
-        first = f"errors.{next(iter(self.scene.errors))}"
-        return gj.identify(self.moved, self.recording, [first], starts=1, orders=[], suggest=False)
+        first = next(name for name, error in self.scene.errors.items() if isinstance(error, gj.Eccentricity))
+        return gj.identify(self.moved, self.recording, [f"errors.{first}"], starts=1, orders=[], suggest=False)
 
     def te(self, torque: float | None = None) -> Any:
         return gj.transmission_error(self.moved, self.theta, torque)
@@ -249,7 +249,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "separation_speed": lambda case: gj.separation_speed(case.moved, TORQUE),
     "posterior": lambda case: gj.posterior(case.identified, chains=2, draws=4, warm_up=10).draws,
     "periodic_motion": lambda case: gj.periodic_motion(case.moved, TORQUE, 0.02, steps=64, longest=1, settle=12).te,
-    "reassemble": lambda case: gj.reassemble(case.identified, case.identified.vectors[:1], draws=4).after,
+    "reassemble": lambda case: gj.reassemble(case.identified, steps={case.identified.vectors[0]: 4}, draws=4).after,
     "shooting": lambda case: gj.shooting(case.moved, TORQUE, 0.02, steps=64).te,
     "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
     "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
