@@ -14,7 +14,7 @@ from jax.core import Tracer
 _LONGEST_KEY = 100
 _SHOWN = 40  # characters of a given value that an error repeats
 _NAME = re.compile(r"[^\W\d_][\w-]*")
-_MOST_NAMES = 240  # characters of names that an error lists
+_MOST_NAMES = 210  # characters of names that an error lists
 
 
 class GearjaxError(ValueError):
