@@ -79,7 +79,10 @@ def missing_orders(number: int, seed: int) -> None:
         rng = np.random.default_rng(k)
         order, size, phase = rng.integers(1, 40), rng.uniform(0.02, 0.3) * arcmin, rng.uniform(0, 2 * np.pi)
         unit = random_unit(k)
-        extra = lambda theta, n=order, a=size, p=phase: a * np.cos(n * theta / 79 + p)  # noqa: E731
+
+        def extra(theta: np.ndarray, n=order, a=size, p=phase) -> np.ndarray:
+            return a * np.cos(n * theta / 79 + p)
+
         found = gj.identify(scene, drifting_runs(unit, k, extra=extra), suggest=False)
         first += bool(found.orders) and abs(found.orders[0].order * 79 - order) < 0.3
         more += max(len(found.orders) - 1, 0)

@@ -2,9 +2,11 @@
 
 import dataclasses
 import json
+import re
 import runpy
 import sys
 import tomllib
+import types
 
 import jax.numpy as jnp
 import numpy as np
@@ -293,6 +295,27 @@ def test_the_function_of_numpy_is_the_static_te(handed, torque):
         assert model["torque_of"](angle, position) == pytest.approx(torque, rel=1e-6)
     inside = 0.5 * (model["te"](1.0, 1e-9) + model["te"](1.0, -1e-9))
     assert model["torque_of"](1.0, inside) == 0.0
+
+
+def test_the_joint_keeps_its_energy(handed):
+    """Without damping no work is left once motor and output have gone round a loop, loaded and unloaded on the way."""
+    _, folder = handed
+    names = module(folder)
+    text = (folder / "joint_mujoco.py").read_text(encoding="utf-8")
+    joint = {"te_model": types.SimpleNamespace(**names), "mujoco": None}
+    exec(compile(re.sub(r"^import .*$", "", text, flags=re.MULTILINE), "joint_mujoco.py", "exec"), joint)
+    joint["DAMPING"] = 0.0
+    around = np.linspace(0.0, 2 * np.pi, 4001)
+    theta = 3.0 + 1.5 * np.sin(around)
+    rest = np.array([names["te"](angle, 60.0) for angle in theta])
+    output = theta / 79 + rest + 2e-4 * np.cos(around)
+    forces = np.array([joint["forces"](a, 0.0, b, 0.0) for a, b in zip(theta, output, strict=True)])
+    middle = 0.5 * (forces[1:] + forces[:-1])
+    work = middle[:, 0] @ np.diff(theta) + middle[:, 1] @ np.diff(output)
+    moved = np.abs(middle[:, 1] * np.diff(output - theta / 79)).sum()
+    assert forces[:, 1].max() > 100
+    assert forces[:, 1].min() < 5
+    assert abs(work) < 2e-3 * moved
 
 
 def test_without_back_flanks_nothing_pulls(tmp_path):

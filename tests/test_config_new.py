@@ -10,9 +10,10 @@ import gearjax as gj
 from gearjax import registry
 from gearjax.cli import main
 from gearjax.compliance import COMPLIANCES
-from gearjax.config import loads_optimise, loads_tolerance, template
+from gearjax.config import loads_identify, loads_optimise, loads_tolerance, template
 from gearjax.config.build import CONTACTS
 from gearjax.config.commented import TOGETHER, options, put_in
+from gearjax.config.identify import IDENTIFY_KEYS
 from gearjax.config.meaning import meanings, summary
 from gearjax.config.optimise import OPTIMISE_KEYS
 from gearjax.config.run import PUBLISHED_KEYS, RUN_KEYS
@@ -51,6 +52,7 @@ def test_it_loads_as_it_is(text):
     assert scene.run.analyses == ("no_load", "backlash", "static", *motion)
     assert loads_optimise(text)[1].where
     assert loads_tolerance(text)[2].measures
+    assert loads_identify(text)[1].measured
 
 
 def test_each_option_loads_when_it_is_put_in(text):
@@ -91,7 +93,8 @@ def test_every_declared_name_occurs(text):
     for part in parts:
         assert declared(part).keys() <= written, part
         assert getattr(part, "kind", kind) in kinds
-    for keys in (RUN_KEYS, PUBLISHED_KEYS, TOLERANCE_KEYS, SENSITIVITY_KEYS, ALLOCATION_KEYS, ASSEMBLY_KEYS):
+    studies = TOLERANCE_KEYS, SENSITIVITY_KEYS, ALLOCATION_KEYS, ASSEMBLY_KEYS
+    for keys in (RUN_KEYS, IDENTIFY_KEYS, PUBLISHED_KEYS, *studies):
         assert keys.keys() <= written
     assert OPTIMISE_KEYS.keys() - {"torque", "order"} <= written
     for name in ("torque", "order", *MEASURE_KEYS, "file", "column", "unit", "correlated"):

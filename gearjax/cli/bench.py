@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from gearjax.checks import GearjaxError, RepairedData
-from gearjax.cli.commands import ConfigArgument, JsonOption, OutOption, _folder, _read_text, _say, app
+from gearjax.cli.commands import ConfigArgument, JsonOption, OutOption, app, folder_for, say, text_of
 from gearjax.cli.tables import output
 from gearjax.config import loads_identify, read_measurement
 from gearjax.identification import Comparison, Measurement
@@ -37,18 +37,18 @@ def compare(
     from gearjax.identification import compare as beside_each_other
     from gearjax.results.identification import save_comparison
 
-    text = _read_text(config)
+    text = text_of(config)
     scene, section = loads_identify(text, config.parent)
     records = _records(measured, section.measured)
-    folder = _folder(out, json_, config)
-    _say(f"computing beside {len(records)} recordings")
+    folder = folder_for(out, json_, config)
+    say(f"computing beside {len(records)} recordings")
     beside = beside_each_other(scene, records, shift="find" if shift else "none")
     _notes(beside.notes)
     if folder is not None:
         from gearjax.plot.identification import save_comparison_figures
 
         written = save_comparison(beside, folder) + save_comparison_figures(beside, folder)
-        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
         print(json.dumps({"config": str(config)} | beside.as_json(), allow_nan=False))
     else:
@@ -69,18 +69,18 @@ def identify(
     """
     from gearjax.results.identification import identified, save_identified
 
-    text = _read_text(config)
+    text = text_of(config)
     scene, section = loads_identify(text, config.parent)
     records = _records(measured, section.measured)
-    folder = _folder(out, json_, config)
-    result = identified(section, scene, records, _say)
+    folder = folder_for(out, json_, config)
+    result = identified(section, scene, records, say)
     _notes(result.found.notes)
     if folder is not None:
         from gearjax.plot.identification import save_identification_figures
 
         written = save_identified(result, text, folder, config.parent)
         written += save_identification_figures(result.found, result.beside, folder)
-        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
         print(json.dumps({"config": str(config)} | result.as_json(), allow_nan=False))
     else:
@@ -99,7 +99,7 @@ def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> list[Measure
 
 def _notes(notes: tuple[str, ...]) -> None:
     for words in notes:
-        _say(f"note: {words}")
+        say(f"note: {words}")
 
 
 def _print_comparison(beside: Comparison) -> None:

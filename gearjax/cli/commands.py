@@ -87,12 +87,12 @@ def run(
     Without --out they go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
-    folder = _folder(out, json_, config)
+    folder = folder_for(out, json_, config)
     stepper = None
     if accuracy is not None:
         allowed = _positive("--accuracy", accuracy)
         if scene.run is not None and "dynamic" in scene.run.analyses:
-            stepper = accurate_step(scene, allowed, _say)
+            stepper = accurate_step(scene, allowed, say)
     for remark in remarks(scene):
         _progress.print(f"note: {remark}", soft_wrap=True)
     cases = []
@@ -158,9 +158,9 @@ def reproduce(
         raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
     reports = []
     for paper in [PAPERS[name]] if name is not None else PAPERS.values():
-        _say(f"computing: {paper.title}")
+        say(f"computing: {paper.title}")
         try:
-            reports.append((paper.title, paper.rows(_say)))
+            reports.append((paper.title, paper.rows(say)))
         except MissingExtraError as fault:
             if name is not None:
                 raise
@@ -184,10 +184,10 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
-    text = _read_text(config)
+    text = text_of(config)
     scene, section = loads_optimise(text, config.parent)
-    folder = _folder(out, json_, config)
-    optimisation = run_optimise(section, scene, _say)
+    folder = folder_for(out, json_, config)
+    optimisation = run_optimise(section, scene, say)
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
@@ -214,13 +214,13 @@ def tradeoff(
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
-    folder = _folder(out, json_, config)
+    folder = folder_for(out, json_, config)
     allowed, moving = _positive("--error", error), scene.run is not None and "dynamic" in scene.run.analyses
     shifted = []
     if "tolerance" in read_tables(text):
         from gearjax.results.tolerance import shifts, shifts_as_json
 
-        _say("float32 against float64: quantiles of the tolerance study")
+        say("float32 against float64: quantiles of the tolerance study")
         shifted = shifts(loads_tolerance(text, config.parent)[2])
         if not moving:
             if json_:
@@ -228,12 +228,12 @@ def tradeoff(
             else:
                 print_shifts(shifted)
             return
-    comparison = run_tradeoff(scene, allowed, _say)
+    comparison = run_tradeoff(scene, allowed, say)
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
         written = save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder)
-        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
         entries = tradeoff_as_json(str(config), comparison)
         if shifted:
@@ -264,22 +264,22 @@ def tolerance(
     from gearjax.cli.tolerance import print_tolerance, study
     from gearjax.results.tolerance import save_tolerance
 
-    text = _read_text(config)
-    folder = _folder(out, json_, config)
-    results, work = study(text, config.parent, folder, scheduler, workers, _progress, _say)
+    text = text_of(config)
+    folder = folder_for(out, json_, config)
+    results, work = study(text, config.parent, folder, scheduler, workers, _progress, say)
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
 
         written = save_tolerance(results, work, text, folder, config.parent)
         written += save_tolerance_figures(results, folder)
-        _say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
         print(json.dumps(results.as_json(), allow_nan=False))
     else:
         print_tolerance(results)
 
 
-def _folder(out: Path | None, json_: bool, config: Path) -> Path | None:
+def folder_for(out: Path | None, json_: bool, config: Path) -> Path | None:
     """Where results go: as told, nowhere with --json, else out/NAME, if that can be written."""
     return out if out is not None else None if json_ else writable(Path("out") / config.stem)
 
@@ -291,11 +291,11 @@ def _positive(option: str, given: float) -> float:
     return given * arcmin
 
 
-def _say(words: str) -> None:
+def say(words: str) -> None:
     _progress.print(words, style="dim", soft_wrap=True)
 
 
-def _read_text(config: Path) -> str:
+def text_of(config: Path) -> str:
     """Text of a configuration, or of the one inside a results file."""
     check_path("CONFIG", config)
     return stored_config(config) if config.suffix == ".nc" else read_file(config)
@@ -303,7 +303,7 @@ def _read_text(config: Path) -> str:
 
 def _read(config: Path) -> tuple[str, Scene]:
     """Text and scene of a configuration, or of a results file's own configuration."""
-    text = _read_text(config)
+    text = text_of(config)
     return text, loads(text, config.parent)
 
 

@@ -10,6 +10,7 @@ from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.config.build import CONTACTS, REFERENCE_KEYS, loads
 from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
+from gearjax.config.identify import IDENTIFY_KEYS
 from gearjax.config.meaning import both, example, limits, meanings, summary, told
 from gearjax.config.optimise import OPTIMISE_KEYS, OptimiseSection
 from gearjax.config.run import PUBLISHED_KEYS, RUN_KEYS
@@ -107,7 +108,7 @@ def template(kind: str) -> str:
         text += _slot(text, slot, parts)
     text += _supports(text, scene)
     text += _run(loads(text))
-    for section in (_optimise, _tolerance):
+    for section in (_optimise, _identify, _tolerance):
         text += _if_it_loads(text, section(loads(text)))
     return _noted(text)
 
@@ -333,6 +334,22 @@ def _optimise(scene: Scene) -> str:
         if name == "objective":
             section += f"{INSTEAD}\n#objective = {terms}\n"
     return section
+
+
+def _identify(scene: Scene) -> str:
+    """``gearjax identify``: the errors that explain recordings."""
+    errors, vectors = (
+        list(dict.fromkeys(path.rpartition(".")[0] for path in paths))
+        for paths in ([path for path in numbers(scene) if path.startswith("errors.")], _phases(scene))
+    )
+    given = {
+        "where": as_toml(errors),
+        "priors": f'{{ "{vectors[0]}" = "5 um" }}' if vectors else "",
+        "reassemble": f'{{ where = {as_toml(vectors)}, metric = "std" }}' if vectors else "",
+    }
+    about = "What gearjax identify reads and looks for; gearjax compare reads the same recordings."
+    lines = "".join(_line(name, key, "", given.get(name, "")) for name, key in IDENTIFY_KEYS.items())
+    return f"\n{_prose(about)}[identify]\n{lines}"
 
 
 def _tolerance(scene: Scene) -> str:

@@ -16,14 +16,18 @@ from gearjax.scene import Scene
 from gearjax.studies.select import members, numbers
 
 IDENTIFY_KEYS = {
-    "measured": Key("a list of CSV files"),
-    "where": Key('a list of errors or paths such as "errors.planet_1"; without, all errors, stiffness, backlash'),
-    "priors": Key("a table of standard deviations by path, or of pairs [mean, standard deviation]"),
-    "offset_spread": Key("by how much the encoders' offset changes between recordings", '"0.02 arcmin"'),
+    "measured": Key("recordings of the same unit, a list of CSV files", '["te.csv"]', required=True),
+    "where": Key(
+        'what is looked for, a list of errors or paths such as "errors.planet_1"; without, all errors, stiffness'
+    ),
+    "priors": Key("what is known before, a table of standard deviations by path, or of pairs [mean, deviation]"),
+    "offset_spread": Key(
+        "by how much the encoders' offset changes between recordings, an angle", default='"0.02 arcmin"'
+    ),
     "orders": Key('"find", or a list of orders in cycles per turn of the input that are free', default='"find"'),
-    "starts": Key("a whole number", default="64, or 4 where gaps are not in proportion"),
+    "starts": Key("of the search, a whole number; without, 64, or 4 where gaps are not in proportion", "64"),
     "seed": Key("a whole number from 0", default="0"),
-    "reassemble": Key("a table: where, a list of errors; places, a table of places on a turn; metric; torque"),
+    "reassemble": Key("what can be turned, a table: where, places (a table of places on a turn), metric, torque"),
 }
 _REASSEMBLE = ("where", "places", "metric", "torque")
 MOST_STARTS = 100_000

@@ -1,8 +1,5 @@
 """Recordings of test benches: CSV files with named columns and units, and a small TOML file beside them."""
 
-import dataclasses
-import re
-import tomllib
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,36 +8,17 @@ from typing import Any
 import numpy as np
 
 from gearjax import units
-from gearjax.checks import GearjaxError, ParameterError, RepairedData, check_path, nearest
+from gearjax.checks import GearjaxError, ParameterError, RepairedData, check_path
 from gearjax.config.csv_files import read_rows
-from gearjax.config.quantities import read_quantity, unit_size
-from gearjax.config.tables import known_keys
-from gearjax.identification.measurement import SHORTEST, Measurement
+from gearjax.config.quantities import read_quantity
+from gearjax.config.recording_columns import Column, beside_of, columns_of
+from gearjax.identification.measurement import SHORTEST, Measurement, means_of
 
-DIMENSIONS = {
-    "time": units.TIME,
-    "input angle": units.ANGLE,
-    "output angle": units.ANGLE,
-    "te": units.ANGLE,
-    "torque": units.TORQUE,
-}
-ALSO = {"transmission error": "te", "t": "time", "input": "input angle", "output": "output angle", "load": "torque"}
-BESIDE = ("columns", "torque", "turned", "input_counts", "output_counts", "name")
-OF_COLUMN = ("column", "unit", "sign")
 CHUNK = 500_000  # rows read at once
 MOST_KEPT = 1_000_000  # rows, beyond which they are averaged while they are read
 MOST_MISSING = 0.3  # of the rows, that may be left out
 FARTHEST = 1 / 3  # of a turn, that an angle which wraps around may move from row to row
 ALONE = 0.05  # of the rows, that may hold zero among others
-_COLUMN = re.compile(r"([^\[(]+?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
-
-
-@dataclasses.dataclass(frozen=True)
-class _Column:
-    """Where a quantity stands in a file, and the size of its unit in SI with its sign."""
-
-    place: int
-    size: float
 
 
 def read_measurement(file: str | Path, *, torque: float | None = None) -> Measurement:
@@ -82,123 +60,16 @@ def read_measurement(file: str | Path, *, torque: float | None = None) -> Measur
     check_path("file", file)
     path = Path(file).expanduser()
     key = f"file: {file}"
-    beside = _beside(path)
+    beside = beside_of(path)
     header, lines = read_rows("file", path)
     next(lines)  # refuses what has no rows, or other cells than names
-    columns, own = _columns(key, header, beside), _Reader(key, beside)
+    columns, own = columns_of(key, header, beside), _Reader(key, beside)
     _even(key, path, len(header))
     table, averaged = _table(key, path, columns, own)
     record = _record(key, beside.get("name", path.stem), table, beside, torque, own, averaged)
     for words in record.told():
         warnings.warn(words, RepairedData, stacklevel=2)
     return record
-
-
-def _beside(path: Path) -> dict[str, Any]:
-    """What the TOML file beside a recording tells."""
-    toml = path.with_suffix(".toml")
-    if not toml.is_file():
-        return {}
-    try:
-        table = tomllib.loads(toml.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as fault:
-        raise GearjaxError(f"{toml}: cannot be read ({fault})") from fault
-    known_keys(str(toml), table, BESIDE)
-    for name in ("input_counts", "output_counts"):
-        given = table.get(name, 1)
-        if isinstance(given, bool) or not isinstance(given, int) or not 1 <= given <= 2**62:
-            raise ParameterError(f"{toml}: {name}", given, "must be a whole number of counts per turn")
-    if not isinstance(table.get("name", ""), str):
-        raise ParameterError(f"{toml}: name", table["name"], "must be a name in quotes")
-    for key in ("columns", "turned"):
-        if not isinstance(table.get(key, {}), dict):
-            raise ParameterError(f"{toml}: {key}", table[key], "must be a table")
-    turned = {
-        name: read_quantity(f"{toml}: turned.{name}", given, units.ANGLE)
-        for name, given in table.get("turned", {}).items()
-    }
-    return table | {"turned": turned, "file": str(toml)}
-
-
-def _columns(key: str, header: list[str], beside: dict[str, Any]) -> dict[str, _Column]:
-    """Where each quantity stands."""
-    if len(header) == 1 and re.search("[;\t]", header[0]):
-        raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
-    plain = [_plain(text) for text in header]
-    found: dict[str, _Column] = {}
-    for name, told in beside.get("columns", {}).items():
-        where = f"{beside['file']}: columns.{name}"
-        if name not in DIMENSIONS:
-            raise ParameterError(where, told, nearest(name, DIMENSIONS))
-        told = {"column": told} if isinstance(told, str) else told
-        if not isinstance(told, dict):
-            raise ParameterError(where, told, 'must be the name of a column, or {column = "...", unit = "..."}')
-        known_keys(where, told, OF_COLUMN)
-        names = [text.strip() for text in header]
-        text = told.get("column", name)
-        place = names.index(text) if text in names else plain.index(text) if text in plain else None
-        if place is None:
-            raise ParameterError(f"{where}.column", text, nearest(text, [*names, *plain]))
-        sign = told.get("sign", 1)
-        if sign not in (1, -1):
-            raise ParameterError(f"{where}.sign", sign, "must be 1 or -1")
-        unit = told.get("unit", _unit(header[place]))
-        if unit is not None and not isinstance(unit, str):
-            raise ParameterError(f"{where}.unit", unit, "must be a unit in quotes")
-        found[name] = _Column(place, sign * _size(where, name, unit, beside))
-    for place, text in enumerate(header):
-        name = ALSO.get(plain[place], plain[place])
-        if name not in DIMENSIONS or any(column.place == place for column in found.values()):
-            continue
-        if name in found:
-            if name in beside.get("columns", {}):
-                continue
-            raise GearjaxError(f"{key}: line 1: two columns are named {name}")
-        found[name] = _Column(place, _size(f"{key}: line 1: {name}", name, _unit(text), beside))
-    _require(key, found, header)
-    return found
-
-
-def _require(key: str, found: dict[str, _Column], header: list[str]) -> None:
-    """Refuse a table without the columns that are needed."""
-    has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200]}"
-    if "input angle" not in found:
-        words = " (time alone is no angle: speeds are never even)" if "time" in found else ""
-        raise GearjaxError(f"{key}: line 1 must name a column input angle{words}; {has}")
-    if "output angle" not in found and "te" not in found:
-        raise GearjaxError(f"{key}: line 1 must name a column output angle, or te; {has}")
-    if "output angle" in found and "te" in found:
-        del found["te"]  # both angles tell it
-
-
-def _plain(text: str) -> str:
-    """Name of a column without its unit, in small letters."""
-    match = _COLUMN.fullmatch(text.strip())
-    name = match[1] if match else text
-    return re.sub(r"[\s_]+", " ", name).strip().lower()
-
-
-def _unit(text: str) -> str | None:
-    match = _COLUMN.fullmatch(text.strip())
-    return match[2] if match else None
-
-
-def _size(where: str, name: str, unit: str | None, beside: dict[str, Any]) -> float:
-    """Size of a unit in SI; counts by those of the encoder."""
-    dimension = DIMENSIONS[name]
-    if not unit:
-        example = dimension.example.rpartition(" ")[2]
-        raise GearjaxError(f"{where} needs its unit, such as {name} [{example}]")
-    if unit in ("counts", "count") and name.endswith("angle"):
-        counts = beside.get(f"{name.partition(' ')[0]}_counts")
-        if counts is None:
-            words = f"is in counts: give {name.partition(' ')[0]}_counts, per turn, in a TOML file beside it"
-            raise GearjaxError(f"{where} {words}")
-        return 2 * np.pi / counts
-    try:
-        return unit_size("unit", unit, re.sub(r"(?<=\w)\s+(?=\w)", "*", unit), dimension)
-    except ParameterError as fault:
-        raise GearjaxError(f"{where}: {fault}") from fault
 
 
 def _even(key: str, path: Path, columns: int) -> None:
@@ -225,7 +96,7 @@ class _Reader:
             self.repairs[what] = self.repairs.get(what, 0) + number
 
 
-def _chunks(key: str, path: Path, columns: dict[str, _Column]) -> Iterator[dict[str, np.ndarray]]:
+def _chunks(key: str, path: Path, columns: dict[str, Column]) -> Iterator[dict[str, np.ndarray]]:
     """Parts of a file as numbers in SI, what is none as nan."""
     import pandas as pd  # half a second that others need not wait
 
@@ -246,7 +117,7 @@ def _chunks(key: str, path: Path, columns: dict[str, _Column]) -> Iterator[dict[
         raise GearjaxError(f"{key}: cannot be read ({fault.strerror or fault})") from fault
 
 
-def _table(key: str, path: Path, columns: dict[str, _Column], own: _Reader) -> tuple[dict[str, np.ndarray], int]:
+def _table(key: str, path: Path, columns: dict[str, Column], own: _Reader) -> tuple[dict[str, np.ndarray], int]:
     """The cleaned rows, and how many of the file's each is the mean of."""
     kept: list[dict[str, np.ndarray]] = []
     size, averaged, rows = path.stat().st_size, 1, 0
@@ -261,7 +132,7 @@ def _table(key: str, path: Path, columns: dict[str, _Column], own: _Reader) -> t
             continue
         if averaged > 1:
             _in_order(part, own)
-            part = _averaged(_continued(part, own), averaged)
+            part = {name: means_of(values, averaged) for name, values in _continued(part, own).items()}
         kept.append(part)
     lacking = own.repairs.get("rows with missing values left out", 0)
     if not kept or lacking > MOST_MISSING * rows:
@@ -295,12 +166,6 @@ def _whole_rows(part: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarr
     good = np.logical_and.reduce([np.isfinite(values) for values in part.values()])
     own.count("rows with missing values left out", ~good)
     return {name: values[good] for name, values in part.items()}
-
-
-def _averaged(part: dict[str, np.ndarray], size: int) -> dict[str, np.ndarray]:
-    """Means of as many rows that follow each other."""
-    whole = part["input angle"].size // size * size
-    return {name: values[:whole].reshape(-1, size).mean(axis=1) for name, values in part.items()}
 
 
 def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:

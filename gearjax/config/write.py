@@ -2,7 +2,7 @@
 
 import copy
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,11 @@ def self_contained(text: str, folder: str | Path) -> str:
 
 
 def with_numbers(
-    text: str, values: Mapping[str, float], parameters: Mapping[str, Parameter], folder: str | Path = "."
+    text: str,
+    values: Mapping[str, float],
+    parameters: Mapping[str, Parameter],
+    folder: str | Path = ".",
+    without: Iterable[str] = (),
 ) -> str:
     """The text of a configuration with other numbers, without the sections of studies and published values.
 
@@ -40,12 +44,13 @@ def with_numbers(
         values: numbers by path, such as ``errors.planet_1.phase``, SI.
         parameters: their declarations.
         folder: that files named in it are relative to; the new text, which may be kept elsewhere, does not need it.
+        without: sections that are left out besides.
 
     Raises:
         GearjaxError: the text is not TOML, or a file that it names cannot be read.
     """
     tables: dict[str, Any] = copy.deepcopy(with_files(read_tables(text), Path(folder)))
-    for section in STUDIES:
+    for section in (*STUDIES, *without):
         tables.pop(section, None)
     for path, value in values.items():
         *parents, last = path.split(".")

@@ -93,18 +93,13 @@ def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[
 def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, int]:
     """Directions hidden with a further recording, and how many of the other solutions it shows to be wrong."""
     size = len(model.unknowns.each)
-    own = dataclasses.replace(model, turns=Model.of(model.unknowns, [record], loaded=model.loaded).turns)
     rows = rows_of([record], model.scene, [], False)
-    problem = Problem(own, rows)
-    values = np.concatenate([fit.values[:size], [fit.values[size]]])
-    curve, jacobian = problem.curve(values)
+    problem = Problem(model.beside([record]), rows)
+    curve, jacobian = problem.curve(fit.values[: size + 1])
     more = np.zeros((rows.theta.size, fit.values.size))
     more[:, :size] = jacobian[:, :size] - jacobian[:, :size].mean(axis=0)  # its own offset may be any
     whole = dataclasses.replace(fit, matrix=fit.matrix + more.T @ more)
-    apart = sum(
-        _off(problem.curve(np.concatenate([other[:size], [other[size]]]))[0] - curve) > TOLD_APART * fit.sigma**2
-        for other in fit.others
-    )
+    apart = sum(_off(problem.curve(other[: size + 1])[0] - curve) > TOLD_APART * fit.sigma**2 for other in fit.others)
     return hidden_directions(whole, size), apart
 
 

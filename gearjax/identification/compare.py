@@ -21,7 +21,7 @@ POLISHED = 24  # of the lowest ones: waves of bodies leave many nearly alike
 CLOSE = {"xatol": 1e-6}  # rad
 MOST_ROWS = 200_000  # of a recording; more are averaged, some that follow each other
 MOST_ANGLES = 1 << 17  # of a computed curve
-PATHS_PER_CURVE = 4000  # angles at which the computed curve is known when it is shifted
+ANGLES_PER_CURVE = 4000  # angles at which the computed curve is known when it is shifted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,14 +201,14 @@ def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
     kind = scene.system.kind
     if not scene.system.turns_evenly:
         raise SceneError(f"a start angle is for outputs that turn evenly, which that of a {kind} does not")
-    size = max(PATHS_PER_CURVE, int(20 * scene.system.fastest_order * cycle / (2 * np.pi)))
+    size = max(ANGLES_PER_CURVE, int(20 * scene.system.fastest_order * cycle / (2 * np.pi)))
     if size > MOST_ANGLES:
         raise SceneError(f"a start angle needs {size} angles of a {kind}'s cycle, more than {MOST_ANGLES}")
     grid = np.arange(size) * (cycle / size)
     torque = float(np.median(record.loads))
     curve = computed_error(scene, grid, torque, bool(record.back[0]))
     grid, curve = np.append(grid, cycle), np.append(curve, curve[0])
-    rows = np.unique(np.linspace(0, record.theta.size - 1, min(record.theta.size, PATHS_PER_CURVE)).astype(int))
+    rows = np.unique(np.linspace(0, record.theta.size - 1, min(record.theta.size, ANGLES_PER_CURVE)).astype(int))
     theta, own = record.theta[rows], te[rows]
 
     def off(start: float) -> float:

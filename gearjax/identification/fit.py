@@ -90,7 +90,7 @@ def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Seq
 def fitted(
     model: Model,
     rows: Rows,
-    bins: Rows,
+    rough: Problem,
     precision: tuple[np.ndarray, np.ndarray],
     starts: np.ndarray,
     *,
@@ -101,7 +101,7 @@ def fitted(
     Args:
         model: of the recordings.
         rows: all of them.
-        bins: their means.
+        rough: their means.
         precision: means and precisions of what is known before, shape (number,) each; in units of the search.
         starts: shape (start, number).
         robust: whether outlying rows are weighed down.
@@ -110,8 +110,9 @@ def fitted(
     positive[: len(model.unknowns.each)] = model.unknowns.reciprocals
     sigma = noise_of(rows)
     known = Known(precision[0], precision[1] * sigma**2)
-    problem, rough = Problem(model, rows), Problem(model, bins)
+    problem = Problem(model, rows)
     if len(starts) > 1:
+        bins = rough.rows
         ends, sums = descend(
             lambda v: rough.normal(v, bins.weight), starts, known, positive, bins.weight.sum(), ROUGH_STEPS
         )
@@ -172,6 +173,13 @@ def rank_of(matrix: np.ndarray) -> int:
     return int((values > 1e-9 * max(values[-1], 1e-300)).sum())
 
 
+def without_further(matrix: np.ndarray, size: int) -> np.ndarray:
+    """Sums of the first numbers alone, whatever the further ones are: offsets and free orders eliminated."""
+    own, cross, beside = matrix[:size, :size], matrix[:size, size:], matrix[size:, size:]
+    left = own - cross @ np.linalg.pinv(beside, hermitian=True) @ cross.T
+    return 0.5 * (left + left.T)
+
+
 def scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A matrix of sums with ones on its diagonal, and what its numbers were divided by."""
     diagonal = np.diag(matrix)
@@ -180,13 +188,14 @@ def scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.isfinite(whole), whole, 0.0), scale
 
 
-def starts_of(model: Model, rows: Rows, number: int, further_numbers: int, seed: int) -> np.ndarray:
+def starts_of(model: Model, rough: Problem, number: int, seed: int) -> np.ndarray:
     """Starts: the scene as it is, some near no errors at all, the others as large as the recordings can be of."""
-    each, start = model.unknowns.each, model.unknowns.start
+    each, start, rows = model.unknowns.each, model.unknowns.start, rough.rows
+    further_numbers = rows.basis.shape[1]
     draws = np.random.default_rng(seed).standard_normal((number, len(each)))
     if number == 1:
         return np.concatenate([start, np.zeros(further_numbers)])[None]
-    _, rate = Problem(model, rows).curve(np.concatenate([start, np.zeros(rows.basis.shape[1])]))
+    _, rate = rough.curve(np.concatenate([start, np.zeros(further_numbers)]))
     moves = np.sqrt((rate[:, : len(each)] ** 2).mean(axis=0))  # of the curve, per unit
     sizes = np.where(moves > 0, 0.5 * float(np.ptp(rows.te)) / np.where(moves > 0, moves, 1.0), 10.0)
     small = np.where(np.arange(number) % 2 == 1, NEAR_ZERO, 1.0)

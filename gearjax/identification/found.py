@@ -129,11 +129,12 @@ class Identification:
     def hidden(self) -> list[str]:
         """What the recordings cannot tell, in words."""
         words = hidden_in_words(self.unknowns, self.visible.hidden)
+        shown = {each.name: each.value for each in self.estimates}
         for other in self.alternatives:
             moved = [
                 f"{name} = {value:.4g}"
                 for name, value in other.items()
-                if abs(value - self.estimate(name).value) > 1e-3 * max(abs(value), 1e-3)
+                if abs(value - shown[name]) > 1e-3 * max(abs(value), 1e-3)
             ]
             words.append(f"as good a fit is elsewhere: {', '.join(moved[:12])}")
         return words

@@ -12,7 +12,7 @@ from gearjax.identification.advice import suggestions
 from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, noise_of, starts_of
 from gearjax.identification.found import OUTLYING, Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
-from gearjax.identification.model import Model
+from gearjax.identification.model import Model, Problem
 from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
 from gearjax.identification.rows import names_of_further, rows_of
 from gearjax.identification.unknowns import priors_of, unknowns_of
@@ -232,7 +232,7 @@ def _fit(
 ) -> Fit:
     """The fit with some free orders, from the usual starts without others."""
     rows = rows_of(records, scene, orders, _drifts(records))
-    bins = coarse(records, scene, rows, orders)
+    rough = Problem(model, coarse(records, scene, rows, orders))
     mean, own = priors_of(model.unknowns, options.priors)
     beside = np.zeros(rows.basis.shape[1])
     if _drifts(records):
@@ -240,8 +240,8 @@ def _fit(
     precision = np.concatenate([mean, np.zeros(beside.size)]), np.concatenate([own, beside])
     if starts is None:
         number = options.starts or (STARTS if model.straight else FEW_STARTS)
-        starts = starts_of(model, bins, number, beside.size, options.key)
-    return fitted(model, rows, bins, precision, starts, robust=options.robust)
+        starts = starts_of(model, rough, number, options.key)
+    return fitted(model, rows, rough, precision, starts, robust=options.robust)
 
 
 def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
@@ -265,7 +265,7 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
     while len(known) < MOST_ORDERS:
         rows = fit.problem.rows
         _, jacobian = fit.problem.curve(fit.values)
-        left = unexplained(fit.residual, fit.weight, jacobian, rows, scene, 1)
+        left = unexplained(fit.residual, fit.weight, jacobian, rows, scene)
         left = [order for order in left if order.order not in {each.order for each in known}]
         hangs = block_length(fit.residual, rows.record) / 6 if known else 1.0
         if not left or left[0].significance < SIGNIFICANT * max(1.0, hangs):

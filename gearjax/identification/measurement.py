@@ -1,7 +1,6 @@
 """A recording of a test bench: angles of the input and the output, or the transmission error, row by row in time."""
 
 import dataclasses
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import GearjaxError, ParameterError, RepairedData, nearest
+from gearjax.checks import GearjaxError, ParameterError, nearest
 from gearjax.scene import Scene
-from gearjax.units import arcmin, deg
+from gearjax.units import deg
 
 RATIO_TOLERANCE = 2e-3  # of the slope of the output, from that of the gear set
 FACTORS = {  # of a slope that is wrong, and what it tells
@@ -130,7 +129,7 @@ class Measurement:
     def averaged_by(self, size: int) -> "Measurement":
         """The same with the means of as many rows that follow each other."""
         parts = {
-            key: None if (values := getattr(self, key)) is None else _means(values, size)
+            key: None if (values := getattr(self, key)) is None else means_of(values, size)
             for key in ("theta", "output", "te", "torque", "time")
         }
         return dataclasses.replace(self, **parts, averaged=self.averaged * size)
@@ -143,7 +142,8 @@ class Measurement:
         return [f"{self.name}: {', '.join(words)}"] if words else []
 
 
-def _means(values: np.ndarray, size: int) -> np.ndarray:
+def means_of(values: np.ndarray, size: int) -> np.ndarray:
+    """Means of as many values that follow each other."""
     return values[: values.size // size * size].reshape(-1, size).mean(axis=1)
 
 
@@ -221,10 +221,9 @@ def _check_span(measured: Measurement, scene: Scene) -> list[str]:
     if max(orders.values(), default=0.0) * step >= np.pi:
         name = max(orders, key=lambda each: orders[each])
         told.append(f"{measured.name}: fewer than two rows per {name}: its waves fold into lower orders")
-    slowest = min(bodies.values(), default=1.0)
-    turns = float(np.ptp(theta)) * slowest / (2 * np.pi)
+    slow = min(bodies, key=lambda name: bodies[name]) if bodies else "input"
+    turns = float(np.ptp(theta)) * bodies.get(slow, 1.0) / (2 * np.pi)
     if turns < 0.98:
-        slow = nearest_name(bodies, slowest)
         told.append(
             f"{measured.name}: covers {turns:.2g} turns of the {slow}: errors that turn slowly are hard to tell from "
             "the encoders' offset"
@@ -233,11 +232,6 @@ def _check_span(measured: Measurement, scene: Scene) -> list[str]:
     if gap > 20 * step:
         told.append(f"{measured.name}: has a gap of {gap / deg:.4g} deg of the input")
     return told
-
-
-def nearest_name(orders: Mapping[str, float], order: float) -> str:
-    """Name of the body that turns nearest to an order."""
-    return min(orders, key=lambda name: abs(orders[name] - order))
 
 
 def a_measurement(name: str, value: Any) -> None:
@@ -269,12 +263,6 @@ def check_turned(records: list[Measurement], names: list[str]) -> None:
                 raise ParameterError(f"turned of {record.name}", angle, "must be a finite angle [rad]")
 
 
-def warn_of_repairs(record: Measurement) -> None:
-    """Tell what reading has mended."""
-    for words in record.told():
-        warnings.warn(words, RepairedData, stacklevel=3)
-
-
 def binned(
     theta: np.ndarray, values: tuple[np.ndarray, ...], width: float
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
@@ -284,8 +272,3 @@ def binned(
     filled = number > 0
     means = [np.bincount(place, part)[filled] / number[filled] for part in (theta, *values)]
     return means[0], tuple(means[1:]), number[filled].astype(float)
-
-
-def tell(values: np.ndarray) -> str:
-    """A spread of angles in words."""
-    return f"{float(np.std(values)) / arcmin:.4g} arcmin"

@@ -12,7 +12,7 @@ from gearjax.identification.measurement import Measurement
 from gearjax.identification.rows import Rows
 from gearjax.identification.tables import Plain, Tables, looked, positions_at, sums, tabulated
 from gearjax.identification.unknowns import Unknowns, turned
-from gearjax.scene import Scene
+from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array
 from gearjax.units import arcmin
 
@@ -65,12 +65,14 @@ class Model:
         scene = dataclasses.replace(unknowns.scene, contact=HardContact(), run=None)
         slots = ["backlash", *(["compliance", "supports"] if loaded else [])]
         scene = scene.physics(*slots)
-        turns = np.stack([turned(unknowns, record.turned) for record in records])
-        model = cls(unknowns, scene, loaded, False, turns)
+        model = cls(unknowns, scene, loaded, False, _turns(unknowns, records))
         if model._is_straight(records):
             return dataclasses.replace(model, straight=True)
-        turning = any(record.turned for record in records)  # mixes numbers, so that patterns would not hold
-        return model if turning or not model._is_apart else model._patterned(records)
+        return model._patterned(records) if model._is_apart else model
+
+    def beside(self, records: Sequence[Measurement]) -> "Model":
+        """The same for other recordings."""
+        return dataclasses.replace(self, turns=_turns(self.unknowns, records))
 
     @property
     def _is_apart(self) -> bool:
@@ -86,6 +88,8 @@ class Model:
         opens[self.unknowns.reciprocals] = True  # of a stiffness, which opens none
         plain = np.array([unknown.path.startswith("errors.") for unknown in self.unknowns.each])
         opens[~plain] = True
+        for along, across in self.unknowns.vectors.values():  # a body turned in its seat mixes both
+            opens[[along, across]] = opens[along] | opens[across]
         groups: list[list[int]] = []
         for number in range(len(opens)):
             own = next((g for g in groups if not (opens[g].any(axis=0) & opens[number]).any()), None)
@@ -102,7 +106,7 @@ class Model:
         return jnp.asarray(theta[(shares * theta.size).astype(int)])
 
     @property
-    def _way(self) -> str:
+    def _way(self) -> Stiffness:
         return "mean" if self.loaded else "rigid"
 
     def _is_straight(self, records: Sequence[Measurement]) -> bool:
@@ -154,6 +158,11 @@ class Model:
             (lever * root).T, (nominal * root).T, influence * root.T[None], jnp.asarray(rows.torque),
             jnp.asarray(rows.back), side, int(np.argmax(soft)) if soft.any() else None, loaded, touching,
         )  # fmt: skip
+
+
+def _turns(unknowns: Unknowns, records: Sequence[Measurement]) -> np.ndarray:
+    """Of each recording, what turned bodies make of the components."""
+    return np.stack([turned(unknowns, record.turned) for record in records])
 
 
 def _close(one: np.ndarray, other: np.ndarray, size: float) -> bool:

@@ -1,7 +1,7 @@
 """Orders of a curve: what body turns at them, and which a model does not explain."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[floa
 
 
 def unexplained(
-    residual: np.ndarray, weight: np.ndarray, jacobian: np.ndarray, rows: Rows, scene: Scene, blocks: int
+    residual: np.ndarray, weight: np.ndarray, jacobian: np.ndarray, rows: Rows, scene: Scene
 ) -> list[Order]:
     """Orders that are left in what a model does not explain, the most significant one first.
 
@@ -73,7 +73,6 @@ def unexplained(
         jacobian: of the model.
         rows: that it is of.
         scene: whose bodies turn.
-        blocks: rows that count as one.
     """
     known = candidates(scene, rows.theta, rows.record)
     root = np.sqrt(weight)
@@ -92,7 +91,7 @@ def unexplained(
         parts, *_ = np.linalg.lstsq(beside, left, rcond=None)
         gained = float(((beside @ parts) ** 2).sum())
         rest = max(float((left**2).sum()) - gained, 1e-300)
-        ratio = gained / 2 / (rest / freedom) / blocks
+        ratio = gained / 2 / (rest / freedom)
         amplitude, phase = float(np.hypot(*parts)), float(np.arctan2(-parts[1], parts[0]))
         found.append(Order(order, name, body, amplitude, phase, ratio))
     return sorted(found, key=lambda each: -each.significance)
@@ -107,8 +106,3 @@ def waves(theta: np.ndarray, curve: np.ndarray, orders: Sequence[float]) -> tupl
     parts, *_ = np.linalg.lstsq(np.stack(columns, axis=1), curve, rcond=1e-10)
     cosine, sine = parts[1::2], parts[2::2]
     return np.hypot(cosine, sine), np.arctan2(-sine, cosine)
-
-
-def named(orders: Mapping[float, tuple[str, str]]) -> dict[float, str]:
-    """Names alone."""
-    return {order: name for order, (name, _) in orders.items()}

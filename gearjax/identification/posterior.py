@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import MissingExtraError, ParameterError
+from gearjax.checks import MissingExtraError
 from gearjax.identification.found import Identification
 from gearjax.identification.tables import Plain, Tables
 from gearjax.progress import Progress, silent
@@ -70,13 +70,8 @@ class Posterior:
         return words
 
 
-def _found(name: str, value: Any) -> None:
-    if not isinstance(value, Identification):
-        raise ParameterError(name, type(value).__name__, "must be what gj.identify returns")
-
-
 @arguments.checked(
-    found=_found,
+    found=arguments.an(Identification, "must be what gj.identify returns"),
     chains=arguments.whole(1),
     draws=arguments.whole(2),
     warm_up=arguments.whole(10),

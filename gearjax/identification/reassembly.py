@@ -10,9 +10,10 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
+from gearjax.identification.fit import without_further
 from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement
-from gearjax.identification.model import Model, Problem
+from gearjax.identification.model import Problem
 from gearjax.identification.rows import rows_of
 from gearjax.identification.tables import Tables, positions_at
 from gearjax.identification.unknowns import turned
@@ -89,11 +90,6 @@ class Reassembly:
         }
 
 
-def _found(name: str, value: Any) -> None:
-    if not isinstance(value, Identification):
-        raise ParameterError(name, type(value).__name__, "must be what gj.identify returns")
-
-
 def _steps(name: str, value: Any) -> None:
     if not isinstance(value, Mapping):
         raise ParameterError(name, value, 'must be by error: {"errors.planet_1": 50} for 50 places on a turn')
@@ -107,7 +103,7 @@ def _metric(name: str, value: Any) -> None:
 
 
 @arguments.checked(
-    found=_found,
+    found=arguments.an(Identification, "must be what gj.identify returns"),
     steps=_steps,
     metric=_metric,
     draws=arguments.whole(2),
@@ -192,10 +188,7 @@ class _Turning:
             0.0, scene.system.cycle, min(number, (20 if found.model.straight else 2) * ROWS), endpoint=False
         )
         record = Measurement(theta, te=np.zeros(theta.shape), torque=np.full(theta.shape, torque))
-        model = dataclasses.replace(
-            found.model, turns=Model.of(found.unknowns, [record], loaded=found.model.loaded).turns
-        )
-        self._curves = Problem(model, rows_of([record], scene, [], False))
+        self._curves = Problem(found.model.beside([record]), rows_of([record], scene, [], False))
         self._rows = theta.size
         self.found, self.paths, self.steps, self.metric = found, paths, steps, metric
 
@@ -284,17 +277,13 @@ def _with_second(found: Identification, turning: _Turning, drawn: np.ndarray, ke
     theta = np.linspace(first.theta.min(), first.theta.max(), min(2000, first.theta.size))
     loads = np.full(theta.shape, float(np.median(first.loads)))
     record = Measurement(theta, te=np.zeros(theta.shape), torque=loads, turned={path: SECOND_TURN})
-    turns = Model.of(found.unknowns, [record], loaded=found.model.loaded).turns
-    rows = rows_of([record], found.scene, [], False)
-    problem = Problem(dataclasses.replace(found.model, turns=turns), rows)
+    problem = Problem(found.model.beside([record]), rows_of([record], found.scene, [], False))
     rng, size = np.random.default_rng(key + 1), len(found.unknowns.each)
     spread = float(np.sqrt(np.mean(found.fit.values[[i for pair in vectors.values() for i in pair]] ** 2))) or 1.0
     share = first.theta.size / theta.size
-    # what the recordings so far tell, offsets and free orders eliminated, and what was known
-    whole = found.fit.matrix + np.diag(found.fit.known.precision)
-    own, cross, beside = whole[:size, :size], whole[:size, size:], whole[size:, size:]
-    before = (own - cross @ np.linalg.pinv(beside, hermitian=True) @ cross.T) / found.fit.sigma**2
-    before = 0.5 * (before + before.T) + np.eye(size) / (10 * spread) ** 2
+    # what the recordings so far tell, and what was known
+    before = without_further(found.fit.matrix + np.diag(found.fit.known.precision), size) / found.fit.sigma**2
+    before = before + np.eye(size) / (10 * spread) ** 2
     ratios = []
     for truth in drawn[: SECOND_TRUTHS if found.model.straight else FEW_TRUTHS]:
         _, jacobian = problem.curve(np.concatenate([truth, [0.0]]))
@@ -306,6 +295,5 @@ def _with_second(found: Identification, turning: _Turning, drawn: np.ndarray, ke
         now, then = turning.values(truth[None], np.stack([np.zeros(len(best)), best]))[:, 0]
         ratios.append(then / now)
     body = path.partition(".")[2]
-    return Gain.of(
-        np.array(ratios)
-    ), f"{first.name} again after turning {body} by {SECOND_TURN / deg:g} deg in its seat"
+    words = f"{first.name} again after turning {body} by {SECOND_TURN / deg:g} deg in its seat"
+    return Gain.of(np.array(ratios)), words

@@ -19,7 +19,7 @@ from gearjax.contact import ContactSet, LinearSprings
 from gearjax.contact.equilibrium import hard_rest
 from gearjax.contact.search import closed_side, hard_balance
 from gearjax.identification.unknowns import Unknown, scene_with
-from gearjax.scene import Scene
+from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array, Bool, Float
 from gearjax.units import arcmin
 
@@ -47,39 +47,45 @@ class Tables(eqx.Module):
         """Positions of the output and their derivatives [rad]."""
         gap = self.nominal[None] + jnp.einsum("su,ucn->scn", values, self.influence)
         softness = jnp.ones_like(values[:, 0]) if self.softness is None else values[:, self.softness]
-        lever = self.lever[None]
-        found = []
-        if self.loaded:
-            many = lambda part: jnp.moveaxis(jnp.broadcast_to(part, gap.shape), 1, 0).reshape(gap.shape[1], -1)  # noqa: E731
-            applied = (-softness[:, None] * self.torque[None]).ravel()
-            if self.side:
-                arms, gaps = many(lever), many(gap)
-                q = hard_rest(list(gaps / arms), list(arms * arms), self.side, applied)
-            else:
-                start = closed_side(many(lever), many(gap), applied)
-                q = hard_balance(many(lever), many(gap), applied, start)
-            q = q.reshape(gap.shape[0], gap.shape[2])
-            active = jnp.where(lever * q[:, None] > gap, lever, 0.0)
-            found.append((q, active))
-        if self.touching:
-            place = gap / jnp.where(lever == 0, 1.0, lever)
-            lower = jnp.where(lever < 0, place, -jnp.inf)
-            upper = jnp.where(lever > 0, place, jnp.inf)
-            which = jnp.where(self.back[None], jnp.argmin(upper, axis=1), jnp.argmax(lower, axis=1))
-            q = jnp.where(self.back[None], upper.min(axis=1), lower.max(axis=1))
-            one = jnp.arange(gap.shape[1])[None, :, None] == which[:, None]
-            found.append((q, jnp.where(one, lever, 0.0)))
+        found = [self._carrying(gap, softness)] if self.loaded else []
+        found += [self._touching(gap)] if self.touching else []
         q, active = found[0]
         if len(found) == 2:
             rigid = (self.torque == 0)[None]
             q = jnp.where(rigid, found[1][0], q)
             active = jnp.where(rigid[:, None], found[1][1], active)
-        slope = (active * lever).sum(axis=1)
+        slope = (active * self.lever[None]).sum(axis=1)
         slope = jnp.where(slope > 0, slope, 1.0)
         rate = jnp.einsum("scn,ucn->snu", active, self.influence) / slope[..., None]
         if self.softness is not None:
             rate = rate.at[:, :, self.softness].set(jnp.where(self.torque == 0, 0.0, -self.torque)[None] / slope)
         return q, rate
+
+    def _carrying(self, gap: Float[Array, "s contact n"], softness: Float[Array, " s"]) -> tuple[Array, Array]:
+        """Positions under the torque [rad], and the levers of the contacts that carry."""
+        points, contacts, rows = gap.shape
+        applied = (-softness[:, None] * self.torque[None]).ravel()
+        gaps, arms = (
+            jnp.moveaxis(jnp.broadcast_to(part, gap.shape), 1, 0).reshape(contacts, -1)
+            for part in (gap, self.lever[None])
+        )
+        if self.side:
+            q = hard_rest(list(gaps / arms), list(arms * arms), self.side, applied)
+        else:
+            q = hard_balance(arms, gaps, applied, closed_side(arms, gaps, applied))
+        q = q.reshape(points, rows)
+        lever = self.lever[None]
+        return q, jnp.where(lever * q[:, None] > gap, lever, 0.0)
+
+    def _touching(self, gap: Float[Array, "s contact n"]) -> tuple[Array, Array]:
+        """Positions where the first contact touches [rad], and its lever."""
+        lever = self.lever[None]
+        place = gap / jnp.where(lever == 0, 1.0, lever)
+        lower, upper = jnp.where(lever < 0, place, -jnp.inf), jnp.where(lever > 0, place, jnp.inf)
+        which = jnp.where(self.back[None], jnp.argmin(upper, axis=1), jnp.argmax(lower, axis=1))
+        q = jnp.where(self.back[None], upper.min(axis=1), lower.max(axis=1))
+        one = jnp.arange(gap.shape[1])[None, :, None] == which[:, None]
+        return q, jnp.where(one, lever, 0.0)
 
 
 class Plain(eqx.Module):
@@ -128,7 +134,7 @@ class Plain(eqx.Module):
     def _by_contacts(self, values: Array, row: tuple) -> tuple[Array, Array]:
         theta, torque, back, record = row
         position = self._at(values, row)
-        way = "mean" if self.loaded else "rigid"
+        way: Stiffness = "mean" if self.loaded else "rigid"
 
         def seen(values: Array) -> tuple[tuple[Array, Array], Array]:
             scene = scene_with(self.each, self.turn[record] @ values, self.scene)
@@ -136,15 +142,12 @@ class Plain(eqx.Module):
             return (contacts.lever * position - contacts.gap, springs_of(contacts)), contacts.lever
 
         (overlap, stiffness), push, lever = jax.linearize(seen, values, has_aux=True)
-        seeds = np.zeros((len(self.groups), len(self.each)))
-        for group, members in enumerate(self.groups):
-            seeds[group, list(members)] = 1.0
-        closed, stiffer = jax.vmap(push)(jnp.asarray(seeds))
+        members = np.zeros((len(self.each), len(self.groups)))
+        for group, own in enumerate(self.groups):
+            members[list(own), group] = 1.0
+        spread = jnp.asarray(members)
+        closed, stiffer = jax.vmap(push)(spread.T)
         assert self.opens is not None
-        of_number = np.zeros((len(self.each), len(self.groups)))
-        for group, members in enumerate(self.groups):
-            of_number[list(members), group] = 1.0
-        spread = jnp.asarray(of_number)
         closed, stiffer = self.opens * (spread @ closed), self.opens * (spread @ stiffer)
         active = jnp.where(overlap > 0, lever, 0.0)
         if self.touching:
@@ -158,6 +161,7 @@ class Plain(eqx.Module):
 
 @eqx.filter_jit
 def sums(model: Tables | Plain, values: Array, te: Array, weight: Array, basis: Array) -> tuple[Array, Array, Array]:
+    """Sums of a least-squares problem at several points: cost, ``J^T W J`` and ``J^T W r``, as of `Normal`."""
     size = values.shape[1] - basis.shape[1]
     q, rate = model.positions(values[:, :size])
     further = jnp.broadcast_to(basis[None], (values.shape[0], *basis.shape))
@@ -177,12 +181,12 @@ def positions_at(model: Tables | Plain, values: Array) -> tuple[Array, Array]:
 
 @eqx.filter_jit
 def looked(
-    each: tuple[Unknown, ...], scene: Scene, stiffness: str, theta: Array, values: Array
+    each: tuple[Unknown, ...], scene: Scene, way: Stiffness, theta: Array, values: Array
 ) -> tuple[Array, Array, Array]:
     """Gaps, levers and stiffness at some angles and values, shape (value, angle, contact)."""
 
     def at(values: Array, angle: Array) -> tuple[Array, Array, Array]:
-        contacts = scene_with(each, values, scene).contacts(angle, "mean" if stiffness == "mean" else "rigid")
+        contacts = scene_with(each, values, scene).contacts(angle, way)
         return contacts.gap, contacts.lever, springs_of(contacts)
 
     return jax.vmap(jax.vmap(at, in_axes=(None, 0)), in_axes=(0, None))(values, theta)
@@ -190,12 +194,11 @@ def looked(
 
 @eqx.filter_jit
 def tabulated(
-    each: tuple[Unknown, ...], scene: Scene, stiffness: str, theta: Array, start: Array
+    each: tuple[Unknown, ...], scene: Scene, way: Stiffness, theta: Array, start: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Gaps at the start, their derivatives, levers and stiffness, rows first."""
 
     def at(angle: Array) -> tuple[Array, Array, Array, Array]:
-        way = "mean" if stiffness == "mean" else "rigid"
         pose = scene.pose(angle, way)
 
         def gap(values: Array) -> Array:
@@ -208,6 +211,7 @@ def tabulated(
 
 
 def springs_of(contacts: ContactSet) -> Array:
+    """Stiffness of linear springs, ones for rigid teeth, shape (contact,) [N/m]."""
     if contacts.springs is None:
         return jnp.ones_like(contacts.gap)
     assert isinstance(contacts.springs, LinearSprings)

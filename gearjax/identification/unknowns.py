@@ -23,7 +23,6 @@ from gearjax.studies.select import Free, numbers, pick
 from gearjax.typing import Array, Float
 from gearjax.units import um
 
-SOFTEST = 1e-3  # of a stiffness, over that of the scene, that is looked for
 COMPONENTS = ("cos", "sin")
 
 

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 
-from gearjax.identification.fit import Fit, scaled
+from gearjax.identification.fit import Fit, scaled, without_further
 from gearjax.identification.unknowns import Unknowns
 
-UNSEEN = 1e-9  # of the largest eigenvalue: nothing but rounding
+UNSEEN = 1e-9  # of a number's own sum of squares: nothing but rounding
 TAKES_PART = 1e-5  # coefficient in a direction
 CORRELATED = 0.05  # of rows that follow each other, beyond which blocks tell the errors
 SHORTEST_BLOCK = 10
@@ -37,8 +37,8 @@ class Visible:
     """What a fit tells.
 
     Args:
-        covariance: of the numbers, in units of the search; of what is hidden by what is known before alone, nan
-            without; shape (number, number).
+        covariance: of the numbers, in units of the search, shape (number, number); of hidden ones it means nothing
+            where nothing is known before.
         hidden: directions that change nothing, rows, in units of the search, shape (k, unknown).
         combinations: of the numbers in them, that are told.
         settled: whether what is known before settles the hidden directions.
@@ -83,12 +83,9 @@ def visible(fit: Fit, unknowns: Unknowns) -> Visible:
 
 def hidden_directions(fit: Fit, size: int) -> np.ndarray:
     """Directions of the scene's numbers that change nothing which the offsets and free orders would not take up."""
+    _, scale = scaled(fit.matrix[:size, :size])
     whole = fit.matrix + np.diag(np.concatenate([np.zeros(size), fit.known.precision[size:]]))
-    own, cross, further = whole[:size, :size], whole[:size, size:], whole[size:, size:]
-    left = own - cross @ np.linalg.pinv(further, hermitian=True) @ cross.T
-    _, scale = scaled(own)
-    left = left / scale[:, None] / scale[None, :]
-    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    values, vectors = np.linalg.eigh(without_further(whole, size) / scale[:, None] / scale[None, :])
     directions = vectors[:, values < UNSEEN].T / scale
     return _reduced(directions)
 

@@ -82,11 +82,9 @@ def save_identified(result: Identified, text: str, folder: Path, base: Path) -> 
     paths = [path for path in numbers(found.scene) if path.startswith("errors.") or path in found.unknowns.names]
     values = pick(found.scene, paths).get(found.scene)
     known = numbers(found.scene)
-    changed = with_numbers(
-        text, dict(zip(paths, map(float, values), strict=True)), {path: known[path] for path in paths}, base
-    )
-    if found.scene.reference is None:
-        changed = _without_reference(changed)
+    numbers_found = dict(zip(paths, map(float, values), strict=True))
+    without = ("reference",) if found.scene.reference is None else ()
+    changed = with_numbers(text, numbers_found, {path: known[path] for path in paths}, base, without)
     written = [
         write_file(folder / "identification.json", json.dumps(result.as_json(), indent=1, allow_nan=False) + "\n"),
         write_file(folder / "identified.toml", changed),
@@ -104,16 +102,6 @@ def save_identified(result: Identified, text: str, folder: Path, base: Path) -> 
 def save_comparison(beside: Comparison, folder: Path) -> list[Path]:
     """Write ``comparison.json``."""
     return [write_file(folder / "comparison.json", json.dumps(beside.as_json(), indent=1, allow_nan=False) + "\n")]
-
-
-def _without_reference(text: str) -> str:
-    import tomllib
-
-    import tomli_w
-
-    tables = tomllib.loads(text)
-    tables.pop("reference", None)
-    return tomli_w.dumps(tables)
 
 
 def _residual(found: Identification) -> str:

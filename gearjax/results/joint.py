@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import ParameterError, SceneError
+from gearjax.checks import SceneError
 from gearjax.files import writable, write_file
 from gearjax.identification.synthetic import computed_error
 from gearjax.results.joint_files import MUJOCO_FILE, TE_FILE, mjcf
@@ -243,15 +242,3 @@ def _netcdf(joint: Joint) -> bytes:
     )
     written = table.to_netcdf(engine="scipy")
     return bytes(written) if not isinstance(written, io.BytesIO) else written.getvalue()
-
-
-def torques_of(found: Sequence[float]) -> float:
-    """Largest torque of recordings, for a joint model [N m].
-
-    Raises:
-        ParameterError: all are zero.
-    """
-    largest = max((abs(float(torque)) for torque in found), default=0.0)
-    if largest == 0:
-        raise ParameterError("torque", 0.0, "recordings without torque tell no joint model")
-    return largest
