@@ -4,6 +4,7 @@ is a curve of the plane. They make recordings whose errors are known."""
 import dataclasses
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import gearjax as gj
 from gearjax.units import arcmin, deg, mm, um
@@ -43,6 +44,33 @@ class TwoKVUnit:
         bend = torque / (self.stiffness * RADIUS**2)
         pick = np.maximum if flank > 0 else np.minimum
         return pick(pick(one, other) - bend, (one + other - bend) / 2)
+
+    def motion(self, theta: np.ndarray, speed: float, torque: float, mass: float, ratio: float) -> np.ndarray:
+        """TE of an output of a mass on the line of action, on two dampers that act in contact, at input angles of an
+        input that turns at a speed [rad]; what was before is forgotten."""
+        damper = ratio * np.sqrt(2 * self.stiffness * mass)
+        decay = 0.25 * damper / mass
+        times = theta / speed
+        begin = times.min() - 20 / decay
+
+        def rate(time: float, state: np.ndarray) -> list[float]:
+            q, velocity = state
+            force, step = -torque / RADIUS, 1e-6
+            for flank in (1, -1):
+                now, before, after = (self.edges(speed * (time + d), flank) for d in (0.0, -step, step))
+                for place, one, other in zip(now, before, after, strict=True):
+                    overlap = flank * RADIUS * (place - q)
+                    closing = flank * RADIUS * ((other - one) / (2 * step) - velocity)
+                    force += flank * (self.stiffness * overlap + damper * closing) if overlap > 0 else 0.0
+            return [velocity, force / (mass * RADIUS)]
+
+        start = [float(self.te(np.array([speed * begin]), torque)[0]), 0.0]
+        options = {"rtol": 1e-8, "atol": 1e-12, "max_step": 0.05 * np.sqrt(mass / self.stiffness) * 2 * np.pi}
+        order = np.argsort(times)
+        end = solve_ivp(rate, (begin, times.max()), start, "RK45", times[order], **options)
+        te = np.empty(theta.shape)
+        te[order] = end.y[0]
+        return te
 
     @property
     def told(self) -> np.ndarray:

@@ -154,7 +154,7 @@ def method_of(
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
     if spacing is not None and is_concrete(scene.system.input_speed):
-        phase = scene.system.fastest_order * float(np.asarray(scene.system.input_speed)) * spacing / steps
+        phase = scene.system.fastest_order * abs(float(np.asarray(scene.system.input_speed))) * spacing / steps
     if stepper.windows is not None and spacing is None:
         raise SceneError("ts is traced: windows need its spacing, give stepper=FixedStep(per_sample=..., windows=None)")
     batched = is_batched((scene, ts, torque))
@@ -224,8 +224,8 @@ def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
         return None
     with jax.ensure_compile_time_eval():
         mesh = compliance.harmonics * system.orders["mesh"]
-        turning = max(mesh, system.fastest_order) * system.input_speed
-        fastest = max(float(turning), float(scene.load.rate(system.input_speed, system.orders)))
+        turning = max(mesh, system.fastest_order) * abs(float(system.input_speed))
+        fastest = max(turning, abs(float(scene.load.rate(system.input_speed, system.orders))))
     return fastest * float(np.ptp(np.asarray(ts))) / (ts.shape[0] - 1) / steps
 
 

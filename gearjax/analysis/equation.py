@@ -217,10 +217,11 @@ class Equation(eqx.Module):
         scene = self.scene
         assert scene.load is not None
         system, orders = scene.system, scene.system.orders
+        speed = jnp.abs(system.input_speed)
         rates = [
             self.frequency,
-            scene.linear_compliance.harmonics * orders["mesh"] * system.input_speed,
-            scene.load.rate(system.input_speed, orders),
+            scene.linear_compliance.harmonics * orders["mesh"] * speed,
+            scene.load.rate(speed, orders),
             turning_rate(scene),
         ]
         if scene.damping is not None:
@@ -231,7 +232,7 @@ class Equation(eqx.Module):
 
 def turning_rate(scene: Scene) -> Scalar:
     """Fastest rate of the turning bodies, which the gaps follow [rad/s]."""
-    return jnp.asarray(scene.system.fastest_order, scene.dtype) * scene.system.input_speed
+    return jnp.asarray(scene.system.fastest_order, scene.dtype) * jnp.abs(scene.system.input_speed)
 
 
 def slowest_decay(equation: Equation) -> Scalar:

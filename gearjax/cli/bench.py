@@ -1,5 +1,6 @@
 """``gearjax compare`` and ``gearjax identify``: recordings of a test bench beside what is computed."""
 
+import dataclasses
 import json
 import warnings
 from pathlib import Path
@@ -21,12 +22,15 @@ MeasuredOption = Annotated[
     typer.Option("--measured", metavar="CSV", help="a recording; several of the same unit with --measured again"),
 ]
 
+DynamicOption = Annotated[bool, typer.Option("--dynamic", help="of a gear set that runs: beside its dynamic TE")]
+
 
 @app.command()
 def compare(
     config: ConfigArgument,
     measured: MeasuredOption = None,
     shift: Annotated[bool, typer.Option("--shift", help="look for the start angle too")] = False,
+    dynamic: DynamicOption = False,
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -42,7 +46,9 @@ def compare(
     records = _records(measured, section.measured)
     folder = folder_for(out, json_, config)
     say(f"computing beside {len(records)} recordings")
-    beside = beside_each_other(scene, records, shift="find" if shift else "none")
+    beside = beside_each_other(
+        scene, records, shift="find" if shift else "none", analysis="dynamic" if dynamic else section.analysis
+    )
     _notes(beside.notes)
     if folder is not None:
         from gearjax.plot.identification import save_comparison_figures
@@ -59,6 +65,7 @@ def compare(
 def identify(
     config: ConfigArgument,
     measured: MeasuredOption = None,
+    dynamic: DynamicOption = False,
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -72,6 +79,7 @@ def identify(
     text = text_of(config)
     scene, section = loads_identify(text, config.parent)
     records = _records(measured, section.measured)
+    section = dataclasses.replace(section, analysis="dynamic") if dynamic else section
     folder = folder_for(out, json_, config)
     result = identified(section, scene, records, say)
     _notes(result.found.notes)

@@ -10,6 +10,7 @@ from gearjax.checks import ParameterError, nearest
 from gearjax.config.quantities import read_plain, read_quantity
 from gearjax.config.tables import Key, known_keys, read_parameter, read_whole
 from gearjax.identification.identify import OFFSET_SPREAD
+from gearjax.identification.moving import an_analysis
 from gearjax.identification.reassembly import METRICS
 from gearjax.parameters import Parameter
 from gearjax.scene import Scene
@@ -23,6 +24,9 @@ IDENTIFY_KEYS = {
     "priors": Key("what is known before, a table of standard deviations by path, or of pairs [mean, deviation]"),
     "offset_spread": Key(
         "by how much the encoders' offset changes between recordings, an angle", default='"0.02 arcmin"'
+    ),
+    "analysis": Key(
+        '"static", or "dynamic" for a gear set that runs: the speed is that of the times', default='"static"'
     ),
     "orders": Key('"find", or a list of orders in cycles per turn of the input that are free', default='"find"'),
     "starts": Key("of the search, a whole number; without, 64, or 4 where gaps are not in proportion", "64"),
@@ -51,6 +55,7 @@ class IdentifySection:
     where: tuple[str, ...] | None = None
     priors: dict[str, Any] = dataclasses.field(default_factory=dict)
     offset_spread: float = OFFSET_SPREAD
+    analysis: str = "static"
     orders: str | tuple[float, ...] = "find"
     starts: int | None = None
     seed: int = 0
@@ -75,6 +80,9 @@ def read_identify(table: dict[str, Any], scene: Scene, folder: Path) -> Identify
         if spread <= 0:
             raise ParameterError("identify.offset_spread", table["offset_spread"], "must be above 0")
         given["offset_spread"] = spread
+    if "analysis" in table:
+        an_analysis("identify.analysis", table["analysis"])
+        given["analysis"] = table["analysis"]
     if "orders" in table:
         given["orders"] = _orders(table["orders"])
     if "starts" in table:

@@ -9,6 +9,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.identification.measurement import Measurement, a_measurement, several
+from gearjax.identification.moving import an_analysis, check_moving, moving_error
 from gearjax.identification.orders import candidates, waves
 from gearjax.identification.synthetic import computed_error, turned_scene
 from gearjax.scene import Scene
@@ -135,8 +136,10 @@ def _a_shift(name: str, value: Any) -> None:
         raise ParameterError(name, value, nearest(value, SHIFTS))
 
 
-@arguments.checked(measured=a_measurement, shift=_a_shift)
-def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shift: str = "none") -> Comparison:
+@arguments.checked(measured=a_measurement, shift=_a_shift, analysis=an_analysis)
+def compare(
+    scene: Scene, measured: Measurement | Sequence[Measurement], *, shift: str = "none", analysis: str = "static"
+) -> Comparison:
     """Recordings beside the transmission error that a scene computes: curves, orders with phases, metrics.
 
     Recordings under torque stand beside the static TE, others beside the no-load TE, of an input that turns back that
@@ -146,6 +149,8 @@ def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shif
         scene: the scene.
         measured: one recording, or several.
         shift: ``"find"`` also looks for the start angle, where zero of the input angle is not that of the phases.
+        analysis: ``"static"``, or ``"dynamic"`` for recordings of a gear set that runs: those under torque stand beside
+            the dynamic TE at their speed.
 
     Raises:
         GearjaxError: a recording cannot be of this gear set.
@@ -160,6 +165,7 @@ def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shif
     """
     records = several(measured)
     notes = [words for record in records for words in record.check(scene)]
+    notes += check_moving(scene, records) if analysis == "dynamic" else []
     found = []
     for record in records:
         own = turned_scene(scene, record.turned)
@@ -168,7 +174,11 @@ def compare(scene: Scene, measured: Measurement | Sequence[Measurement], *, shif
         record = record if record.theta.size <= MOST_ROWS else record.averaged_by(-(-record.theta.size // MOST_ROWS))
         te = record.error(scene)
         start = _start_angle(own, record, te) if shift == "find" else 0.0
-        curve = _computed(own, record, record.theta + start)
+        if analysis == "dynamic" and record.is_loaded:
+            curve, words = moving_error(own, record, record.theta + start)
+            notes += words
+        else:
+            curve = _computed(own, record, record.theta + start)
         offset = float(np.mean(te - curve))
         found.append(
             RecordBeside(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gearjax.checks import GearjaxError
 from gearjax.identification.measurement import Measurement, binned
 from gearjax.identification.model import Model, Problem
 from gearjax.identification.rows import Rows, further
@@ -90,7 +91,7 @@ def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Seq
 def fitted(
     model: Model,
     rows: Rows,
-    rough: Problem,
+    rough: Problem | None,
     precision: tuple[np.ndarray, np.ndarray],
     starts: np.ndarray,
     *,
@@ -101,7 +102,7 @@ def fitted(
     Args:
         model: of the recordings.
         rows: all of them.
-        rough: their means.
+        rough: their means; ``None`` where all starts are polished.
         precision: means and precisions of what is known before, shape (number,) each; in units of the search.
         starts: shape (start, number).
         robust: whether outlying rows are weighed down.
@@ -111,7 +112,7 @@ def fitted(
     sigma = noise_of(rows)
     known = Known(precision[0], precision[1] * sigma**2)
     problem = Problem(model, rows)
-    if len(starts) > 1:
+    if rough is not None and len(starts) > 1:
         bins = rough.rows
         ends, sums = descend(
             lambda v: rough.normal(v, bins.weight), starts, known, positive, bins.weight.sum(), ROUGH_STEPS
@@ -139,6 +140,8 @@ def fitted(
     sigma = max(sigma, LEAST * float(np.ptp(rows.te)))
     known = Known(precision[0], precision[1] * sigma**2)
     ends, sums = descend(lambda v: problem.normal(v, weight), ends, known, positive, weight.sum())
+    if not np.isfinite(sums.cost).any():
+        raise GearjaxError("the model is not finite at any start: give numbers of the scene nearer to the unit")
     order = np.argsort(sums.cost)
     ends, cost, matrix = ends[order], sums.cost[order], sums.matrix[order]
     good = cost - cost[0] < AS_GOOD * sigma**2

@@ -13,6 +13,7 @@ from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, noise_of, s
 from gearjax.identification.found import OUTLYING, Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
 from gearjax.identification.model import Model, Problem
+from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, an_analysis, check_moving
 from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
 from gearjax.identification.rows import names_of_further, rows_of
 from gearjax.identification.unknowns import priors_of, unknowns_of
@@ -23,6 +24,7 @@ from gearjax.units import arcmin
 
 OFFSET_SPREAD = 0.02 * arcmin  # by which the encoders' offset may change from one recording to the next
 STARTS = 64
+MOST_MOVING = 4  # ends of the static fit that a motion starts from
 FEW_STARTS = 4  # of scenes that are differentiated as they are
 MOST_ORDERS = 8
 SHORTEST_WAVE = 0.5  # of an order, that a recording must hold
@@ -38,6 +40,7 @@ LOSSES = ("robust", "least_squares")
     measured=a_measurement,
     offset_spread=arguments.one_positive,
     starts=arguments.whole(1),
+    analysis=an_analysis,
     key=arguments.whole(0),
 )
 def identify(
@@ -49,6 +52,7 @@ def identify(
     offset_spread: float = OFFSET_SPREAD,
     starts: int | None = None,
     loss: str = "robust",
+    analysis: str = "static",
     orders: str | Sequence[float] = "find",
     key: int = 0,
     suggest: bool = True,
@@ -58,6 +62,7 @@ def identify(
 
     Recordings under torque are compared with the static TE under it, those without with the no-load TE; of an input
     that turns back with that of the back flanks. Errors are looked for as they are in the scene: first order or exact.
+    Of a gear set that runs, ``analysis="dynamic"`` compares recordings under torque with the dynamic TE at their speed.
 
     Args:
         scene: the gear set; its numbers are where one start begins.
@@ -69,6 +74,8 @@ def identify(
         offset_spread: standard deviation by which the encoders' offset changes between recordings [rad].
         starts: of the search; without 64, or 4 where the scene is not in proportion to what is looked for.
         loss: ``"robust"`` weighs rows beyond four standard deviations down, ``"least_squares"`` does not.
+        analysis: ``"static"``, or ``"dynamic"`` for recordings at speed: their times give it, and the scene has inertia
+            and load. Numbers that only a motion shows, such as ``damping.ratio``, can be looked for then.
         orders: ``"find"`` looks for orders that the gear set does not explain and sets them free; else orders that are
             free, in cycles per turn of the input; empty for none.
         key: seed of the starts.
@@ -92,6 +99,7 @@ def identify(
     if loss not in LOSSES:
         raise ParameterError("loss", loss, nearest(loss, LOSSES))
     notes = [words for record in records for words in record.check(scene)]
+    notes += check_moving(scene, records) if analysis == "dynamic" else []
     scene = _suited(scene, records, notes)
     back = bool(np.any(np.concatenate([record.back for record in records])))
     loaded = any(record.is_loaded for record in records)
@@ -101,7 +109,8 @@ def identify(
     if priors is not None and not isinstance(priors, Mapping):
         raise ParameterError("priors", priors, 'must be by path: {"errors.planet_1": 5e-6}')
     progress(f"fitting {sum(record.theta.size for record in records)} rows of {len(records)} recordings")
-    wanted = _Wanted(records, where, back, loaded, free, isinstance(orders, str), options, progress)
+    moves = analysis == "dynamic"
+    wanted = _Wanted(records, where, back, loaded, moves, free, isinstance(orders, str), options, progress)
     scene, (model, fit, known) = _by_reference(scene, wanted, notes)
     rows = fit.problem.rows
     if loaded and fit.sigma > POOR * noise_of(rows):
@@ -188,6 +197,7 @@ class _Wanted:
     where: Any
     back: bool
     loaded: bool
+    moves: bool
     free: Mapping[float, str]
     look: bool
     options: _Options
@@ -219,7 +229,23 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
     check_turned(records, list(unknowns.vectors))
     model = Model.of(unknowns, records, loaded=wanted.loaded)
     fit = _fit(model, scene, records, list(wanted.free), options, None)
+    if wanted.moves:
+        model, fit = _in_motion(model, fit, scene, wanted)
     return (model, *_with_orders(model, fit, scene, wanted)) if wanted.look else (model, fit, [])
+
+
+def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Model, Fit]:
+    """The fit of a motion, from the ends of that at rest: contacts that come and go over a width first."""
+    unknowns, records = model.unknowns, wanted.records
+    for width in (WIDE, NARROW):
+        solution = unknowns.finished(fit.values[: len(unknowns.each)])
+        moving = MovingModel.of_static(model, unknowns, records, solution, width)
+        if width == WIDE:
+            steps = sum(PER_SAMPLE * course.samples for course in moving.courses if course is not None)
+            wanted.progress(f"integrating {steps} steps of motion, with derivatives, some tens of times")
+        starts = np.concatenate([fit.values[None], fit.others])[:MOST_MOVING]
+        fit = _fit(moving, scene, records, list(wanted.free), wanted.options, starts)
+    return moving, fit
 
 
 def _fit(
@@ -232,13 +258,15 @@ def _fit(
 ) -> Fit:
     """The fit with some free orders, from the usual starts without others."""
     rows = rows_of(records, scene, orders, _drifts(records))
-    rough = Problem(model, coarse(records, scene, rows, orders))
+    moves = isinstance(model, MovingModel)  # means over steps of the angle would lose what shakes
+    rough = None if moves else Problem(model, coarse(records, scene, rows, orders))
     mean, own = priors_of(model.unknowns, options.priors)
     beside = np.zeros(rows.basis.shape[1])
     if _drifts(records):
         beside[1 : 1 + len(records)] = (arcmin / options.offset_spread) ** 2
     precision = np.concatenate([mean, np.zeros(beside.size)]), np.concatenate([own, beside])
     if starts is None:
+        assert rough is not None
         number = options.starts or (STARTS if model.straight else FEW_STARTS)
         starts = starts_of(model, rough, number, options.key)
     return fitted(model, rows, rough, precision, starts, robust=options.robust)
@@ -251,7 +279,8 @@ def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
     if back and not (scene.has_back or scene.layout.sides_turn):
         return
     few = dataclasses.replace(wanted.options, starts=wanted.options.starts or FEW_STARTS, priors={})
-    other = _found(scene, dataclasses.replace(wanted, records=records, back=back, look=False, options=few))[1]
+    still = dataclasses.replace(wanted, records=records, back=back, look=False, moves=False, options=few)
+    other = _found(scene, still)[1]
     if other.cost < MUCH_BETTER * fit.cost and other.sigma < fit.sigma:
         raise GearjaxError(
             f"the torque's sign looks turned round: with the other one what is left falls from {fit.sigma:.3g} to "

@@ -10,7 +10,7 @@ import numpy as np
 from gearjax.contact import HardContact
 from gearjax.identification.measurement import Measurement
 from gearjax.identification.rows import Rows
-from gearjax.identification.tables import Plain, Tables, looked, positions_at, sums, tabulated
+from gearjax.identification.tables import AbstractCurves, Plain, Tables, looked, positions_at, sums, tabulated
 from gearjax.identification.unknowns import Unknowns, turned
 from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array
@@ -20,6 +20,7 @@ LANES = 1 << 15  # rows times points that are worked out at once: they stay in t
 FEW = 6  # contacts, whose balance is one expression
 LOOKS = 7  # rows at which it is looked at whether gaps go in proportion
 TRIED = 3  # points that are compared there
+MOVING = ("load", "inertia", "damping")  # slots whose numbers only a motion shows: one at rest has them all the same
 STRAIGHT = 1e-6  # of the largest change of a gap or stiffness: what counts as in proportion
 
 
@@ -64,6 +65,7 @@ class Model:
         """The model of some recordings, the quick one where the scene allows it."""
         scene = dataclasses.replace(unknowns.scene, contact=HardContact(), run=None)
         slots = ["backlash", *(["compliance", "supports"] if loaded else [])]
+        slots += [slot for slot in MOVING if any(each.path.startswith(f"{slot}.") for each in unknowns.each)]
         scene = scene.physics(*slots)
         model = cls(unknowns, scene, loaded, False, _turns(unknowns, records))
         if model._is_straight(records):
@@ -136,7 +138,7 @@ class Model:
             and _close(relaxed, stiffness[:1] * (start[soft][0] if soft.any() else 1.0), np.abs(stiffness).max())
         )
 
-    def at(self, rows: Rows) -> Tables | Plain:
+    def at(self, rows: Rows) -> AbstractCurves:
         """The model at rows."""
         loaded, touching = bool(np.any(rows.torque != 0)), bool(np.any(rows.torque == 0))
         each, theta = self.unknowns.each, jnp.asarray(rows.theta)
@@ -185,11 +187,10 @@ class Problem:
 
     def normal(self, values: np.ndarray, weight: np.ndarray) -> Normal:
         """Sums at several points, shape (point, number)."""
-        if isinstance(self.model, Plain):  # one program for all that is asked of it: it takes seconds to compile
+        if not isinstance(self.model, Tables):  # one program for all that is asked of it: it takes seconds to compile
             return Normal(*(np.stack(parts) for parts in zip(*(self._summed(v, weight) for v in values), strict=True)))
         size, points = self.padded.theta.size, len(values)
         weights = jnp.asarray(np.concatenate([weight, np.zeros(size - weight.size)]))
-        assert isinstance(self.model, Tables)
         at_once = 1 << (max(1, LANES // size).bit_length() - 1)
         whole = np.concatenate([values, np.repeat(values[-1:], -points % at_once, axis=0)])
         parts = [

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import MissingExtraError
+from gearjax.checks import GearjaxError, MissingExtraError
 from gearjax.identification.found import Identification
-from gearjax.identification.tables import Plain, Tables
+from gearjax.identification.moving import MovingModel
+from gearjax.identification.tables import AbstractCurves
 from gearjax.progress import Progress, silent
 from gearjax.typing import Array, Float
 from gearjax.units import arcmin
@@ -99,6 +100,7 @@ def posterior(
         progress: told how far it is.
 
     Raises:
+        GearjaxError: the recordings were identified in motion.
         MissingExtraError: blackjax is not installed (``pip install gearjax[bayes]``).
 
     Example:
@@ -114,6 +116,10 @@ def posterior(
         from blackjax.diagnostics import effective_sample_size, potential_scale_reduction
     except ImportError as fault:
         raise MissingExtraError("a posterior needs blackjax: python -m pip install gearjax[bayes]") from fault
+    if isinstance(found.model, MovingModel):
+        raise GearjaxError(
+            "posterior: draws of recordings in motion would take hours: the intervals of gj.identify are what there is"
+        )
     centre, root = found.gaussian(found.visible.inflation)
     problem = found.fit.problem
     rows = problem.padded
@@ -145,7 +151,7 @@ def posterior(
 class _Density(eqx.Module):
     """Logarithm of the density of numbers, by their place in the ellipse that least squares tells."""
 
-    model: Tables | Plain
+    model: AbstractCurves
     te: Array
     weight: Array  # over the variance of a row
     basis: Array

@@ -9,6 +9,7 @@ from gearjax import arguments
 from gearjax.analysis import backlash, transmission_error
 from gearjax.checks import ParameterError, SceneError
 from gearjax.identification.measurement import Measurement, ideal
+from gearjax.identification.moving import an_analysis, check_moving, moving_error
 from gearjax.scene import Scene
 from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
@@ -44,6 +45,7 @@ def _counts(name: str, value: object) -> None:
     waves=_waves,
     input_counts=_counts,
     output_counts=_counts,
+    analysis=an_analysis,
     key=arguments.whole(0),
 )
 def synthetic_measurement(
@@ -60,6 +62,7 @@ def synthetic_measurement(
     waves: Mapping[float, tuple[float, float]] | None = None,
     backward: bool = False,
     turned: Mapping[str, float] | None = None,
+    analysis: str = "static",
     key: int = 0,
     name: str | None = None,
 ) -> Measurement:
@@ -78,6 +81,7 @@ def synthetic_measurement(
             by order in cycles per turn of the input.
         backward: whether the input turns back.
         turned: angles that errors were turned by in their seats, by path such as ``errors.planet_1`` [rad].
+        analysis: ``"static"``, or ``"dynamic"`` for the motion at the scene's input speed under one torque.
         key: seed of the noise.
         name: of the recording.
 
@@ -100,7 +104,11 @@ def synthetic_measurement(
     if abs(ripple) >= 1:
         raise ParameterError("ripple", ripple, "must be below 1: the input would turn back")
     theta = theta + ripple / slow * np.sin(slow * theta)
-    te = computed_error(turned_scene(scene, turned or {}), theta, torque, backward)
+    own = turned_scene(scene, turned or {})
+    if analysis == "dynamic":
+        te = _in_motion(own, time, theta, torque, backward)
+    else:
+        te = computed_error(own, theta, torque, backward)
     rng = np.random.default_rng(key)
     output = ideal(scene, theta) + te + offset + noise * rng.standard_normal(rows)
     for wave, (amplitude, phase) in (waves or {}).items():
@@ -115,6 +123,18 @@ def synthetic_measurement(
         theta, output, loads = theta[::-1], output[::-1], loads[::-1]
     label = name or (f"{float(loads.flat[0]):g} N m" + (", backward" if backward else ""))
     return Measurement(theta, output, None, loads, time, label, dict(turned or {}), resolution)
+
+
+def _in_motion(scene: Scene, time: np.ndarray, theta: np.ndarray, torque: float | ArrayLike, back: bool) -> np.ndarray:
+    """Dynamic TE at the rows of a bench, in the order of increasing angles [rad]."""
+    loads = np.asarray(torque, float)
+    if loads.size > 1 and np.ptp(loads) > 0:
+        raise ParameterError("torque", loads.shape, 'must be one number for analysis = "dynamic"')
+    angles = theta[::-1] if back else theta
+    record = Measurement(angles, te=np.zeros(angles.shape), torque=float(loads.flat[0]), time=time)
+    check_moving(scene, [record])
+    te, _ = moving_error(scene, record)
+    return te[::-1] if back else te
 
 
 def turned_scene(scene: Scene, turned: Mapping[str, float]) -> Scene:

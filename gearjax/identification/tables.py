@@ -9,6 +9,8 @@ products, and its derivative is a mean over the contacts that carry:
 All other scenes are differentiated as they are (`Plain`).
 """
 
+import abc
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,7 +29,15 @@ ROWS_AT_ONCE = 4096  # whose influences are worked out side by side
 AT_ONCE = 256  # rows of a plain scene that are differentiated side by side
 
 
-class Tables(eqx.Module):
+class AbstractCurves(eqx.Module):
+    """A model at rows."""
+
+    @abc.abstractmethod
+    def positions(self, values: Float[Array, "s unknown"]) -> tuple[Float[Array, "s n"], Float[Array, "s n unknown"]]:
+        """Positions of the output and their derivatives [rad]."""
+
+
+class Tables(AbstractCurves):
     """Influence of the unknowns on the contacts of rows, lengths over the root of the springs' flexibility.
 
     ``side`` is that of each contact where there are few and each stays on its own: their balance is one expression.
@@ -88,7 +98,7 @@ class Tables(eqx.Module):
         return q, jnp.where(one, lever, 0.0)
 
 
-class Plain(eqx.Module):
+class Plain(AbstractCurves):
     """Rows of a scene whose gaps are not in proportion to the unknowns, such as one of exact geometry.
 
     Where springs are linear and one by one, derivatives are those of the gaps at the position found, weighed as in
@@ -160,7 +170,7 @@ class Plain(eqx.Module):
 
 
 @eqx.filter_jit
-def sums(model: Tables | Plain, values: Array, te: Array, weight: Array, basis: Array) -> tuple[Array, Array, Array]:
+def sums(model: AbstractCurves, values: Array, te: Array, weight: Array, basis: Array) -> tuple[Array, Array, Array]:
     """Sums of a least-squares problem at several points: cost, ``J^T W J`` and ``J^T W r``, as of `Normal`."""
     size = values.shape[1] - basis.shape[1]
     q, rate = model.positions(values[:, :size])
@@ -174,7 +184,7 @@ def sums(model: Tables | Plain, values: Array, te: Array, weight: Array, basis: 
 
 
 @eqx.filter_jit
-def positions_at(model: Tables | Plain, values: Array) -> tuple[Array, Array]:
+def positions_at(model: AbstractCurves, values: Array) -> tuple[Array, Array]:
     """Positions of the output [rad] and their derivatives, at several points."""
     return model.positions(values)
 

@@ -48,11 +48,12 @@ def identified(section: IdentifySection, scene: Scene, records: list[Measurement
         priors=section.priors,
         offset_spread=section.offset_spread,
         starts=section.starts,
+        analysis=section.analysis,
         orders=section.orders,
         key=section.seed,
         progress=progress,
     )
-    beside = compare(found.scene, records)
+    beside = compare(found.scene, records, analysis=section.analysis)
     ask = section.reassemble
     advice = None
     if ask is not None:

@@ -266,7 +266,7 @@ class StructureEquation(eqx.Module):
         """
         scene, orders = self.scene, self.scene.system.orders
         assert scene.load is not None
-        speed = scene.system.input_speed
+        speed = jnp.abs(scene.system.input_speed)
         rates = [
             self.contact_rate if modes else jnp.maximum(self.contact_rate, self.frequency),
             self.springs.harmonics * orders["mesh"] * speed,

@@ -1,0 +1,304 @@
+"""Recordings of a gear set that runs: its dynamic TE at the speed of each, as a function of what is looked for.
+
+The motion is integrated from before the first row, so that its start is forgotten, by even steps whose number is the
+same for recordings of about the same length; at the rows it is the cubic through positions and velocities at samples.
+Derivatives go forward along the integration, one for each number. A static fit comes first: its ends are the starts.
+Contacts and their dampers come and go over a width, as derivatives miss what a damper that engages at once does to
+the time of a contact: a wide one is descended first, and the last is far below what a recording tells.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.analysis.choice import FORGOTTEN, MODELLED, known_limits, suitable_step
+from gearjax.analysis.dynamics import simulate
+from gearjax.analysis.fast.march import UNKNOWN
+from gearjax.analysis.motion import Motion
+from gearjax.analysis.solvers import FixedStep
+from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
+from gearjax.contact import HardContact, QuadraticContact
+from gearjax.identification.measurement import Measurement, robust_slope
+from gearjax.identification.model import Model
+from gearjax.identification.rows import Rows
+from gearjax.identification.tables import AbstractCurves
+from gearjax.identification.unknowns import Unknown, Unknowns, scene_with
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
+from gearjax.typing import Array, Float, Int, Scalar
+
+ANALYSES = ("static", "dynamic")
+PER_SAMPLE = 2  # steps, over which a cubic follows the fastest motion within 0.1 % of its amplitude
+MOST_STEPS = 1 << 21  # of a recording
+FINER, FINE = 4, 1 << 15  # times as many steps as usual, up to so many in all, for kinks of contacts
+WIDE, NARROW = 1e-6, 5e-8  # m, over which contacts come and go
+RUN_IN = 0.1  # of a recording, before it, where it is not known how fast its start is forgotten
+UNEVEN = 0.01  # of its mean, by which the speed may change unsaid; so may the torque
+PARTS = 50  # of a recording, whose speeds are compared
+
+
+class Course(NamedTuple):
+    """When the samples of the motion of a recording are; its rows are at ``theta / speed``.
+
+    Args:
+        speed: of the input, below zero where it turns back [rad/s].
+        begin: time of the first sample [s].
+        spacing: of the samples [s].
+        samples: their number.
+        torque: of the recording [N m].
+    """
+
+    speed: float
+    begin: float
+    spacing: float
+    samples: int
+    torque: float
+
+    @classmethod
+    def of(cls, scene: Scene, record: Measurement) -> "Course":
+        """Steps that resolve the fastest motion of a scene at the speed of a recording.
+
+        Raises:
+            SceneError: they would be too many.
+        """
+        speed, torque = speed_of(record), float(np.mean(record.loads))
+        at_speed = at_speed_of(scene, abs(speed))
+        ends = record.theta / speed
+        duration = float(np.ptp(ends))
+        step, limits = suitable_step(at_speed, 0.0).step, known_limits(at_speed.physics(*MODELLED))
+        assert limits is not None
+        step = min(step, UNKNOWN / (scene.system.fastest_order * abs(speed)))  # one program for all speeds
+        decay = float(limits.decay)
+        run_in = FORGOTTEN / decay if decay > 0 else RUN_IN * duration
+        steps = (duration + run_in) / step
+        steps = max(steps, min(FINER * steps, FINE))
+        if steps > MOST_STEPS:
+            raise SceneError(
+                f"{record.name}: lasts {duration:.3g} s, of which the motion takes {steps:.2g} steps, more than "
+                f'{MOST_STEPS:.2g}: give a part of it, or analysis = "static" for what turns slowly'
+            )
+        coarse = 1 << max(3, int(np.log2(steps / PER_SAMPLE)) - 2)  # a quarter of a power of two: few programs
+        samples = 1 + coarse * math.ceil(steps / PER_SAMPLE / coarse)
+        begin = float(ends.min()) - run_in
+        return cls(speed, begin, (duration + run_in) / (samples - 1), samples, torque)
+
+
+def speed_of(record: Measurement) -> float:
+    """Mean speed of the input [rad/s].
+
+    Raises:
+        GearjaxError: times were not recorded.
+    """
+    if record.time is None:
+        words = 'the dynamic TE needs the time of each row: a column "time", or analysis = "static"'
+        raise GearjaxError(f"{record.name}: {words}")
+    return robust_slope(record.time, record.theta)
+
+
+def at_speed_of(scene: Scene, speed: float | Scalar) -> Scene:
+    """The scene at another speed of its input, which may turn back too [rad/s]."""
+    return eqx.tree_at(lambda each: each.system.input_speed, scene, jnp.asarray(speed, scene.dtype))
+
+
+def check_moving(scene: Scene, records: Sequence[Measurement]) -> list[str]:
+    """Refuse recordings or a scene without what a motion takes; what a reader should know of them is returned.
+
+    Raises:
+        GearjaxError: times were not recorded, or no recording is under torque.
+        SceneError: the scene lacks a part.
+    """
+    require(scene, "dynamic", "compliance", "load", "inertia")
+    loaded = [record for record in records if record.is_loaded]
+    if not loaded:
+        raise GearjaxError("the dynamic TE is that of recordings under torque: there is none")
+    told = []
+    for record in loaded:
+        speed = speed_of(record)
+        assert record.time is not None
+        size = record.theta.size // min(PARTS, max(2, record.theta.size // 20))
+        parts = np.arange(0, record.theta.size, size)
+        turned, taken = np.diff(record.theta[parts]), np.diff(record.time[parts])
+        uneven = float(np.std(turned[taken > 0] / taken[taken > 0])) / abs(speed) if (taken > 0).any() else 0.0
+        varies = float(np.std(record.loads) / abs(np.mean(record.loads)))
+        for what, share in (("input speed", uneven), ("torque", varies)):
+            if share > UNEVEN:
+                words = f"its {what} varies by {100 * share:.2g} %: the motion is computed at its mean"
+                told.append(f"{record.name}: {words}")
+    told += [f"{each.name}: without torque, beside the no-load TE" for each in records if not each.is_loaded]
+    if scene.damping is None:
+        told.append("undamped: a motion does not forget what was before the recording, list a [damping]")
+    return told
+
+
+def an_analysis(name: str, value: object) -> None:
+    """Refuse what is no analysis of recordings."""
+    if value not in ANALYSES:
+        raise ParameterError(name, value, nearest(value, ANALYSES))
+
+
+def moving_error(scene: Scene, record: Measurement, theta: np.ndarray | None = None) -> tuple[np.ndarray, list[str]]:
+    """Dynamic TE of a scene at the rows of a recording, or at other input angles of it, shape (n,) [rad], and what a
+    reader should know of it.
+
+    Raises:
+        SceneError: no motion is found, such as without an equilibrium to start from.
+    """
+    scene = dataclasses.replace(scene, run=None)
+    at = record if theta is None else dataclasses.replace(record, theta=theta, output=None, te=np.zeros(theta.shape))
+    course = Course.of(scene, at)
+    place, share = _places(course, at.theta)
+    ts = course.begin + course.spacing * np.arange(course.samples)
+    motion = simulate(at_speed_of(scene, course.speed), ts, course.torque, stepper=FixedStep(per_sample=PER_SAMPLE))
+    numbers = (jnp.asarray(part) for part in (course.spacing, place, share))
+    parted = float(np.mean(~np.asarray(motion.forces > 0).any(axis=1)))
+    words = (
+        f"{record.name}: its flanks part in {100 * parted:.2g} % of the motion: other starts may end in other motions"
+    )
+    return np.asarray(_between(motion, *numbers)), [words] if parted else []
+
+
+def _places(course: Course, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Samples before rows, and how far between two samples they are."""
+    along = (theta / course.speed - course.begin) / course.spacing
+    place = np.clip(along.astype(int), 0, course.samples - 2)
+    return place, along - place
+
+
+def _between(motion: Motion, spacing: Array, place: Array, share: Array) -> Array:
+    """TE between samples, by the cubic through positions and velocities."""
+    before, after = motion.te[place], motion.te[place + 1]
+    leaves, arrives = spacing * motion.velocity[place], spacing * motion.velocity[place + 1]
+    rise, left = after - before, 1 - share
+    return before + share * rise + share * left * (left * (leaves - rise) - share * (arrives - rise))
+
+
+class Group(eqx.Module):
+    """Recordings whose motions have as many samples; rows behind the end of one have no place in ``where``."""
+
+    speed: Float[Array, " record"]
+    begin: Float[Array, " record"]
+    spacing: Float[Array, " record"]
+    torque: Float[Array, " record"]
+    turn: Float[Array, "record unknown unknown"]
+    place: Int[Array, "record row"]
+    share: Float[Array, "record row"]
+    where: Int[Array, "record row"]
+    samples: int = eqx.field(static=True)
+
+
+class Moving(AbstractCurves):
+    """Rows of recordings in motion; those without torque as they are at rest.
+
+    Args:
+        scene: with what moves.
+        still: the same rows at rest; ``None`` where all move.
+        groups: what moves.
+        each: what is looked for.
+        rows: their number.
+    """
+
+    scene: Scene
+    still: AbstractCurves | None
+    groups: tuple[Group, ...]
+    each: tuple[Unknown, ...] = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
+
+    def positions(self, values: Float[Array, "s unknown"]) -> tuple[Float[Array, "s n"], Float[Array, "s n unknown"]]:
+        """Positions of the output and their derivatives [rad]."""
+        if self.still is None:
+            q = jnp.zeros((values.shape[0], self.rows), values.dtype)
+            rate = jnp.zeros((*q.shape, values.shape[1]), values.dtype)
+        else:
+            q, rate = self.still.positions(values)
+        for group in self.groups:
+            te, slope = jax.lax.map(lambda one, own=group: self._of_group(own, one), values)
+            q = q.at[:, group.where].set(te, mode="drop")
+            rate = rate.at[:, group.where].set(slope, mode="drop")
+        return q, rate
+
+    def _of_group(self, group: Group, values: Array) -> tuple[Array, Array]:
+        """Positions and derivatives of all recordings of a group, shape (record, row) and (record, row, unknown)."""
+
+        def one(own: Group) -> tuple[Array, Array]:
+            def at(values: Array) -> Array:
+                scene = at_speed_of(scene_with(self.each, own.turn @ values, self.scene), own.speed)
+                ts = own.begin + own.spacing * jnp.arange(group.samples, dtype=own.begin.dtype)
+                motion = simulate(scene, ts, own.torque, stepper=FixedStep(per_sample=PER_SAMPLE))
+                te = _between(motion, own.spacing, own.place, own.share)
+                return jnp.where(motion.result == 0, te, jnp.nan)
+
+            along = jax.vmap(lambda way: jax.jvp(at, (values,), (way,)), out_axes=(None, 1))
+            return along(jnp.eye(values.shape[0], dtype=values.dtype))
+
+        return jax.lax.map(one, group)
+
+
+@dataclasses.dataclass(frozen=True)
+class MovingModel(Model):
+    """A model of recordings in motion.
+
+    Args:
+        courses: of the recordings, ``None`` for those without torque.
+        moving: the scene with what moves.
+    """
+
+    courses: tuple[Course | None, ...] = ()
+    moving: Scene | None = None
+
+    @classmethod
+    def of_static(
+        cls, model: Model, unknowns: Unknowns, records: Sequence[Measurement], solution: Scene, width: float = NARROW
+    ) -> "MovingModel":
+        """The model of recordings in motion.
+
+        Args:
+            model: of the same at rest.
+            unknowns: of the scene with all that moves.
+            records: the recordings.
+            solution: about what the scene is found to be: steps suit it.
+            width: over which contacts and their dampers come and go, where the scene's springs are one by one [m].
+        """
+        solution = dataclasses.replace(solution, contact=HardContact(), run=None)
+        courses = tuple(Course.of(solution, record) if record.is_loaded else None for record in records)
+        law = QuadraticContact(width) if solution.springs_apart else HardContact()
+        scene = dataclasses.replace(unknowns.scene, contact=law, run=None).physics(*MODELLED)
+        parts = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
+        return cls(**parts | {"courses": courses, "moving": scene})
+
+    def beside(self, records: Sequence[Measurement]) -> Model:
+        """A model of other recordings, at rest."""
+        parts = {field.name: getattr(self, field.name) for field in dataclasses.fields(Model)}
+        return Model(**parts).beside(records)
+
+    def at(self, rows: Rows) -> AbstractCurves:
+        """The model at rows."""
+        still = super().at(rows) if any(course is None for course in self.courses) else None
+        assert self.moving is not None
+        groups: dict[int, list[int]] = {}
+        for i, course in enumerate(self.courses):
+            if course is not None:
+                groups.setdefault(course.samples, []).append(i)
+        made = tuple(self._group(rows, samples, own) for samples, own in groups.items())
+        return Moving(self.moving, still, made, self.unknowns.each, rows.theta.size)
+
+    def _group(self, rows: Rows, samples: int, own: list[int]) -> Group:
+        """Recordings of as many samples."""
+        courses = [course for i in own if (course := self.courses[i]) is not None]
+        members = [np.flatnonzero(rows.record == i) for i in own]
+        size = max(each.size for each in members)
+        where = np.full((len(own), size), rows.theta.size)
+        place, share = np.zeros((len(own), size), int), np.zeros((len(own), size))
+        for i, (course, index) in enumerate(zip(courses, members, strict=True)):
+            where[i, : index.size] = index
+            place[i, : index.size], share[i, : index.size] = _places(course, rows.theta[index])
+        speed, begin, spacing, torque = (
+            jnp.asarray([getattr(each, key) for each in courses]) for key in ("speed", "begin", "spacing", "torque")
+        )
+        turns, places, shares = jnp.asarray(self.turns[own]), jnp.asarray(place), jnp.asarray(share)
+        return Group(speed, begin, spacing, torque, turns, places, shares, jnp.asarray(where), samples)

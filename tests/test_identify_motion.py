@@ -1,0 +1,226 @@
+"""Which errors explain recordings of a gear set that runs: of a joint written out apart from the package.
+
+Driving flanks carry: the damper of a pair follows their gap, whichever flank touches.
+"""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+
+import gearjax as gj
+from gearjax.config import read_file, read_tables
+from gearjax.identification.model import Model, Problem
+from gearjax.identification.moving import WIDE, MovingModel, moving_error
+from gearjax.identification.rows import rows_of
+from gearjax.identification.tables import positions_at
+from gearjax.identification.unknowns import unknowns_of
+from gearjax.units import arcmin
+from tests.bench_units import RATIO, TwoKVUnit, estimates, random_unit, truth, two_kv
+from tests.conftest import BODIES, CONFIG
+from tests.test_bench_commands import file_of, told_by
+
+MASS, DAMPING = 2000.0, 0.1  # a robot's arm: 6.9 kg m2, 36 Hz on one pair, errors turn at 16 Hz
+SPEED, SLOW = 314.0, 15.0  # rad/s
+LOAD = gj.ConstantLoad()
+
+
+def in_motion(scene: gj.Scene, mass=MASS) -> gj.Scene:
+    return dataclasses.replace(
+        scene,
+        inertia=gj.EquivalentMass(mass),
+        damping=gj.DampingRatio(DAMPING),
+        load=LOAD,
+        compliance=gj.HarmonicStiffness(9e7, np.zeros(0), np.zeros(0)),
+    )
+
+
+def run(unit: TwoKVUnit, torque: float, *, rows=1500, noise=0.05 * arcmin, speed=SPEED, seed=0) -> gj.Measurement:
+    """A turn of the output of a unit in motion."""
+    theta = np.linspace(0.0, 2 * np.pi * RATIO, rows) * np.sign(speed)
+    te = unit.motion(theta, speed, torque, MASS, DAMPING)
+    output = theta / RATIO + te + noise * np.random.default_rng(seed).standard_normal(rows)
+    return gj.Measurement(theta, output, None, torque, theta / speed, f"{torque:g} N m at {speed:g}")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return in_motion(two_kv())
+
+
+@pytest.fixture(scope="module")
+def unit():
+    return random_unit(3)
+
+
+def of_unit(scene: gj.Scene, unit: TwoKVUnit) -> gj.Scene:
+    """The scene with the errors of a unit."""
+    vectors = dict(zip(BODIES, (unit.planet_1, unit.planet_2, unit.revolution, unit.output), strict=True))
+    errors = {name: gj.Eccentricity(name, abs(v), np.angle(v)) for name, v in vectors.items()}
+    compliance = gj.HarmonicStiffness(unit.stiffness, np.zeros(0), np.zeros(0))
+    return dataclasses.replace(scene, errors=errors, compliance=compliance, backlash=gj.InitialBacklash(unit.play))
+
+
+@pytest.mark.parametrize(("torque", "speed"), [(100.0, SPEED), (300.0, SPEED), (100.0, -SPEED)])
+def test_a_motion_is_that_of_an_equation_of_its_own(scene, unit, torque, speed):
+    record = run(unit, torque, noise=0.0, speed=speed)
+    te = moving_error(of_unit(scene, unit), record)[0]
+    np.testing.assert_allclose(te, record.error(scene), atol=3e-3 * arcmin)
+    still = unit.te(record.theta, torque)
+    assert np.std(te - still) > 0.08 * np.std(still)  # it shakes: otherwise nothing is tried here
+
+
+@pytest.fixture(scope="module")
+def records(unit):
+    """Two fast ones, and slow ones under light torques that load either flank."""
+    bench = (15.0, SLOW), (150.0, SPEED), (300.0, SPEED), (-40.0, SLOW)
+    return [run(unit, torque, speed=speed, seed=i) for i, (torque, speed) in enumerate(bench)]
+
+
+@pytest.mark.slow
+def test_an_arm_that_shakes_is_found_within_its_errors(scene, unit, records):
+    found = gj.identify(scene, records, analysis="dynamic", suggest=False)
+    values, errors = estimates(found)
+    assert min((np.abs(values - one) / errors for one in truth(unit)), key=np.max).max() < 3.5
+    assert found.sigma / arcmin == pytest.approx(0.05, rel=0.05)
+    assert not found.orders
+    assert not found.alternatives or len(found.alternatives) == 1  # exchanged planet wheels
+    beside = gj.compare(found.scene, records, analysis="dynamic")
+    for record in beside.records:  # hard contacts too leave no more than the noise
+        assert np.std(record.measured - record.computed) < 0.053 * arcmin
+    still = gj.identify(scene, records, suggest=False, orders=[])
+    assert still.sigma > 2 * found.sigma  # at rest the recordings mean something else
+
+
+@pytest.mark.slow
+def test_inertia_and_damping_are_found_too(scene, records):
+    errors = [f"errors.{body}" for body in BODIES]
+    where = [*errors, "compliance.mean", "backlash.initial", "inertia.mass", "damping.ratio"]
+    off = in_motion(scene, 0.9 * MASS)
+    off = dataclasses.replace(off, damping=gj.DampingRatio(0.15))
+    found = gj.identify(off, records, where, analysis="dynamic", suggest=False)
+    mass, ratio = (found.estimate(path) for path in ("inertia.mass", "damping.ratio"))
+    assert abs(mass.value - MASS) < 3.5 * mass.error < 0.05 * MASS
+    assert abs(ratio.value - DAMPING) < 3.5 * ratio.error < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("acting", ["always", "contact"])
+def test_derivatives_of_a_motion_are_central_differences(scene, unit, acting):
+    """Under jit, with contacts that come and go over a width."""
+    record = run(unit, 150.0, rows=60, noise=0.0)
+    own = dataclasses.replace(of_unit(scene, unit), damping=gj.DampingRatio(DAMPING, acting))
+    unknowns = unknowns_of(own, None, back=False, loaded=True)
+    still = Model.of(unknowns, [record], loaded=True)
+    model = MovingModel.of_static(still, unknowns, [record], own, WIDE).at(rows_of([record], own))
+    points = unknowns.start + 0.1 * np.random.default_rng(1).standard_normal((2, unknowns.start.size))
+    _, rate = positions_at(model, points)
+    step = 1e-3
+    off = []
+    for i in range(unknowns.start.size):
+        way = step * np.eye(unknowns.start.size)[i]
+        ahead, behind = (np.asarray(positions_at(model, points + sign * way)[0]) for sign in (1, -1))
+        off.append(np.abs(rate[..., i] - (ahead - behind) / (2 * step)) / np.abs(rate).max())
+    assert np.max(off) < 1e-2
+    assert np.quantile(off, 1.0 if acting == "always" else 0.95) < 1e-3
+
+
+@pytest.mark.slow
+def test_recordings_without_torque_and_of_other_lengths_go_beside(scene, unit):
+    """Those without torque are at rest; lengths and speeds of the others differ."""
+    rest = gj.Measurement(
+        np.linspace(0, 2 * np.pi * RATIO, 300), te=unit.te(np.linspace(0, 2 * np.pi * RATIO, 300), 0.0), name="rest"
+    )
+    records = [run(unit, 150.0, noise=0.0, rows=400), run(unit, 60.0, noise=0.0, rows=300, speed=200.0), rest]
+    own = of_unit(scene, unit)
+    unknowns = unknowns_of(own, None, back=False, loaded=True)
+    still = Model.of(unknowns, records, loaded=True)
+    model = MovingModel.of_static(still, unknowns, records, own)
+    curve, _ = Problem(model, rows_of(records, own)).curve(np.append(unknowns.start, np.zeros(4)))
+    wanted = np.concatenate([record.error(own) for record in records]) / arcmin
+    np.testing.assert_allclose(curve, wanted, atol=3e-3)
+    beside = gj.compare(own, records, analysis="dynamic")
+    assert min(record.explained for record in beside.records) > 1 - 1e-6
+    assert any("without torque" in words for words in beside.notes)
+
+
+def test_flanks_that_part_are_told(scene, unit):
+    told = gj.compare(of_unit(scene, unit), run(unit, 20.0, rows=300), analysis="dynamic").notes
+    assert any("its flanks part in" in words for words in told)
+
+
+def test_speeds_and_torques_that_vary_are_told(scene, unit):
+    record = run(unit, 300.0, rows=600)
+    wave = record.time + 0.05 * np.sin(3 * record.time) / 3
+    uneven = dataclasses.replace(record, time=wave, torque=300.0 + 15 * np.sin(record.theta / 9))
+    told = gj.compare(of_unit(scene, unit), uneven, analysis="dynamic").notes
+    assert any("input speed varies by 3." in words for words in told)
+    assert any("torque varies by 3.5 %" in words for words in told)
+    even = gj.compare(of_unit(scene, unit), record, analysis="dynamic").notes
+    assert not any("varies" in words or "part" in words for words in even)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"record": {"time": None}}, "needs the time of each row"),
+        ({"record": {"torque": 0.0}}, "under torque: there is none"),
+        ({"scene": {"inertia": None}}, r'"dynamic" needs \[inertia\]'),
+        ({"analysis": "dinamic"}, "static, dynamic"),
+        ({"record": {"time": np.linspace(0.0, 1e5, 60)}}, r"takes .* steps, more than 2\.1e\+06"),
+        ({"scene": {"damping": None}}, None),
+    ],
+)
+def test_what_cannot_be_computed_is_refused(scene, unit, change, words):
+    record = dataclasses.replace(run(unit, 100.0, rows=60, noise=0.0), **change.get("record", {}))
+    own = dataclasses.replace(of_unit(scene, unit), **change.get("scene", {}))
+    if words is None:
+        assert any("undamped" in told for told in gj.compare(own, record, analysis="dynamic").notes)
+        return
+    for function in (gj.compare, gj.identify):
+        with pytest.raises((gj.GearjaxError, gj.SceneError, gj.ParameterError), match=words):
+            function(own, record, analysis=change.get("analysis", "dynamic"))
+
+
+@pytest.mark.slow
+def test_draws_of_a_motion_are_refused(scene, unit):
+    found = gj.identify(
+        of_unit(scene, unit), run(unit, 100.0, rows=100), "errors.output_wheel", analysis="dynamic", orders=[], starts=1
+    )
+    with pytest.raises(gj.GearjaxError, match="would take hours"):
+        gj.posterior(found)
+    assert gj.reassemble(found, draws=20).after > 0  # of the errors found, at rest
+
+
+def test_a_bench_makes_recordings_in_motion(scene, unit):
+    own = dataclasses.replace(of_unit(scene, unit), system=dataclasses.replace(scene.system, input_speed=SPEED))
+    record = gj.synthetic_measurement(own, 100.0, rows=500, noise=0.0, analysis="dynamic")
+    np.testing.assert_allclose(
+        record.error(own), unit.motion(record.theta, SPEED, 100.0, MASS, DAMPING), atol=3e-3 * arcmin
+    )
+    back = gj.synthetic_measurement(own, 100.0, rows=500, noise=0.0, backward=True, analysis="dynamic")
+    np.testing.assert_allclose(
+        back.error(own), unit.motion(back.theta, -SPEED, 100.0, MASS, DAMPING), atol=3e-3 * arcmin
+    )
+    with pytest.raises(gj.ParameterError, match="must be one number"):
+        gj.synthetic_measurement(own, np.linspace(1.0, 2.0, 50), rows=50, analysis="dynamic")
+
+
+@pytest.mark.slow
+def test_the_commands_take_recordings_in_motion(records, tmp_path, capsys):
+    """The section of a configuration says it, and an option does."""
+    tables = read_tables(read_file(CONFIG))
+    tables |= {"inertia": {"mass": "2000 kg"}, "damping": {"ratio": DAMPING}}
+    tables["compliance"] |= {"relative_amplitudes": [], "phases": []}
+    config = tmp_path / "arm.toml"
+    files = [file_of(record, tmp_path) for record in records[:3]]
+    config.write_text(tomli_w.dumps(tables | {"identify": {"measured": files, "analysis": "dynamic", "orders": []}}))
+    told = json.loads(told_by(capsys, "identify", str(config), "--json").out)
+    residual = told["residual_arcmin"] if "residual_arcmin" in told else told["sigma_arcmin"]
+    assert residual == pytest.approx(0.05, rel=0.06)
+    config.write_text(tomli_w.dumps(tables))
+    options = [part for file in files[:1] for part in ("--measured", file)]
+    beside = json.loads(told_by(capsys, "compare", str(config), *options, "--dynamic", "--json").out)
+    assert np.isfinite(beside["records"][0]["explained"])
