@@ -10,6 +10,7 @@ import re
 import pytest
 
 import gearjax
+from gearjax.cli import app
 from tests.conftest import ROOT
 
 LONG = (
@@ -47,16 +48,43 @@ def test_public_names_have_docstrings():
         assert inspect.getdoc(getattr(gearjax, name)), name
 
 
+PAGES = [ROOT / "README.md", *sorted((ROOT / "experiments" / "site").glob("*.md"))]
+
+
 @pytest.mark.slow
-def test_the_readme_example_runs(monkeypatch):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_examples_of_pages_run(page, monkeypatch):
     monkeypatch.chdir(ROOT)
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    assert blocks
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     names: dict = {}  # later blocks go on from earlier ones
     for block in blocks:
         ast.parse(block)
-        exec(compile(block, "README.md", "exec"), names)
+        exec(compile(block, page.name, "exec"), names)
+    assert blocks or page.stem in ("accuracy", "models")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_and_commands_of_pages_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        assert link.startswith("https://") or (page.parent / link).exists(), link
+    known = {command.name or command.callback.__name__: command for command in app.registered_commands}
+    for line in re.findall(r"^(?:    )?(?:python -m pip .*&& )?gearjax (.*)$", text, flags=re.MULTILINE):
+        command, *words = line.split("#")[0].split()
+        if command.startswith("-"):
+            continue
+        assert command in known, line
+        for word in words:
+            if word.startswith("configs/"):
+                assert (ROOT / word).exists(), line
+        options = set(inspect.signature(known[command].callback).parameters)
+        for option in (word for word in words if word.startswith("--")):
+            assert option[2:].replace("-", "_").split("=")[0] in {name.strip("_") for name in options}, line
+
+
+def test_the_readme_is_short():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 150
 
 
 def test_the_readme_names_the_two_commands():

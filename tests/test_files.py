@@ -23,6 +23,7 @@ ARGUMENTS = {
     "tolerance": [str(STUDY)],
     "compare": [str(MEASURED)],
     "identify": [str(MEASURED)],
+    "example": ["two_kv"],
 }
 WITH_OUT = [
     entry.callback

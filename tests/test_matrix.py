@@ -495,6 +495,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
     "tradeoff": None,  # some forty settings: tests/test_tradeoff.py
     "compare": None,  # of recordings: tests/test_bench_commands.py; both functions are above
     "identify": None,
+    "example": None,  # of files that are shipped: tests/test_examples.py
     "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
     "reproduce": None,  # of papers, not of a configuration: test_published.py and others
 }

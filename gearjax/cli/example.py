@@ -1,0 +1,27 @@
+"""``gearjax example``: a shipped example to begin with."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gearjax.checks import MISSING, ParameterError
+from gearjax.cli.commands import OutOption, app
+from gearjax.config.examples import copy_example, examples
+
+
+@app.command()
+def example(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="such as two_kv", autocompletion=lambda: list(examples()))
+    ] = None,
+    out: OutOption = None,
+) -> None:
+    """Copy the configurations of an example, with the files that they name: gearjax example two_kv
+
+    Without --out they go to a folder of that name.
+    """
+    if name is None:
+        raise ParameterError("example", MISSING, f"needs a name: {', '.join(examples())}")
+    for file in copy_example(name, Path(name) if out is None else out):
+        print(file)
