@@ -1,0 +1,38 @@
+"""Pages to run, from first to last cell, each in a folder of its own."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+
+OF_ITS_OWN = {"from_measurement_to_reassembly"}  # tests/test_bench_commands.py reads what it tells
+PAGES = [page for page in sorted((ROOT / "experiments" / "notebooks").glob("*.py")) if page.stem not in OF_ITS_OWN]
+
+
+def test_pages_are_text_that_notebooks_read():
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert "format_name: percent" in text
+        assert text.count("# %% [markdown]") >= 3
+        assert "# What to change next" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_runs(page):
+    """As a process of its own, as a kernel is: it sets JAX's options, and may register a gear set."""
+    environment = os.environ | {"MPLBACKEND": "agg"}
+    ran = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning:gearjax", str(page)],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "Warning" not in ran.stderr, ran.stderr
+    assert ran.stdout
