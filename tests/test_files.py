@@ -100,7 +100,7 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path, capsys, mo
 
 
 @pytest.mark.usefixtures("nothing_computed")
-@pytest.mark.parametrize("command", [name for name in ARGUMENTS if name != "reproduce"])
+@pytest.mark.parametrize("command", [name for name in ARGUMENTS if name not in ("reproduce", "example")])
 def test_the_folder_that_nobody_named_is_tried_too(tmp_path, capsys, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").write_text("mine")

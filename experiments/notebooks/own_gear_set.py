@@ -10,7 +10,7 @@
 # # A gear set of one's own, from a sketch of its contact to its transmission error
 #
 # gearjax knows a gear set by its contacts alone: where they are, how the output moves them, how errors of bodies open
-# them. Two spur wheels with run-out take one class of 30 lines, and have every analysis after it: TE, backlash,
+# them. Two spur wheels with run-out take one class of some 40 lines, and have every analysis after it: TE, backlash,
 # forces, motion, gradients, batches, tolerances, identification. Some ten seconds.
 #
 # The sketch: the teeth touch along the line of action, which leans by the pressure angle. A driving flank is on one

@@ -13,7 +13,7 @@ from rich.table import Table
 from gearjax.checks import GearjaxError, RepairedData
 from gearjax.cli.commands import ConfigArgument, JsonOption, OutOption, app, folder_for, say, text_of
 from gearjax.cli.tables import output
-from gearjax.config import loads_identify, read_measurement
+from gearjax.config import IdentifySection, loads_identify, read_measurement
 from gearjax.identification import Comparison, Measurement
 from gearjax.units import arcmin, deg
 
@@ -22,7 +22,10 @@ MeasuredOption = Annotated[
     typer.Option("--measured", metavar="CSV", help="a recording; several of the same unit with --measured again"),
 ]
 
-DynamicOption = Annotated[bool, typer.Option("--dynamic", help="of a gear set that runs: beside its dynamic TE")]
+DynamicOption = Annotated[
+    bool | None,
+    typer.Option("--dynamic/--static", help="recordings at speed: beside the dynamic TE (needs times and [inertia])"),
+]
 
 
 @app.command()
@@ -30,7 +33,7 @@ def compare(
     config: ConfigArgument,
     measured: MeasuredOption = None,
     shift: Annotated[bool, typer.Option("--shift", help="look for the start angle too")] = False,
-    dynamic: DynamicOption = False,
+    dynamic: DynamicOption = None,
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -43,12 +46,11 @@ def compare(
 
     text = text_of(config)
     scene, section = loads_identify(text, config.parent)
+    section = _by_option(section, dynamic)
     records = _records(measured, section.measured)
     folder = folder_for(out, json_, config)
     say(f"computing beside {len(records)} recordings")
-    beside = beside_each_other(
-        scene, records, shift="find" if shift else "none", analysis="dynamic" if dynamic else section.analysis
-    )
+    beside = beside_each_other(scene, records, shift="find" if shift else "none", analysis=section.analysis)
     _notes(beside.notes)
     if folder is not None:
         from gearjax.plot.identification import save_comparison_figures
@@ -65,7 +67,7 @@ def compare(
 def identify(
     config: ConfigArgument,
     measured: MeasuredOption = None,
-    dynamic: DynamicOption = False,
+    dynamic: DynamicOption = None,
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
@@ -78,8 +80,8 @@ def identify(
 
     text = text_of(config)
     scene, section = loads_identify(text, config.parent)
+    section = _by_option(section, dynamic)
     records = _records(measured, section.measured)
-    section = dataclasses.replace(section, analysis="dynamic") if dynamic else section
     folder = folder_for(out, json_, config)
     result = identified(section, scene, records, say)
     _notes(result.found.notes)
@@ -93,6 +95,11 @@ def identify(
         print(json.dumps({"config": str(config)} | result.as_json(), allow_nan=False))
     else:
         _print_found(result)
+
+
+def _by_option(section: IdentifySection, dynamic: bool | None) -> IdentifySection:
+    """The section with what the command line says of the analysis."""
+    return section if dynamic is None else dataclasses.replace(section, analysis="dynamic" if dynamic else "static")
 
 
 def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> list[Measurement]:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gearjax.checks import MISSING, ParameterError
-from gearjax.cli.commands import OutOption, app
+from gearjax.cli.commands import OutOption, app, say
 from gearjax.config.examples import copy_example, examples
 
 
@@ -25,3 +25,4 @@ def example(
         raise ParameterError("example", MISSING, f"needs a name: {', '.join(examples())}")
     for file in copy_example(name, Path(name) if out is None else out):
         print(file)
+    say("gearjax run, optimise or tolerance takes one of them")

@@ -16,17 +16,17 @@ def examples() -> dict[str, Path]:
         GearjaxError: the package was installed without them.
     """
     package = Path(gearjax.__file__).parent
-    places = [folder for folder in (package / INSTALLED, package.parent / "configs") if folder.is_dir()]
+    places = [folder for folder in (package / INSTALLED, package.parent / "configs") if (folder / "two_kv").is_dir()]
     if not places:
         raise GearjaxError("this installation has no example configurations: install gearjax anew, or from a clone")
     return {folder.name: folder for folder in sorted(places[0].iterdir()) if folder.is_dir()}
 
 
 def copy_example(name: str, folder: Path) -> list[Path]:
-    """Copy the configurations of one example and the files that they name; files that are there already stay.
+    """Copy the configurations of one example and the files that they name.
 
     Args:
-        name: of the example, such as ``two_kv``.
+        name: of the example, such as ``two_kv``; a kind of gear set will do too.
         folder: where they go; it is made.
 
     Returns:
@@ -37,6 +37,7 @@ def copy_example(name: str, folder: Path) -> list[Path]:
         GearjaxError: the folder has a file of that name.
     """
     known = examples()
+    name = name if name in known else name.removesuffix("_pair")
     if name not in known:
         raise ParameterError("example", name, nearest(name, known))
     files = sorted(path for path in known[name].iterdir() if path.is_file())

@@ -10,8 +10,8 @@ from gearjax.checks import ParameterError, nearest
 from gearjax.config.quantities import read_plain, read_quantity
 from gearjax.config.tables import Key, known_keys, read_parameter, read_whole
 from gearjax.identification.identify import OFFSET_SPREAD
-from gearjax.identification.moving import an_analysis
 from gearjax.identification.reassembly import METRICS
+from gearjax.identification.running import an_analysis
 from gearjax.parameters import Parameter
 from gearjax.scene import Scene
 from gearjax.studies.select import members, numbers

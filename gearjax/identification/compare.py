@@ -9,8 +9,9 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.identification.measurement import Measurement, a_measurement, several
-from gearjax.identification.moving import an_analysis, check_moving, moving_error
+from gearjax.identification.moving import moving_error
 from gearjax.identification.orders import candidates, waves
+from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.synthetic import computed_error, turned_scene
 from gearjax.scene import Scene
 from gearjax.units import arcmin
@@ -150,7 +151,7 @@ def compare(
         measured: one recording, or several.
         shift: ``"find"`` also looks for the start angle, where zero of the input angle is not that of the phases.
         analysis: ``"static"``, or ``"dynamic"`` for recordings of a gear set that runs: those under torque stand beside
-            the dynamic TE at their speed.
+            the dynamic TE at their speed. A start angle is found by the static TE all the same.
 
     Raises:
         GearjaxError: a recording cannot be of this gear set.
@@ -165,13 +166,15 @@ def compare(
     """
     records = several(measured)
     notes = [words for record in records for words in record.check(scene)]
-    notes += check_moving(scene, records) if analysis == "dynamic" else []
+    notes += check_running(scene, records) if analysis == "dynamic" else []
     found = []
     for record in records:
         own = turned_scene(scene, record.turned)
         if record.is_loaded and scene.compliance is None:
             raise SceneError(f"{record.name} is under torque: list a [compliance]")
-        record = record if record.theta.size <= MOST_ROWS else record.averaged_by(-(-record.theta.size // MOST_ROWS))
+        if record.theta.size > MOST_ROWS:
+            size = -(-record.theta.size // MOST_ROWS)
+            record = record.every(size) if analysis == "dynamic" else record.averaged_by(size)
         te = record.error(scene)
         start = _start_angle(own, record, te) if shift == "find" else 0.0
         if analysis == "dynamic" and record.is_loaded:

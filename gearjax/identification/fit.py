@@ -1,6 +1,7 @@
 """A fit: many starts on means over steps of the angle, the best polished on all rows, outlying rows weighed down."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,7 +52,7 @@ class Fit:
     problem: Problem
     known: Known
 
-    @property
+    @functools.cached_property
     def residual(self) -> np.ndarray:
         """Measured minus computed, shape (n,) [arcmin]."""
         return self.problem.rows.te - self.problem.curve(self.values)[0]

@@ -12,10 +12,12 @@ from gearjax.identification.advice import suggestions
 from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, noise_of, starts_of
 from gearjax.identification.found import OUTLYING, Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
-from gearjax.identification.model import Model, Problem
-from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, an_analysis, check_moving
+from gearjax.identification.model import MOVING, Model, Problem
+from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error
 from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
 from gearjax.identification.rows import names_of_further, rows_of
+from gearjax.identification.running import an_analysis, check_running
+from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import Visible, block_length, hidden_directions, visible
 from gearjax.progress import Progress, silent
@@ -75,7 +77,8 @@ def identify(
         starts: of the search; without 64, or 4 where the scene is not in proportion to what is looked for.
         loss: ``"robust"`` weighs rows beyond four standard deviations down, ``"least_squares"`` does not.
         analysis: ``"static"``, or ``"dynamic"`` for recordings at speed: their times give it, and the scene has inertia
-            and load. Numbers that only a motion shows, such as ``damping.ratio``, can be looked for then.
+            (its load is the recorded torque). Numbers that only a motion shows, such as ``damping.ratio``, can be
+            looked for then.
         orders: ``"find"`` looks for orders that the gear set does not explain and sets them free; else orders that are
             free, in cycles per turn of the input; empty for none.
         key: seed of the starts.
@@ -99,17 +102,17 @@ def identify(
     if loss not in LOSSES:
         raise ParameterError("loss", loss, nearest(loss, LOSSES))
     notes = [words for record in records for words in record.check(scene)]
-    notes += check_moving(scene, records) if analysis == "dynamic" else []
-    scene = _suited(scene, records, notes)
+    moves = analysis == "dynamic"
+    notes += check_running(scene, records) if moves else []
+    _check_suited(scene, records, notes)
     back = bool(np.any(np.concatenate([record.back for record in records])))
     loaded = any(record.is_loaded for record in records)
     options = _Options(priors or {}, offset_spread, starts, loss == "robust", key)
-    records = _thinned(records, notes)
+    records = _thinned(records, notes, moves)
     free = _free_orders(orders, records)
     if priors is not None and not isinstance(priors, Mapping):
         raise ParameterError("priors", priors, 'must be by path: {"errors.planet_1": 5e-6}')
     progress(f"fitting {sum(record.theta.size for record in records)} rows of {len(records)} recordings")
-    moves = analysis == "dynamic"
     wanted = _Wanted(records, where, back, loaded, moves, free, isinstance(orders, str), options, progress)
     scene, (model, fit, known) = _by_reference(scene, wanted, notes)
     rows = fit.problem.rows
@@ -126,6 +129,9 @@ def identify(
     _remark(fit, model, told, records, notes)
     further = suggestions(model, fit, told, records, progress) if suggest else []
     finished = model.unknowns.finished(fit.values[: len(model.unknowns.each)])
+    if moves:
+        for record in (each for each in records if each.is_loaded):
+            notes += moving_error(turned_scene(finished, record.turned), record)[1]
     return Identification(
         finished, tuple(records), model.unknowns, model, fit, told, tuple(known), names, tuple(notes), tuple(further)
     )
@@ -151,27 +157,29 @@ def _free_orders(orders: Any, records: Sequence[Measurement]) -> dict[float, str
     return free
 
 
-def _thinned(records: list[Measurement], notes: list[str]) -> list[Measurement]:
-    """Recordings of a bounded number of rows."""
+def _thinned(records: list[Measurement], notes: list[str], moves: bool) -> list[Measurement]:
+    """Recordings of a bounded number of rows: means, but of a motion single rows, which shake as it does."""
     rows = sum(record.theta.size for record in records)
     if rows <= MOST_ROWS:
         return records
     size = -(-rows // MOST_ROWS)
+    if moves:
+        notes.append(f"{rows} rows: one in {size} is taken")
+        return [record.every(size) for record in records]
     notes.append(f"{rows} rows: each {size} that follow each other are averaged")
     return [record.averaged_by(size) for record in records]
 
 
-def _suited(scene: Scene, records: list[Measurement], notes: list[str]) -> Scene:
-    """The scene, checked for what the recordings ask of it."""
+def _check_suited(scene: Scene, records: list[Measurement], notes: list[str]) -> None:
+    """Refuse a scene without what the recordings ask of it."""
     if any(record.is_loaded for record in records) and scene.compliance is None:
         raise SceneError("recordings under torque need a [compliance]: list one, with about its stiffness")
     for record in records:
         if record.back.any() and not scene.has_back and not scene.layout.sides_turn:
             words = f"{record.name} loads the back flanks, which this scene lacks: list a [backlash]"
             raise SceneError(words)
-        if record.is_loaded and (record.loads == 0).any():
+        if record.is_loaded and (record.loads == 0).any():  # refused before in motion
             notes.append(f"{record.name}: rows without torque among others are compared with the no-load TE")
-    return scene
 
 
 def _drifts(records: Sequence[Measurement]) -> bool:
@@ -237,13 +245,20 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
 def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Model, Fit]:
     """The fit of a motion, from the ends of that at rest: contacts that come and go over a width first."""
     unknowns, records = model.unknowns, wanted.records
+    # at rest nothing depends on these, and a start of the search is a draw
+    unseen = [i for i, each in enumerate(unknowns.each) if each.path.partition(".")[0] in MOVING]
     for width in (WIDE, NARROW):
-        solution = unknowns.finished(fit.values[: len(unknowns.each)])
+        at = fit.values[: len(unknowns.each)].copy()
+        if width == WIDE:
+            at[unseen] = unknowns.start[unseen]
+        solution = unknowns.finished(at)
         moving = MovingModel.of_static(model, unknowns, records, solution, width)
         if width == WIDE:
             steps = sum(PER_SAMPLE * course.samples for course in moving.courses if course is not None)
             wanted.progress(f"integrating {steps} steps of motion, with derivatives, some tens of times")
         starts = np.concatenate([fit.values[None], fit.others])[:MOST_MOVING]
+        if width == WIDE:
+            starts[:, unseen] = unknowns.start[unseen]
         fit = _fit(moving, scene, records, list(wanted.free), wanted.options, starts)
     return moving, fit
 

@@ -134,6 +134,14 @@ class Measurement:
         }
         return dataclasses.replace(self, **parts, averaged=self.averaged * size)
 
+    def every(self, size: int) -> "Measurement":
+        """The same with one row in so many."""
+        parts = {
+            key: None if (values := getattr(self, key)) is None else values[::size]
+            for key in ("theta", "output", "te", "torque", "time")
+        }
+        return dataclasses.replace(self, **parts)
+
     def told(self) -> list[str]:
         """What reading has mended, in words."""
         words = [f"{number} {what}" for what, number in self.repairs.items()]

@@ -17,30 +17,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.choice import FORGOTTEN, MODELLED, known_limits, suitable_step
+from gearjax.analysis.choice import FORGOTTEN, MODELLED, STEP, known_limits
 from gearjax.analysis.dynamics import simulate
 from gearjax.analysis.fast.march import UNKNOWN
 from gearjax.analysis.motion import Motion
-from gearjax.analysis.solvers import FixedStep
-from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
-from gearjax.contact import HardContact, QuadraticContact
-from gearjax.identification.measurement import Measurement, robust_slope
+from gearjax.analysis.solvers import LONGEST_STEP, FixedStep
+from gearjax.checks import SceneError
+from gearjax.contact import QuadraticContact
+from gearjax.identification.measurement import Measurement
 from gearjax.identification.model import Model
 from gearjax.identification.rows import Rows
+from gearjax.identification.running import at_speed_of, speed_of, under_torque
 from gearjax.identification.tables import AbstractCurves
 from gearjax.identification.unknowns import Unknown, Unknowns, scene_with
 from gearjax.scene import Scene
-from gearjax.scene_checks import require
-from gearjax.typing import Array, Float, Int, Scalar
+from gearjax.typing import Array, Float, Int
 
-ANALYSES = ("static", "dynamic")
 PER_SAMPLE = 2  # steps, over which a cubic follows the fastest motion within 0.1 % of its amplitude
 MOST_STEPS = 1 << 21  # of a recording
 FINER, FINE = 4, 1 << 15  # times as many steps as usual, up to so many in all, for kinks of contacts
 WIDE, NARROW = 1e-6, 5e-8  # m, over which contacts come and go
 RUN_IN = 0.1  # of a recording, before it, where it is not known how fast its start is forgotten
-UNEVEN = 0.01  # of its mean, by which the speed may change unsaid; so may the torque
-PARTS = 50  # of a recording, whose speeds are compared
 
 
 class Course(NamedTuple):
@@ -68,78 +65,26 @@ class Course(NamedTuple):
             SceneError: they would be too many.
         """
         speed, torque = speed_of(record), float(np.mean(record.loads))
-        at_speed = at_speed_of(scene, abs(speed))
+        limits = known_limits(at_speed_of(under_torque(scene), abs(speed)).physics(*MODELLED))
+        assert limits is not None
         ends = record.theta / speed
         duration = float(np.ptp(ends))
-        step, limits = suitable_step(at_speed, 0.0).step, known_limits(at_speed.physics(*MODELLED))
-        assert limits is not None
-        step = min(step, UNKNOWN / (scene.system.fastest_order * abs(speed)))  # one program for all speeds
+        bodies = UNKNOWN / (scene.system.fastest_order * abs(speed))  # so that all speeds share a program
+        step = min(STEP * LONGEST_STEP / float(limits.fastest), bodies)
         decay = float(limits.decay)
         run_in = FORGOTTEN / decay if decay > 0 else RUN_IN * duration
         steps = (duration + run_in) / step
         steps = max(steps, min(FINER * steps, FINE))
         if steps > MOST_STEPS:
+            words = f"and {run_in:.3g} s before it, until its start is forgotten ([damping])" if decay > 0 else ""
             raise SceneError(
-                f"{record.name}: lasts {duration:.3g} s, of which the motion takes {steps:.2g} steps, more than "
-                f'{MOST_STEPS:.2g}: give a part of it, or analysis = "static" for what turns slowly'
+                f"{record.name}: lasts {duration:.3g} s {words}, of which the motion takes {steps:.2g} steps, more "
+                f'than {MOST_STEPS:.2g}: give a part of it, or analysis = "static" for what turns slowly'
             )
         coarse = 1 << max(3, int(np.log2(steps / PER_SAMPLE)) - 2)  # a quarter of a power of two: few programs
         samples = 1 + coarse * math.ceil(steps / PER_SAMPLE / coarse)
         begin = float(ends.min()) - run_in
         return cls(speed, begin, (duration + run_in) / (samples - 1), samples, torque)
-
-
-def speed_of(record: Measurement) -> float:
-    """Mean speed of the input [rad/s].
-
-    Raises:
-        GearjaxError: times were not recorded.
-    """
-    if record.time is None:
-        words = 'the dynamic TE needs the time of each row: a column "time", or analysis = "static"'
-        raise GearjaxError(f"{record.name}: {words}")
-    return robust_slope(record.time, record.theta)
-
-
-def at_speed_of(scene: Scene, speed: float | Scalar) -> Scene:
-    """The scene at another speed of its input, which may turn back too [rad/s]."""
-    return eqx.tree_at(lambda each: each.system.input_speed, scene, jnp.asarray(speed, scene.dtype))
-
-
-def check_moving(scene: Scene, records: Sequence[Measurement]) -> list[str]:
-    """Refuse recordings or a scene without what a motion takes; what a reader should know of them is returned.
-
-    Raises:
-        GearjaxError: times were not recorded, or no recording is under torque.
-        SceneError: the scene lacks a part.
-    """
-    require(scene, "dynamic", "compliance", "load", "inertia")
-    loaded = [record for record in records if record.is_loaded]
-    if not loaded:
-        raise GearjaxError("the dynamic TE is that of recordings under torque: there is none")
-    told = []
-    for record in loaded:
-        speed = speed_of(record)
-        assert record.time is not None
-        size = record.theta.size // min(PARTS, max(2, record.theta.size // 20))
-        parts = np.arange(0, record.theta.size, size)
-        turned, taken = np.diff(record.theta[parts]), np.diff(record.time[parts])
-        uneven = float(np.std(turned[taken > 0] / taken[taken > 0])) / abs(speed) if (taken > 0).any() else 0.0
-        varies = float(np.std(record.loads) / abs(np.mean(record.loads)))
-        for what, share in (("input speed", uneven), ("torque", varies)):
-            if share > UNEVEN:
-                words = f"its {what} varies by {100 * share:.2g} %: the motion is computed at its mean"
-                told.append(f"{record.name}: {words}")
-    told += [f"{each.name}: without torque, beside the no-load TE" for each in records if not each.is_loaded]
-    if scene.damping is None:
-        told.append("undamped: a motion does not forget what was before the recording, list a [damping]")
-    return told
-
-
-def an_analysis(name: str, value: object) -> None:
-    """Refuse what is no analysis of recordings."""
-    if value not in ANALYSES:
-        raise ParameterError(name, value, nearest(value, ANALYSES))
 
 
 def moving_error(scene: Scene, record: Measurement, theta: np.ndarray | None = None) -> tuple[np.ndarray, list[str]]:
@@ -149,18 +94,17 @@ def moving_error(scene: Scene, record: Measurement, theta: np.ndarray | None = N
     Raises:
         SceneError: no motion is found, such as without an equilibrium to start from.
     """
-    scene = dataclasses.replace(scene, run=None)
+    scene = under_torque(scene)
     at = record if theta is None else dataclasses.replace(record, theta=theta, output=None, te=np.zeros(theta.shape))
     course = Course.of(scene, at)
     place, share = _places(course, at.theta)
     ts = course.begin + course.spacing * np.arange(course.samples)
     motion = simulate(at_speed_of(scene, course.speed), ts, course.torque, stepper=FixedStep(per_sample=PER_SAMPLE))
     numbers = (jnp.asarray(part) for part in (course.spacing, place, share))
-    parted = float(np.mean(~np.asarray(motion.forces > 0).any(axis=1)))
-    words = (
-        f"{record.name}: its flanks part in {100 * parted:.2g} % of the motion: other starts may end in other motions"
-    )
-    return np.asarray(_between(motion, *numbers)), [words] if parted else []
+    begun = int(np.searchsorted(ts, float((at.theta / course.speed).min())))
+    apart = float(np.mean(~np.any(np.asarray(motion.forces)[begun:] > 0, axis=1)))
+    words = f"{record.name}: its teeth lose contact in {100 * apart:.2g} % of the time: from other starts the motion"
+    return np.asarray(_between(motion, *numbers)), [f"{words} may be another one"] if apart else []
 
 
 def _places(course: Course, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,10 +208,11 @@ class MovingModel(Model):
             solution: about what the scene is found to be: steps suit it.
             width: over which contacts and their dampers come and go, where the scene's springs are one by one [m].
         """
-        solution = dataclasses.replace(solution, contact=HardContact(), run=None)
         courses = tuple(Course.of(solution, record) if record.is_loaded else None for record in records)
-        law = QuadraticContact(width) if solution.springs_apart else HardContact()
-        scene = dataclasses.replace(unknowns.scene, contact=law, run=None).physics(*MODELLED)
+        scene = under_torque(unknowns.scene)
+        if scene.springs_apart:
+            scene = dataclasses.replace(scene, contact=QuadraticContact(width))
+        scene = scene.physics(*MODELLED)
         parts = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
         return cls(**parts | {"courses": courses, "moving": scene})
 

@@ -111,15 +111,15 @@ def posterior(
         >>> gj.posterior(found, chains=2, draws=20, warm_up=20).draws.shape
         (2, 20, 3)
     """
+    if isinstance(found.model, MovingModel):
+        raise GearjaxError(
+            "posterior: draws of recordings in motion would take hours: the intervals of gj.identify are what there is"
+        )
     try:
         import blackjax
         from blackjax.diagnostics import effective_sample_size, potential_scale_reduction
     except ImportError as fault:
         raise MissingExtraError("a posterior needs blackjax: python -m pip install gearjax[bayes]") from fault
-    if isinstance(found.model, MovingModel):
-        raise GearjaxError(
-            "posterior: draws of recordings in motion would take hours: the intervals of gj.identify are what there is"
-        )
     centre, root = found.gaussian(found.visible.inflation)
     problem = found.fit.problem
     rows = problem.padded

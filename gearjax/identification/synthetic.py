@@ -9,7 +9,8 @@ from gearjax import arguments
 from gearjax.analysis import backlash, transmission_error
 from gearjax.checks import ParameterError, SceneError
 from gearjax.identification.measurement import Measurement, ideal
-from gearjax.identification.moving import an_analysis, check_moving, moving_error
+from gearjax.identification.moving import moving_error
+from gearjax.identification.running import an_analysis, check_running
 from gearjax.scene import Scene
 from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
@@ -103,6 +104,8 @@ def synthetic_measurement(
     slow = 1 / 7
     if abs(ripple) >= 1:
         raise ParameterError("ripple", ripple, "must be below 1: the input would turn back")
+    if ripple and analysis == "dynamic":
+        raise ParameterError("ripple", ripple, 'must be 0 for analysis = "dynamic", which is computed at one speed')
     theta = theta + ripple / slow * np.sin(slow * theta)
     own = turned_scene(scene, turned or {})
     if analysis == "dynamic":
@@ -132,7 +135,7 @@ def _in_motion(scene: Scene, time: np.ndarray, theta: np.ndarray, torque: float 
         raise ParameterError("torque", loads.shape, 'must be one number for analysis = "dynamic"')
     angles = theta[::-1] if back else theta
     record = Measurement(angles, te=np.zeros(angles.shape), torque=float(loads.flat[0]), time=time)
-    check_moving(scene, [record])
+    check_running(scene, [record])
     te, _ = moving_error(scene, record)
     return te[::-1] if back else te
 

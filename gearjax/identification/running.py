@@ -1,0 +1,117 @@
+"""What recordings of a gear set that runs need, and what a reader should know of them."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
+from gearjax.contact import HardContact
+from gearjax.identification.measurement import Measurement, robust_slope
+from gearjax.load import ConstantLoad
+from gearjax.scene import Scene
+from gearjax.scene_checks import require
+from gearjax.typing import Scalar
+from gearjax.units import rpm
+
+ANALYSES = ("static", "dynamic")
+UNEVEN, TOO_UNEVEN = 0.01, 0.2  # of its mean, by which speed or torque may change unsaid, and at all
+FEWEST, PART = 8, np.pi / 3  # rows, and turn of the input [rad], over which speeds are compared
+ANOTHER_UNIT = 5.0  # times the scene's speed, beyond which the unit of time may be another
+
+
+def an_analysis(name: str, value: object) -> None:
+    """Refuse what is no analysis of recordings."""
+    if value not in ANALYSES:
+        raise ParameterError(name, value, nearest(value, ANALYSES))
+
+
+def under_torque(scene: Scene) -> Scene:
+    """The scene as recordings see it: hard contacts, and the torque that was recorded as its load."""
+    return dataclasses.replace(scene, contact=HardContact(), load=ConstantLoad(), run=None)
+
+
+def at_speed_of(scene: Scene, speed: float | Scalar) -> Scene:
+    """The scene at another speed of its input, which may turn back too [rad/s]."""
+    return eqx.tree_at(lambda each: each.system.input_speed, scene, jnp.asarray(speed, scene.dtype))
+
+
+def speed_of(record: Measurement) -> float:
+    """Mean speed of the input [rad/s].
+
+    Raises:
+        GearjaxError: times were not recorded, or tell no speed.
+    """
+    if record.time is None:
+        words = 'the dynamic TE needs the time of each row: a column "time", or analysis = "static"'
+        raise GearjaxError(f"{record.name}: {words}")
+    steps = np.diff(record.time)
+    if (steps < 0).any():
+        where = int(np.argmax(steps < 0))
+        raise GearjaxError(f"{record.name}: time goes back after row {where}: sort the rows by time")
+    if np.ptp(record.time) == 0:
+        raise GearjaxError(f"{record.name}: time is {record.time[0]:.6g} s in every row, which tells no speed")
+    speed = robust_slope(record.time, record.theta)
+    if speed == 0 or not np.isfinite(speed):
+        raise GearjaxError(f"{record.name}: the input stands still in most rows: cut them off for the dynamic TE")
+    return speed
+
+
+def check_running(scene: Scene, records: Sequence[Measurement]) -> list[str]:
+    """Refuse recordings or a scene without what a motion takes; what a reader should know of them is returned.
+
+    Raises:
+        GearjaxError: times tell no speed, speed or torque varies too much, or no recording is under torque.
+        SceneError: the scene lacks a part.
+    """
+    require(under_torque(scene), "dynamic", "compliance", "inertia")
+    if jnp.dtype(scene.dtype) != jnp.float64:
+        raise SceneError('recordings in motion need float64: switch "jax_enable_x64" on before the scene is loaded')
+    loaded = [record for record in records if record.is_loaded]
+    if not loaded:
+        raise GearjaxError("the dynamic TE is that of recordings under torque: there is none")
+    told = []
+    for record in loaded:
+        told += _check(scene, record)
+    told += [f"{each.name}: without torque, beside the no-load TE" for each in records if not each.is_loaded]
+    if scene.load is not None and not isinstance(scene.load, ConstantLoad):
+        told.append("[load] is left out: the torque is the recorded one")
+    if scene.damping is None or float(scene.damping.ratio) == 0:
+        told.append("without [damping] the vibration of the start, which nobody knows, never dies out")
+    return told
+
+
+def _check(scene: Scene, record: Measurement) -> list[str]:
+    """The same of one recording."""
+    speed, loads = speed_of(record), record.loads
+    if record.back.any() and not (scene.has_back or scene.layout.sides_turn):
+        raise SceneError(f"{record.name} loads the back flanks, which this scene lacks: list a [backlash]")
+    if loads.min() * loads.max() <= 0:
+        words = "its torque is zero in some rows, or changes its sign: give one recording for each torque"
+        raise GearjaxError(f"{record.name}: {words}")
+    told = [f"{record.name}: the input turns at {abs(speed) / rpm:.5g} rpm, by its times"]
+    ratio = abs(speed) / float(scene.system.input_speed)
+    if not 1 / ANOTHER_UNIT < ratio < ANOTHER_UNIT:
+        given = float(scene.system.input_speed) / rpm
+        told[0] += f"; the scene has {given:.5g} rpm: is the unit of time right?"
+    varies = float(np.std(loads) / abs(np.mean(loads)))
+    for what, share in (("input speed", _unevenness(record, speed)), ("torque", varies)):
+        words = f"{record.name}: its {what} varies by {100 * share:.2g} %"
+        if share > TOO_UNEVEN:
+            raise GearjaxError(f"{words}: the motion is computed at one, give a part where it is steady")
+        if share > UNEVEN:
+            told.append(f"{words}: the motion is computed at its mean")
+    return told
+
+
+def _unevenness(record: Measurement, speed: float) -> float:
+    """Standard deviation of the speed over parts of a turn, over the mean one."""
+    assert record.time is not None
+    step = max(float(np.median(np.abs(np.diff(record.theta)))), 1e-300)
+    size = int(np.clip(np.ceil(PART / step), FEWEST, max(FEWEST, record.theta.size // 2)))
+    parts = np.arange(0, record.theta.size, size)
+    turned, taken = np.diff(record.theta[parts]), np.diff(record.time[parts])
+    good = taken > 0
+    return float(np.std(turned[good] / taken[good])) / abs(speed) if good.any() else 0.0
