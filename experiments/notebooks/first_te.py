@@ -26,7 +26,8 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, um
 
-ROOT = next(folder for folder in [Path.cwd(), *Path.cwd().parents] if (folder / "configs").is_dir())
+PLACES = [Path.cwd(), *Path.cwd().parents]
+ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
 scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
 theta = jnp.linspace(0.0, scene.system.cycle, 4001)  # input angle [rad], one cycle of the errors
 free = gj.transmission_error(scene, theta)

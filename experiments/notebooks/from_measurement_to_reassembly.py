@@ -27,7 +27,8 @@ import gearjax as gj
 from gearjax.plot.identification import comparison_figure, estimates_figure, residual_figure
 from gearjax.units import arcmin, deg, um
 
-ROOT = next(folder for folder in [Path.cwd(), *Path.cwd().parents] if (folder / "configs").is_dir())
+PLACES = [Path.cwd(), *Path.cwd().parents]
+ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
 scene = gj.load(ROOT / "configs" / "two_kv" / "measured.toml")  # geometry, and what is looked for
 
 # %% [markdown]

@@ -26,7 +26,8 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, um
 
-ROOT = next(folder for folder in [Path.cwd(), *Path.cwd().parents] if (folder / "configs").is_dir())
+PLACES = [Path.cwd(), *Path.cwd().parents]
+ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
 scene = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
 mesh = jnp.linspace(0.0, 2 * jnp.pi / 240, 41)  # a mesh period of the crank
 

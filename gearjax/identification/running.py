@@ -79,7 +79,7 @@ def check_running(scene: Scene, records: Sequence[Measurement]) -> list[str]:
     if scene.load is not None and not isinstance(scene.load, ConstantLoad):
         told.append("[load] is left out: the torque is the recorded one")
     if scene.damping is None or float(scene.damping.ratio) == 0:
-        told.append("without [damping] the vibration of the start, which nobody knows, never dies out")
+        told.append("without [damping] the vibration of the start never dies out: what was before the recording counts")
     return told
 
 
