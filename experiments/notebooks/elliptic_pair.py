@@ -1,0 +1,91 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+# ---
+
+# %% [markdown]
+# # Elliptic pair: a ratio that changes, and what errors make of it
+#
+# Two ellipses that roll on each other turn the driven gear faster and slower within each turn. What do run-out and a
+# wrong centre distance do to that, and how fast may the pair turn before its inertia lifts the teeth off? Some twenty
+# seconds.
+
+# %%
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+
+import gearjax as gj
+from gearjax.units import arcmin, deg, rpm, um
+
+PLACES = [Path.cwd(), *Path.cwd().parents]
+ROOT = next((place for place in PLACES if (place / "configs" / "elliptic").is_dir()), Path.cwd())
+pair = gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml")
+turn = jnp.linspace(0.0, 2 * jnp.pi, 361)
+
+# %% [markdown]
+# ## The ratio that is wanted, and its error
+# The slope of the ideal output is the ratio; run-outs and centre distance add a TE to the output, and its slope to the
+# ratio.
+
+# %%
+ratio = jax.vmap(jax.grad(lambda angle: type(pair.system).output(pair.system, angle)))(turn)
+te, error = gj.transmission_error(pair, turn), gj.ratio_error(pair, turn)
+figure, axes = plt.subplots(3, 1, sharex=True, figsize=(7, 7))
+axes[0].plot(turn / deg, ratio)
+axes[0].set_ylabel("ratio [-]")
+axes[1].plot(turn / deg, te.te / arcmin)
+axes[1].set_ylabel("TE [arcmin]")
+axes[2].plot(turn / deg, 1e3 * error.error)
+axes[2].set_ylabel("ratio error [1e-3]")
+axes[2].set_xlabel("input angle [deg]")
+print(f"ratio {float(ratio.min()):.3f} to {float(ratio.max()):.3f}, TE {te.peak_to_peak / arcmin:.3f} arcmin")
+
+# %% [markdown]
+# ## Which error matters?
+# The gradient of the peak-to-peak, and the phase at which the run-out of the driven gear does the least.
+
+# %%
+names = [name for name, each in pair.errors.items() if isinstance(each, gj.Eccentricity)]
+
+
+def peak_to_peak(amplitudes):
+    changed = eqx.tree_at(lambda s: [s.errors[name].amplitude for name in names], pair, list(amplitudes))
+    return gj.transmission_error(changed, turn).peak_to_peak
+
+
+slopes = jax.grad(peak_to_peak)(jnp.array([pair.errors[name].amplitude for name in names]))
+for name, slope in zip(names, slopes, strict=True):
+    print(f"{name:10} {float(slope) * um / arcmin:+.4f} arcmin per um")
+found = gj.minimise("no_load_peak_to_peak", pair, where=[f"errors.{names[-1]}.phase"], theta=turn, starts=8)
+best = float(found.objective) / arcmin
+print(f"{names[-1]} turned to {float(found.best[0]) / deg % 360:.0f} deg: {best:.3f} arcmin")
+
+# %% [markdown]
+# ## How fast before teeth lift off?
+# The output speeds up and slows down twice a turn; above a speed its inertia is stronger than the load.
+
+# %%
+for torque in (5.0, 10.0, 20.0):
+    print(f"{torque:4.0f} N m: teeth stay in contact up to {float(gj.separation_speed(pair, torque)) / rpm:.0f} rpm")
+limit = float(gj.separation_speed(pair, 10.0))
+for share in (0.8, 1.2):
+    fast = dataclasses.replace(pair, system=dataclasses.replace(pair.system, input_speed=share * limit))
+    motion = gj.simulate(fast, jnp.linspace(0.0, 4 * np.pi / (share * limit), 4001), 10.0)
+    apart = 100 * float(np.mean(~np.any(np.asarray(motion.forces) > 0, axis=1)))
+    print(f"at {share:g} of that speed: no tooth touches in {apart:.1f} % of the time")
+
+# %% [markdown]
+# What to change next: `gj.NoncircularPair` with a ratio of your own (a table or a function), `clearance = "exact"`,
+# more lobes (`two_lobes.toml`), profiles as DXF (`gj.export_profile(pair, "driven.dxf", body="driven")`).
