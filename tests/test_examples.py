@@ -40,7 +40,7 @@ def test_the_command_says_what_it_copied_and_keeps_what_is_there(tmp_path, capsy
 
 
 @pytest.mark.slow
-def test_a_wheel_and_a_source_archive_work_in_an_environment_of_their_own(tmp_path):
+def test_a_wheel_works_in_an_environment_of_its_own(tmp_path):
     """The examples and the mark of typed packages come along; dependencies are those of this environment."""
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
     subprocess.run([*pip, "wheel", "--no-deps", "-w", str(tmp_path), str(ROOT)], check=True, timeout=300)

@@ -148,7 +148,7 @@ def test_recordings_without_torque_and_of_other_lengths_go_beside(scene, unit):
     assert any("without torque" in words for words in beside.notes)
 
 
-def test_flanks_that_part_are_told(scene, unit):
+def test_teeth_that_lose_contact_are_told(scene, unit):
     told = gj.compare(of_unit(scene, unit), run(unit, 20.0, rows=300), analysis="dynamic").notes
     assert any("lose contact in" in words for words in told)
 

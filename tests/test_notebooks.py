@@ -1,4 +1,4 @@
-"""Pages to run, from first to last cell, each in a folder of its own."""
+"""Pages to run, from first to last cell, each in a process of its own."""
 
 import os
 import subprocess
