@@ -9,6 +9,7 @@ from gearjax.cli import main
 from gearjax.reproduce import elliptic
 from gearjax.reproduce import elliptic_construction as paper
 from gearjax.units import arcmin, um
+from tests.validation import assert_shown
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +32,10 @@ def test_what_is_reproduced(rows):
     assert rows["Tooth profile (6), off by"].computed < 1e-9
     assert rows["Tooth profile (2) and (4), off by"].computed > 1.0
     assert abs(rows["Table 2, e = 0.3, mean"].computed) < 1e-12  # that of a ratio error over a turn
+
+
+def test_the_validation_page_shows_them(rows):
+    assert_shown("elliptic", list(rows.values()))
 
 
 def test_how_far_the_construction_is_off(rows):

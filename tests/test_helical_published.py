@@ -10,6 +10,7 @@ import gearjax as gj
 from gearjax.cli import main
 from gearjax.reproduce import helical
 from gearjax.units import um
+from tests.validation import assert_shown
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +46,10 @@ def test_the_mesh_order_is_that_of_one_mesh_without_run_outs(rows):
     te = np.asarray(gj.transmission_error(alone, theta, helical.TORQUE).te)
     height = np.abs(np.fft.rfft(te)[1]) / 16 * 0.134264 / um
     assert rows["Table 4, 50.8 rpm, simulation 2, f_m"].computed == pytest.approx(height, rel=0.02)
+
+
+def test_the_validation_page_shows_them(rows):
+    assert_shown("helical", list(rows.values()))
 
 
 def test_the_command_prints_them(capsys):

@@ -17,6 +17,7 @@ from gearjax.reproduce import involute_rv_pair as own
 from gearjax.reproduce.rows import Row
 from gearjax.units import mm, um
 from tests import involute_pair
+from tests.validation import assert_shown
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +125,10 @@ def test_table_2_comes_out_with_nothing_fitted_to_it():
     found = {row.item: row for row in involute_rv._table_2()}
     assert found["Table 2, rms of the loads"].computed == pytest.approx(3.82, abs=0.01)
     assert all(row.status == "inferred" for item, row in found.items() if "tooth" in item)
+
+
+def test_the_validation_page_shows_them(rows):
+    assert_shown("involute_rv", rows)
 
 
 def test_the_linear_programme_finds_forces_and_approach(rng):

@@ -7,6 +7,7 @@ import pytest
 from gearjax.cli import main
 from gearjax.reproduce import PAPERS, two_kv
 from gearjax.reproduce.rows import Row, printed_precision
+from tests.validation import assert_shown
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +80,27 @@ def test_a_wrong_value_would_not_pass():
     assert Row("x", "", 9.0, "arcmin", 0.0).status == "not published"
     assert printed_precision("0.15845") == pytest.approx(1e-5)
     assert printed_precision("-2") == 1.0
+
+
+def test_the_validation_page_shows_them(rows):
+    assert_shown("two_kv", rows)
+
+
+def test_all_papers_are_one_page(capsys, tmp_path, rows, monkeypatch):
+    for key, paper in PAPERS.items():
+        monkeypatch.setitem(PAPERS, key, paper._replace(rows=lambda _: rows[:2]))
+    with pytest.raises(SystemExit, match="0"):
+        main(["reproduce", "--all"])
+    printed = capsys.readouterr().out
+    assert printed.startswith("# Validation")
+    assert all(f"\n## {paper.title}\n" in printed for paper in PAPERS.values())
+    with pytest.raises(SystemExit, match="0"):
+        main(["reproduce", "--all", "--out", str(tmp_path)])
+    assert (tmp_path / "validation.md").read_text(encoding="utf-8") == printed
+    capsys.readouterr()
+    with pytest.raises(SystemExit, match="2"):
+        main(["reproduce", "two_kv", "--all"])
+    assert "give one paper or --all, not both" in capsys.readouterr().err
 
 
 def test_reproduce_prints_the_rows(capsys, tmp_path, rows, monkeypatch):

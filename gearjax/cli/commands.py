@@ -21,7 +21,7 @@ from gearjax.cli.tables import (
 )
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables, self_contained
 from gearjax.files import writable, write_file
-from gearjax.reproduce import PAPERS, Row
+from gearjax.reproduce import PAPERS, Row, page
 from gearjax.results import (
     GradedGear,
     clash_of,
@@ -143,26 +143,32 @@ PaperArgument = Annotated[
     typer.Argument(metavar="[NAME]", help=f"{', '.join(PAPERS)}; all of them without", autocompletion=_papers),
 ]
 
+AllOption = Annotated[bool, typer.Option("--all", help="every paper, as one page in Markdown")]
+
 
 @app.command()
 def reproduce(
     name: PaperArgument = None,
     out: OutOption = None,
     json_: JsonOption = False,
+    all_: AllOption = False,
 ) -> None:
-    """Published figures of a paper next to ours.
+    """Published values of a paper next to ours.
 
-    With --out a table of them, and of involute_rv a figure of its loads.
+    With --out a table of them and figures. With --all every paper as one page in Markdown, to standard output or to
+    validation.md in --out.
     """
     if name is not None and name not in PAPERS:
         raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
+    if name is not None and all_:
+        raise ParameterError("reproduce", name, "give one paper or --all, not both")
     reports = []
     for paper in [PAPERS[name]] if name is not None else PAPERS.values():
         say(f"computing: {paper.title}")
         try:
             reports.append((paper.title, paper.rows(say)))
         except MissingExtraError as fault:
-            if name is not None:
+            if name is not None or all_:
                 raise
             _progress.print(f"left out: {paper.title}: {fault}", soft_wrap=True)
             continue
@@ -170,9 +176,14 @@ def reproduce(
             paper.save_figures(reports[-1][1], out)
     if out is not None:
         _write_rows(out, reports)
+        if all_:
+            write_file(out / "validation.md", page(reports))
     objects = [{"paper": paper, "rows": [row.as_json() for row in rows]} for paper, rows in reports]
     if json_:
         print(json.dumps(objects[0] if len(objects) == 1 else {"papers": objects}))
+        return
+    if all_ and out is None:
+        print(page(reports), end="")
         return
     for paper, rows in reports:
         print_rows(paper, rows)

@@ -1,0 +1,61 @@
+"""The validation page: every published value of every paper next to ours, in Markdown."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+
+from gearjax.reproduce.rows import Row
+
+HEAD = """\
+# Validation: published values next to ours
+
+Written by `gearjax reproduce --all`; the tests fail where this page differs from what gearjax computes.
+
+- **reproduced**: within a limit that the precision of the printed value, or of its reading, allows;
+- **inferred**: close, but it rests on constants that the paper does not give;
+- **not reproduced**: further off, or the paper does not give what the value needs; the note says why;
+- **not published**: a value of ours that tells something about the others.
+
+"""
+ROUNDING = 1e-12  # below it a value, in whatever unit it is shown, differs from machine to machine
+STATUSES = ("reproduced", "inferred", "not reproduced", "not published")
+
+
+def page(reports: Iterable[tuple[str, list[Row]]]) -> str:
+    """The page.
+
+    Args:
+        reports: the title of each paper, and its values.
+    """
+    reports = list(reports)
+    counts = "".join(counted(title, rows) for title, rows in reports)
+    table = f"| paper | {' | '.join(STATUSES)} |\n|---|{'---:|' * len(STATUSES)}\n{counts}"
+    return HEAD + table + "".join(section(title, rows) for title, rows in reports)
+
+
+def section(title: str, rows: list[Row]) -> str:
+    """What the page says of one paper: a table, and the notes that it names."""
+    notes = {why: number for number, why in enumerate(dict.fromkeys(row.why for row in rows if row.why), 1)}
+    lines = "".join(f"| {' | '.join(_cells(row, notes))} |\n" for row in rows)
+    said = "".join(f"{number}. {_plain(why)}\n" for why, number in notes.items())
+    head = "| value | published | ours | unit | | note |\n|---|---:|---:|---|---|---|\n"
+    return f"\n## {title}\n\n{head}{lines}" + (f"\nNotes:\n\n{said}" if notes else "")
+
+
+def counted(title: str, rows: list[Row]) -> str:
+    """The line of a paper in the table at the head."""
+    of = Counter(row.status for row in rows)
+    return f"| {title} | {' | '.join(str(of[status]) for status in STATUSES)} |\n"
+
+
+def _cells(row: Row, notes: dict[str, int]) -> tuple[str, ...]:
+    value = 0.0 if abs(row.computed) < ROUNDING else row.computed
+    ours = f"{value:.5g}" if math.isfinite(value) else ""
+    return _plain(row.item), row.published, ours, _plain(row.unit), row.status, str(notes.get(row.why, ""))
+
+
+def _plain(words: str) -> str:
+    """Words in which Markdown finds nothing to do."""
+    for sign in ("|", "*", "_", "<"):
+        words = words.replace(sign, f"\\{sign}")
+    return words
