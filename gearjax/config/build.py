@@ -32,7 +32,7 @@ _LONGEST_SERIES = 1_000_000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
 CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
 REFERENCE_KEYS = {"zero": Key('"start" or "absolute"', '"start"', required=True)}
-_SECTIONS = (
+SECTIONS = (
     "system",
     "errors",
     "reference",
@@ -177,8 +177,8 @@ def _read_in(name: str, table: Any, folder: Path) -> Any:
 
 def _scene(tables: dict[str, Any]) -> Scene:
     for key in tables:
-        if key not in _SECTIONS:
-            raise ParameterError(key, tables[key], f"unknown section; {nearest(key, _SECTIONS)}")
+        if key not in SECTIONS:
+            raise ParameterError(key, tables[key], f"unknown section; {nearest(key, SECTIONS)}")
         if not isinstance(tables[key], dict) and key != "published":
             raise ParameterError(key, tables[key], f"must be a section: [{key}]")
     if "system" not in tables:

@@ -29,7 +29,12 @@ OPTIMISE_KEYS = {
     "window": Key('a time such as "3 s"; that of [run] without', '"3 s"'),
     "seed": Key("a whole number from 0", default="0"),
 }
-_TERM_KEYS = ("name", "torque", "weight", "order")
+TERM_KEYS = {  # of one term of an objective that is a list of them
+    "name": Key('what it measures, such as "static_order"', '"static_order"', required=True),
+    "torque": OPTIMISE_KEYS["torque"],
+    "weight": Key("a plain number that multiplies it", "1.0", "1.0"),
+    "order": OPTIMISE_KEYS["order"],
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +156,7 @@ def _objective(table: dict[str, Any], scene: Scene) -> tuple[Objective, float]:
 def _term(path: str, given: Any) -> Term:
     if not isinstance(given, dict):
         raise ParameterError(path, given, 'must be a name, or tables such as { name = "no_load_std", weight = 2.0 }')
-    known_keys(path, given, _TERM_KEYS)
+    known_keys(path, given, TERM_KEYS)
     name = given.get("name", MISSING)
     if name not in (*NAMES, *SHARES):
         raise ParameterError(path, name, nearest(name, (*NAMES, *SHARES)))
