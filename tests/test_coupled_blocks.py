@@ -1,10 +1,14 @@
 """Contacts coupled within small blocks alone: what the whole matrix gives, in lanes of every kind."""
 
+import dataclasses
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import gearjax as gj
 from gearjax.contact.coupled import coupled_balance
 from gearjax.contact.springs import CoupledSprings, block_diagonal
 
@@ -39,6 +43,33 @@ def test_blocks_give_what_the_whole_matrix_gives(sided, rng):
     np.testing.assert_allclose(mine[1], known[1], rtol=1e-9, atol=1e-10 * float(known[1].max()))
     pressed = np.asarray(mine[1] > 0)
     assert (pressed[:, :9].any(axis=1) & pressed[:, 9:].any(axis=1)).sum() >= 5
+
+
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_a_block_may_have_flanks_of_both_sides(blocks, rng):
+    """An odd number of blocks has driving flanks in the first half of its contacts all the same."""
+    matrix, lever, gap = problem(rng, blocks=blocks, own=4)
+    for load in (-4e3, 4e3, 0.0):
+        mine, known = both(*map(jnp.asarray, (matrix, lever, gap, load)), sided=True)
+        np.testing.assert_allclose(mine[0], known[0], rtol=1e-10, atol=1e-18)
+        np.testing.assert_allclose(mine[1], known[1], rtol=1e-9, atol=1e-9)
+
+
+def test_a_matrix_of_ones_own_for_a_few_contacts(scene, theta):
+    """Of both flanks, as a reducer with backlash has; far from the back flanks it is what driving flanks give alone."""
+
+    class OneMatrix(gj.AbstractCoupledCompliance):
+        kind: ClassVar[str] = "one_matrix"
+        compliance: float = 1e-8
+
+        def influence(self, layout):
+            return self.compliance * (0.9 * jnp.eye(len(layout.side)) + 0.1)
+
+    own = dataclasses.replace(scene, compliance=OneMatrix(), backlash=gj.InitialBacklash(1e-3))
+    alone = dataclasses.replace(own, backlash=None)
+    both_flanks, driving = (gj.transmission_error(one, theta[:64], 100.0) for one in (own, alone))
+    np.testing.assert_allclose(both_flanks.te, driving.te, rtol=1e-12)
+    np.testing.assert_allclose(both_flanks.forces[:, :2], driving.forces, rtol=1e-10, atol=1e-9)
 
 
 @pytest.mark.slow

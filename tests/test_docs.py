@@ -6,10 +6,13 @@ import importlib
 import inspect
 import pkgutil
 import re
+import subprocess
+import sys
 
 import pytest
 
 import gearjax
+from gearjax import registry
 from gearjax.cli import app
 from tests.conftest import ROOT
 
@@ -48,19 +51,23 @@ def test_public_names_have_docstrings():
         assert inspect.getdoc(getattr(gearjax, name)), name
 
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "experiments" / "site").glob("*.md"))]
+SITE = ROOT / "experiments" / "site"
+PAGES = [ROOT / "README.md", *sorted(SITE.glob("**/*.md"))]
+WITHOUT_PYTHON = ("accuracy", "index", "keys", "models", "validation")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_examples_of_pages_run(page, monkeypatch):
     monkeypatch.chdir(ROOT)
+    known = {group: dict(kinds) for group, kinds in registry._kinds.items()}
+    monkeypatch.setattr(registry, "_kinds", known)  # a page may register a part of its own
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     names: dict = {}  # later blocks go on from earlier ones
     for block in blocks:
         ast.parse(block)
         exec(compile(block, page.name, "exec"), names)
-    assert blocks or page.stem in ("accuracy", "models")
+    assert bool(blocks) != (page.stem in WITHOUT_PYTHON)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -80,6 +87,36 @@ def test_links_and_commands_of_pages_lead_somewhere(page):
         options = set(inspect.signature(known[command].callback).parameters)
         for option in (word for word in words if word.startswith("--")):
             assert option[2:].replace("-", "_").split("=")[0] in {name.strip("_") for name in options}, line
+
+
+def test_every_public_name_has_an_example_and_its_place_in_the_manual():
+    """The examples are run above; each name is told once, on the page that shows it."""
+    told = []
+    for page in (SITE / "reference").glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        shown = "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
+        names = " ".join(re.findall(r"```{names}\n(.*?)```", text, flags=re.DOTALL)).split()
+        assert names, page.name
+        told += names
+        for name in names:
+            assert re.search(rf"\bgj\.{name}\b|from gearjax import .*\b{name}\b", shown), (page.name, name)
+    assert sorted(told) == sorted(gearjax.__all__)
+
+
+@pytest.mark.slow
+def test_the_manual_builds_without_a_warning(tmp_path):
+    """Pages, docstrings, links and notebooks; these are run by tests of their own."""
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "-c", str(SITE), "-D", "nb_execution_mode=off"]
+    done = subprocess.run([*command, str(ROOT), str(tmp_path / "manual")], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    start = (tmp_path / "manual" / "index.html").read_text(encoding="utf-8")
+    target = re.search(r'url=(\S+)"', start)
+    assert target
+    assert (tmp_path / "manual" / target[1]).exists()
+    statics = (tmp_path / "manual" / "experiments" / "site" / "reference" / "statics.html").read_text(encoding="utf-8")
+    assert 'id="gearjax.transmission_error"' in statics
+    pages = (tmp_path / "manual").glob("**/*.html")
+    assert not [page for page in pages if re.search(r'<(script|link|img)[^>]*(src|href)="https?://', page.read_text())]
 
 
 def test_the_readme_is_short():

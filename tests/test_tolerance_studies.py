@@ -110,11 +110,18 @@ def test_allocation_of_a_single_tolerance_is_the_quantile(scene):
     assert found.before.low < stats.rayleigh.cdf(1.0) < found.before.high
 
 
+@pytest.mark.parametrize("cost", [0.0, -1.0, float("nan"), (), ((1.0, 2.0), (0.5, 3.0)), ((0.5, 1.0), (1.0, 2.0))])
+def test_costs_that_mean_nothing_are_refused(population, angles, cost):
+    measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
+    with pytest.raises(gj.ParameterError, match="must be a cost above 0, or pairs"):
+        gj.allocate(population, measure, required=0.8, costs={AMPLITUDES[0]: cost}, theta=angles, n=8)
+
+
 @pytest.mark.slow
 @pytest.mark.runs_long
 def test_allocation_buys_the_cheap_tolerance(population, angles):
     measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)
-    costs = dict(zip(AMPLITUDES, (((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 1.0),), ((1.0, 100.0),)), strict=True))
+    costs = dict(zip(AMPLITUDES, (((1.0, 1.0),), 1.0, 1.0, 100.0), strict=True))  # numbers are costs at a factor of 1
     found = gj.allocate(population, measure, required=0.8, costs=costs, theta=angles, n=512, judged=10_000)
     assert found.met
     assert found.factors[3] > 1.2 * found.factors[:3].max()

@@ -48,15 +48,16 @@ def search_of_blocks(sided: bool, blocks: Array, levers: Array, gap: Array, appl
     """Position, forces, the contacts that carry, and whether they were found, as `active_set.carrying` tells them.
 
     Args:
-        sided: whether the first half of the blocks has driving flanks and the second as many back flanks: only those
-            that the load presses are looked at closely.
+        sided: whether the first half of the contacts has driving flanks and the second as many back flanks: where no
+            block has both, only those that the load presses are looked at closely.
         blocks: approach of each contact per force on each of its block, shape (block, own, own) [m/N].
         levers: shape (contact, 1) [m/rad].
         gap: openings at position zero, shape (contact,) [m].
         applied: generalised force, shape (1,) [N m].
         loaded: contacts that hold against the load, shape (contact,).
     """
-    return (_search_of_sides if sided else _search)(blocks, levers, gap, applied, loaded)
+    apart = sided and blocks.shape[0] % 2 == 0  # an odd number of blocks of one size: one has flanks of both sides
+    return (_search_of_sides if apart else _search)(blocks, levers, gap, applied, loaded)
 
 
 def solved_of_blocks(blocks: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:

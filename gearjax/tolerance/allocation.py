@@ -7,6 +7,7 @@ sets, and where their yield is not proved the smoothed one is asked for more.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -73,7 +74,7 @@ def allocate(
     measure: Measure,
     *,
     required: float,
-    costs: Mapping[str, Cost],
+    costs: Mapping[str, float | Cost],
     tightest: float = 0.1,
     loosest: float = 2.0,
     n: int = 2048,
@@ -88,8 +89,9 @@ def allocate(
         tolerances: the population as it is.
         measure: with a limit.
         required: share of good gear sets.
-        costs: by path, pairs of a factor on the tolerance and its cost; one pair (f, c) stands for the reciprocal
-            law ``c f / factor``, several are joined by lines.
+        costs: by path, a cost c at the tolerance as it is, for the reciprocal law ``c / factor``; or pairs of a factor
+            on the tolerance and its cost, joined by lines, with rising factors and falling costs. One pair (f, c)
+            stands for the law ``c f / factor``.
         tightest, loosest: factors that can be had.
         n: gear sets that the search looks at.
         judged: gear sets that judge.
@@ -98,7 +100,7 @@ def allocate(
         options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
 
     Raises:
-        ParameterError: the measure has no limit, or a path is not a tolerance.
+        ParameterError: the measure has no limit, a path is not a tolerance, or a cost is not above 0.
     """
     from scipy import optimize
 
@@ -109,10 +111,11 @@ def allocate(
             raise ParameterError("costs", path, f"is no tolerance; {nearest(path, tolerances.tolerated)}")
     if not costs:
         raise ParameterError("costs", dict(costs), "names no tolerance")
+    tables = [_table(path, given) for path, given in costs.items()]
     paths = tuple(costs)
     places = np.array([tolerances.paths.index(path) for path in paths])
     judging = Work(tolerances, measure, number=judged, seed=key, **options)
-    price = _price(list(costs.values()))
+    price = _price(tables)
 
     def judge(factors: np.ndarray, turn: int) -> Estimate:
         """Of gear sets that no turn before has seen."""
@@ -122,7 +125,7 @@ def allocate(
         return statistics.share(measure.holds(judging.evaluate(moved)[0][:, 0]), judging.sizes)
 
     smooth = _smooth_yield(tolerances, measure, places, n, key, options)
-    bounds = np.log([_range(rows, tightest, loosest) for rows in costs.values()])
+    bounds = np.log([_range(rows, tightest, loosest) for rows in tables])
     ones = np.ones(len(paths))
     before, target, given = judge(ones, 0), required, price(ones)[0]
     start = np.clip(0 * ones, *bounds.T)
@@ -163,6 +166,21 @@ def allocate(
     (met, _), after, factors = best
     costs_found = price(factors)[0], given
     return AllocatedTolerances(measure.name, required, paths, factors, *costs_found, before, after, met)
+
+
+def _table(path: str, given: Any) -> Cost:
+    """Pairs of factor and cost, from those or from a single cost."""
+    right = "must be a cost above 0, or pairs (factor, cost) with rising factors and falling costs"
+    try:
+        rows = tuple(
+            (float(factor), float(cost)) for factor, cost in ([(1.0, given)] if np.ndim(given) == 0 else given)
+        )
+    except (TypeError, ValueError):
+        rows = ()
+    fits = bool(rows) and np.isfinite(rows).all() and min(rows[0]) > 0 and rows[-1][1] >= 0
+    if not fits or any(a[0] >= b[0] or a[1] < b[1] for a, b in itertools.pairwise(rows)):
+        raise ParameterError(f"costs.{path}", given, right)
+    return rows
 
 
 def _range(rows: Cost, tightest: float, loosest: float) -> tuple[float, float]:

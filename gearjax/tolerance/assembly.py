@@ -1,6 +1,7 @@
 """Assembly matched to the parts: phases chosen for each gear set from its own measured errors, next to random ones."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -96,7 +97,7 @@ def matched_assembly(
     tolerances: Tolerances,
     measure: str | Measure,
     *,
-    where: tuple[str, ...],
+    where: str | Sequence[str],
     units: int = 1000,
     starts: int = 8,
     key: int = 0,
@@ -111,7 +112,7 @@ def matched_assembly(
     Args:
         tolerances: the population; phases in ``where`` that it does not list are random too.
         measure: of a quasi-static analysis with hard contacts.
-        where: paths of the phases.
+        where: path or paths of the phases.
         units: how many gear sets.
         starts: of each search.
         key: seed.
@@ -126,6 +127,7 @@ def matched_assembly(
 
     known = numbers(tolerances.scene)
     phases = [path for path in known if known[path].periodic]
+    where = (where,) if isinstance(where, str) else (*where,)
     if not where:
         raise ParameterError("where", where, f"must be phases; {nearest('', phases)}")
     for path in where:
