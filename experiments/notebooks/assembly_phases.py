@@ -30,8 +30,11 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, deg
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
 theta = jnp.linspace(0.0, scene.system.cycle, 2001)
 planets = ["errors.planet_1.phase", "errors.planet_2.phase"]
@@ -67,6 +70,7 @@ figure.colorbar(levels, label="amplitude of the TE [arcmin]")
 print(f"grid of 10 deg: {grid.objective / arcmin:.4f} arcmin in {36**2} evaluations")
 print(f"gradients:      {found.objective / arcmin:.4f} arcmin")
 assert found.objective <= grid.objective * (1 + 1e-9)
+figure.savefig(OUT / "assembly_phases.svg")
 
 # %% [markdown]
 # ## Four phases

@@ -33,8 +33,11 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, deg, rpm, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "elliptic").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 pair = gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml")
 turn = jnp.linspace(0.0, 2 * jnp.pi, 361)
 
@@ -55,6 +58,7 @@ axes[2].plot(turn / deg, 1e3 * error.error)
 axes[2].set_ylabel("ratio error [1e-3]")
 axes[2].set_xlabel("input angle [deg]")
 print(f"ratio {float(ratio.min()):.3f} to {float(ratio.max()):.3f}, TE {te.peak_to_peak / arcmin:.3f} arcmin")
+figure.savefig(OUT / "elliptic_pair.svg")
 
 # %% [markdown]
 # ## Which error matters?

@@ -30,8 +30,11 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
 theta = jnp.linspace(0.0, scene.system.cycle, 4001)  # input angle [rad], one cycle of the errors
 free = gj.transmission_error(scene, theta)
@@ -55,6 +58,7 @@ axes[0].legend(loc="upper right", ncols=4, fontsize=8)
 axes[1].plot(turns, loaded[100.0].forces[:, : scene.layout.teeth] / 1e3, linewidth=1)
 axes[1].set_ylabel("tooth forces at 100 N m [kN]")
 axes[1].set_xlabel("turns of the input")
+figure.savefig(OUT / "first_te.svg")
 
 # %% [markdown]
 # ## Which body makes which wave

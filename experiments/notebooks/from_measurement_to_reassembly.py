@@ -25,14 +25,18 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import equinox as eqx
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
 from gearjax.plot.identification import comparison_figure, estimates_figure, residual_figure
 from gearjax.units import arcmin, deg, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "two_kv" / "measured.toml")  # geometry, and what is looked for
 
 # %% [markdown]
@@ -70,10 +74,14 @@ for order in found.orders:
     print(f"  {order.name}: {order.amplitude:.3f} arcmin ({order.body})")
 
 # %%
-comparison_figure(gj.compare(found.scene, runs[:1]))
+figure = comparison_figure(gj.compare(found.scene, runs[:1]))
+figure.savefig(OUT / "from_measurement_to_reassembly.svg")
+figure
 
 # %%
-residual_figure(found)
+figure = residual_figure(found)
+figure.savefig(OUT / "from_measurement_to_reassembly_2.svg")
+figure
 
 # %% [markdown]
 # ## Reassemble now, or measure once more?
@@ -92,7 +100,9 @@ print("best next recording:", found.suggestions[0].words)
 turned = gj.synthetic_measurement(unit, 150.0, key=9, turned={"errors.planet_1": 90 * deg}, name="turned", **bench)
 settled = gj.identify(scene, [*runs, turned])
 print("hidden now:", settled.hidden)
-estimates_figure(settled)
+figure = estimates_figure(settled)
+figure.savefig(OUT / "from_measurement_to_reassembly_3.svg")
+figure
 
 # %%
 advice = gj.reassemble(settled, planets, steps=dict.fromkeys(planets, 50))  # a tooth at a time

@@ -32,8 +32,11 @@ import gearjax as gj
 from gearjax.plot import waterfall_figure
 from gearjax.units import arcmin, rpm, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "helical").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "helical" / "guo_2018_optimise.toml")  # without any modification
 mesh = jnp.linspace(0.0, 2 * jnp.pi / scene.system.pinion_teeth, 33)  # a mesh period of the pinion
 torques = (400.0, 600.0, 830.0)
@@ -75,6 +78,7 @@ axes.legend()
 for torque in torques:
     te = gj.transmission_error(modified, mesh, torque=torque)
     print(f"{torque:4.0f} N m: peak-to-peak {te.peak_to_peak / arcmin:.4f} arcmin")
+figure.savefig(OUT / "helical_pair.svg")
 
 # %% [markdown]
 # ## The vibration over the speed
@@ -94,9 +98,12 @@ for name, each in {"without": scene, "modified": modified}.items():
 axes.set_xlabel("speed of the pinion [rpm]")
 axes.set_ylabel("dynamic factor at 830 N m [-]")
 axes.legend()
+figure.savefig(OUT / "helical_pair_2.svg")
 
 # %%
-waterfall_figure(shaking, gj.natural_modes(moving, 830.0))
+figure = waterfall_figure(shaking, gj.natural_modes(moving, 830.0))
+figure.savefig(OUT / "helical_pair_3.svg")
+figure
 
 # %% [markdown]
 # What to change next: `youngs_modulus` and bores in the configuration, flanks that a measuring machine wrote

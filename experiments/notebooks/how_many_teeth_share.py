@@ -30,8 +30,11 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
 mesh = jnp.linspace(0.0, 2 * jnp.pi / 240, 41)  # a mesh period of the crank
 
@@ -52,6 +55,7 @@ figure, axes = plt.subplots(figsize=(8, 4))
 axes.plot(mesh / mesh[-1], te.pair_forces, linewidth=1)
 axes.set_xlabel("mesh period [-]")
 axes.set_ylabel("load of each pair at 100 N m [N]")
+figure.savefig(OUT / "how_many_teeth_share.svg")
 
 # %% [markdown]
 # ## Stiffness

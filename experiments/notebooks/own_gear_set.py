@@ -24,6 +24,7 @@
 # %%
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import ClassVar
 
 import jax
@@ -39,6 +40,10 @@ from gearjax import units
 from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.parameters import check_parameters, count, length, number
 from gearjax.typing import Number, Scalar
+
+plt.style.use("gearjax.plot.gearjax")
+OUT = Path("out") / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 
 
 # %%
@@ -157,6 +162,7 @@ def peak_to_peak(amplitudes):
 slopes = jax.grad(peak_to_peak)(jnp.array([8e-6, 15e-6]))
 for name, slope in zip(scene.errors, slopes, strict=True):
     print(f"{name}: {slope * units.um / units.arcmin:.4f} arcmin per um")
+figure.savefig(OUT / "own_gear_set.svg")
 
 # %% [markdown]
 # What to change next: several pairs (`Layout.of_flanks(2, ...)`), levers that turn (return them from `pose`), bodies

@@ -31,8 +31,11 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, deg, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
 theta = jnp.linspace(0.0, scene.system.cycle, 2001)
 
@@ -64,6 +67,7 @@ slopes.set_xlabel("phase of planet 1 [deg]")
 for name, (value, _) in curves.items():
     off = np.abs(value - curves["hard"][0]).max() / arcmin
     print(f"{name:7}: peak-to-peak off by at most {off:.4f} arcmin")
+figure.savefig(OUT / "smooth_and_hard.svg")
 
 # %% [markdown]
 # ## Are the gradients right?

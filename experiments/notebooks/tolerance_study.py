@@ -29,8 +29,11 @@ import numpy as np
 import gearjax as gj
 from gearjax.units import arcmin, um
 
+plt.style.use("gearjax.plot.gearjax")
 PLACES = [Path.cwd(), *Path.cwd().parents]
 ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
+OUT = ROOT / "out" / "notebooks"
+OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
 theta = jnp.linspace(0.0, scene.system.cycle, 1501)
 measure, limit = "no_load.peak_to_peak", 2 * arcmin
@@ -63,6 +66,7 @@ axes.axvline(limit / arcmin, color="k", linestyle="--", label="limit")
 axes.set_xlabel("peak-to-peak of the TE [arcmin]")
 axes.set_ylabel("share of reducers per arcmin")
 axes.legend()
+figure.savefig(OUT / "tolerance_study.svg")
 
 # %% [markdown]
 # ## Which tolerance pays?

@@ -46,11 +46,11 @@ def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission err
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG.
+    """Write a figure in the format of the name's ending: ``.png``, or ``.svg`` and ``.pdf`` for vector graphics.
 
     Raises:
         GearjaxError: the file cannot be written.
     """
     drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=130)
+    figure.savefig(drawn, dpi=130, format=path.suffix.removeprefix(".") or "png")
     return write_file(path, drawn.getvalue())
