@@ -12,6 +12,7 @@ from rich.table import Table
 
 from gearjax.checks import GearjaxError, RepairedData
 from gearjax.cli.commands import ConfigArgument, JsonOption, OutOption, app, folder_for, say, text_of
+from gearjax.cli.report import Report, ReportOption
 from gearjax.cli.tables import output
 from gearjax.config import IdentifySection, loads_identify, read_measurement
 from gearjax.identification import Comparison, Measurement
@@ -70,6 +71,7 @@ def identify(
     dynamic: DynamicOption = None,
     out: OutOption = None,
     json_: JsonOption = False,
+    report: ReportOption = False,
 ) -> None:
     """Which errors explain recordings of a test bench, what they cannot tell, and how to assemble the unit anew.
 
@@ -83,16 +85,23 @@ def identify(
     section = _by_option(section, dynamic)
     records = _records(measured, section.measured)
     folder = folder_for(out, json_, config)
-    result = identified(section, scene, records, say)
+    page = Report(report, folder)
+    with page.listening():
+        result = identified(section, scene, records, say)
     _notes(result.found.notes)
+    for words in result.found.notes:
+        page.note(words)
+    told = {"config": str(config)} | result.as_json()
     if folder is not None:
         from gearjax.plot.identification import save_identification_figures
 
         written = save_identified(result, text, folder, config.parent)
-        written += save_identification_figures(result.found, result.beside, folder)
+        with page.drawing():
+            written += save_identification_figures(result.found, result.beside, folder)
+        written += page.write(f"gearjax identify {config.name}", told, text)
         say(f"written to {folder}: {', '.join(path.name for path in written)}")
     if json_:
-        print(json.dumps({"config": str(config)} | result.as_json(), allow_nan=False))
+        print(json.dumps(told, allow_nan=False))
     else:
         _print_found(result)
 

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
+from gearjax.cli.report import Report, ReportOption
 from gearjax.cli.tables import (
     print_accuracy,
     print_cases,
@@ -81,6 +82,7 @@ def run(
     accuracy: Annotated[
         float | None, typer.Option("--accuracy", metavar="ARCMIN", help="allowed error of the dynamic metrics")
     ] = None,
+    report: ReportOption = False,
 ) -> None:
     """Every analysis that the configuration lists: table, figures and results file.
 
@@ -88,40 +90,60 @@ def run(
     """
     text, scene = _read(config)
     folder = folder_for(out, json_, config)
+    page = Report(report, folder)
+    with page.listening():
+        _run(config, text, scene, folder, json_, accuracy, page)
+
+
+def _run(
+    config: Path, text: str, scene: Scene, folder: Path | None, json_: bool, accuracy: float | None, page: Report
+) -> None:
     stepper = None
     if accuracy is not None:
         allowed = _positive("--accuracy", accuracy)
         if scene.run is not None and "dynamic" in scene.run.analyses:
             stepper = accurate_step(scene, allowed, say)
     for remark in remarks(scene):
-        _progress.print(f"note: {remark}", soft_wrap=True)
+        _noted(page, remark)
     cases = []
     for case in run_cases(scene, stepper, workers=os.cpu_count() or 1):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
         remark = growth_remark(scene, case)
         if remark is not None:
-            _progress.print(f"note: {remark}", soft_wrap=True)
+            _noted(page, remark)
         cases.append(case)
     overlap = clash_of(scene, cases)
     words = None if overlap is None else overlap.told(scene)
     if words is not None:
-        _progress.print(f"warning: {words}", soft_wrap=True)
+        _noted(page, words, "warning")
     graded = _graded(scene)
+    told = {"config": str(config), "cases": [case.as_json() for case in cases]}
+    if overlap is not None and words is not None:
+        told["interference"] = overlap.as_json(scene)
+    if graded:
+        told["accuracy"] = [gear.as_json() for gear in graded]
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
 
-        written = save(scene, cases, self_contained(text, config.parent), folder) + save_figures(scene, cases, folder)
-        _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
+        written = save(scene, cases, self_contained(text, config.parent), folder)
+        with page.drawing():
+            written += save_figures(scene, cases, folder)
+        written += page.write(f"gearjax run {config.name}", told, text)
+        _written(folder, written)
     if json_:
-        told = {"config": str(config), "cases": [case.as_json() for case in cases]}
-        if overlap is not None and words is not None:
-            told["interference"] = overlap.as_json(scene)
-        if graded:
-            told["accuracy"] = [gear.as_json() for gear in graded]
         print(json.dumps(told, allow_nan=False))
     else:
         print_cases(cases, scene.system.told_of_forces)
         print_accuracy(graded)
+
+
+def _noted(page: Report, words: str, kind: str = "note") -> None:
+    page.note(words)
+    _progress.print(f"{kind}: {words}", soft_wrap=True)
+
+
+def _written(folder: Path, files: list[Path]) -> None:
+    say(f"written to {folder}: {', '.join(path.name for path in files)}")
 
 
 def _graded(scene: Scene) -> list[GradedGear]:
@@ -190,7 +212,9 @@ def reproduce(
 
 
 @app.command()
-def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = False) -> None:
+def optimise(
+    config: ConfigArgument, out: OutOption = None, json_: JsonOption = False, report: ReportOption = False
+) -> None:
     """Assembly phases, or any other numbers: grid search and gradients side by side, before and after.
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
@@ -198,13 +222,16 @@ def optimise(config: ConfigArgument, out: OutOption = None, json_: JsonOption = 
     text = text_of(config)
     scene, section = loads_optimise(text, config.parent)
     folder = folder_for(out, json_, config)
-    optimisation = run_optimise(section, scene, say)
+    page = Report(report, folder)
+    with page.listening():
+        optimisation = run_optimise(section, scene, say)
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
         written = save_optimisation(optimisation, text, folder, config.parent)
-        written += save_optimisation_figures(optimisation, folder)
-        _progress.print(f"written to {folder}: {', '.join(path.name for path in written)}", style="dim", soft_wrap=True)
+        with page.drawing():
+            written += save_optimisation_figures(optimisation, folder)
+        _written(folder, written + page.write(f"gearjax optimise {config.name}", optimisation.as_json(), text))
     if json_:
         print(json.dumps(optimisation.as_json(), allow_nan=False))
     else:
@@ -243,8 +270,7 @@ def tradeoff(
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
-        written = save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder)
-        say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        _written(folder, save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder))
     if json_:
         entries = tradeoff_as_json(str(config), comparison)
         if shifted:
@@ -267,6 +293,7 @@ def tolerance(
     workers: Annotated[
         int | None, typer.Option("--workers", metavar="N", help="processes of a Dask cluster on this machine")
     ] = None,
+    report: ReportOption = False,
 ) -> None:
     """Monte Carlo: distributions and yields, sensitivities, allocation, matched assembly. Resumes where it was killed.
 
@@ -277,13 +304,16 @@ def tolerance(
 
     text = text_of(config)
     folder = folder_for(out, json_, config)
-    results, work = study(text, config.parent, folder, scheduler, workers, _progress, say)
+    page = Report(report, folder)
+    with page.listening():
+        results, work = study(text, config.parent, folder, scheduler, workers, _progress, say)
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
 
         written = save_tolerance(results, work, text, folder, config.parent)
-        written += save_tolerance_figures(results, folder)
-        say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        with page.drawing():
+            written += save_tolerance_figures(results, folder)
+        _written(folder, written + page.write(f"gearjax tolerance {config.name}", results.as_json(), text))
     if json_:
         print(json.dumps(results.as_json(), allow_nan=False))
     else:

@@ -1,6 +1,9 @@
 """Axes that all figures share. Angles are drawn in arcmin, forces in N, times in seconds."""
 
+import contextlib
 import io
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
 
 MOST_POINTS = 20_000  # drawn per curve
+_kept: ContextVar[dict[str, Figure] | None] = ContextVar("_kept", default=None)
 
 
 def thin(*arrays: ArrayLike) -> tuple[np.ndarray, ...]:
@@ -45,12 +49,26 @@ def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission err
     ax.margins(x=0.01)
 
 
+@contextlib.contextmanager
+def figures_kept() -> Iterator[dict[str, Figure]]:
+    """Keep the figures that are saved meanwhile, by the names of their files."""
+    figures: dict[str, Figure] = {}
+    token = _kept.set(figures)
+    try:
+        yield figures
+    finally:
+        _kept.reset(token)
+
+
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure in the format of the name's ending: ``.png``, or ``.svg`` and ``.pdf`` for vector graphics.
 
     Raises:
         GearjaxError: the file cannot be written.
     """
+    kept = _kept.get()
+    if kept is not None:
+        kept[path.name] = figure
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=130, format=path.suffix.removeprefix(".") or "png")
     return write_file(path, drawn.getvalue())
