@@ -59,7 +59,7 @@ class BodyInertia(eqx.Module):
     Args:
         mass: of a body that moves along x, y or z [kg].
         polar: about the axis that it turns about, of a body on a shaft that turns freely or twists, or with a support
-            in rz [kg m2]. ``[inertia]`` of the output is what turns with it rigidly, this one not among it.
+            in rz [kg m2]. The inertia of the output itself does not count this body again.
         transverse: about the axes across, of a body with a support in rx or ry [kg m2].
 
     Raises:

@@ -108,9 +108,10 @@ def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
 
 
 def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
-    """Windows for a record, or ``None`` where they would not pay: it is short, or what damps it forgets too slowly."""
+    """Windows for a record, or ``None`` where they would not pay: it is short, what damps it forgets too slowly, or the
+    levers of many contacts turn, whose march takes minutes to compile and no less time than constant modes."""
     decay = float(limits.decay)
-    if decay <= 0 or _load_changes(scene):
+    if decay <= 0 or _load_changes(scene) or scene.system.by_constant_modes:
         return None
     warm_up = FORGOTTEN / decay
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)

@@ -8,6 +8,7 @@ from typing import Any
 
 from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
+from gearjax.compliance import HarmonicStiffness
 from gearjax.config.build import CONTACTS, REFERENCE_KEYS, loads
 from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
 from gearjax.config.identify import IDENTIFY_KEYS
@@ -42,6 +43,7 @@ INSTEAD = "# Instead of the one above:"
 _WIDTH = 118
 _TURNS = 40  # of the fastest order that a run shows
 _PER_TURN = 20  # samples of one
+_PER_WAVE = 8  # samples of a wave of the stiffness, which comes with every mesh
 
 
 def _slots() -> tuple[tuple[str, tuple[Any, ...]], ...]:
@@ -92,7 +94,7 @@ def template(kind: str) -> str:
         raise ParameterError("new", kind, f"unknown kind of gear set; {nearest(kind, systems)}")
     head = _prose(
         f'A {kind} reducer: gearjax run FILE. Physical values are strings with their unit, such as "30 N*m". Lines '
-        "that begin with # and a space explain; without the space they may be put in."
+        "that begin with # and a space explain; remove the # in front of a key to use it."
     )
     try:
         text = head + _part("system", systems[kind], kind)
@@ -289,9 +291,11 @@ def _run(scene: Scene) -> str:
     orders = {name: order for name, order in scene.system.orders.items() if name != "mesh"}
     turns = min(_TURNS, max(orders.values()) * scene.system.cycle / (2 * math.pi))
     duration = turns * 2 * math.pi / (max(orders.values()) * float(scene.system.input_speed))
+    waves = scene.system.orders.get("mesh", 0.0) * float(scene.system.input_speed) * duration / (2 * math.pi)
+    of_waves = waves * _PER_WAVE if isinstance(scene.compliance, HarmonicStiffness) and _can(scene, "dynamic") else 0.0
     given = {
         "duration": f'"{duration:.4g} s"',
-        "samples": str(math.ceil(turns * _PER_TURN) + 1),
+        "samples": str(math.ceil(max(turns * _PER_TURN, of_waves)) + 1),
         "analyses": as_toml([analysis for analysis in NEEDS if _can(scene, analysis)]),
         "torques": RUN_KEYS["torques"].example,
     }

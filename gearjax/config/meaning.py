@@ -61,7 +61,7 @@ def _plain(text: str) -> str:
     """Without the marks of a docstring, and without ``[m]``."""
     text = re.sub(r"`+([^`]*)`+", r"\1", text)
     text = re.sub(r",? ?(?:shape \(\w+,\)|\[[^\]\"]{1,9}\])", "", text)
-    return re.sub(r"\s+([.,:;])(?!\.)", r"\1", text).strip(" ,").removesuffix(".")
+    return re.sub(r"\s+([.,:;])(?!\.)", r"\1", text).strip(" ,;").removesuffix(".")
 
 
 def limits(parameter: Parameter) -> str:

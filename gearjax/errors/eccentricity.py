@@ -17,7 +17,7 @@ class Eccentricity(AbstractError):
 
     Args:
         body: body of the system that carries it.
-        amplitude: eccentricity e [m].
+        amplitude: eccentricity e, half of the run-out that a dial gauge or a drawing tells [m].
         phase: phase at input angle zero [rad].
     """
 

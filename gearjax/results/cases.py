@@ -1,6 +1,7 @@
 """Results of a run: cases with their metrics, and files that hold them with units and the configuration inside."""
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,7 +27,7 @@ from gearjax.analysis.dynamics import growth_rate
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError
-from gearjax.compliance import couples
+from gearjax.compliance import HarmonicStiffness, couples
 from gearjax.coordinates import unit_of
 from gearjax.files import write_file
 from gearjax.results.profile import FORMATS, export_profile
@@ -35,6 +36,8 @@ from gearjax.scene import Scene
 from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin
+
+FEWEST_PER_WAVE = 4  # samples of a wave of the stiffness, of which a curve shows that it is there
 
 if TYPE_CHECKING:
     import xarray as xr  # otherwise where it is needed: importing it takes a second
@@ -103,7 +106,25 @@ def remarks(scene: Scene) -> list[str]:
     words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
     if words is not None:
         lines.append(f"{words}: raise run.samples")
+    missed = _missed_waves(scene, run)
+    if missed is not None and words is None:
+        lines.append(missed)
     return lines
+
+
+def _missed_waves(scene: Scene, run: Run) -> str | None:
+    """Where samples in motion are too few for the waves of the stiffness: metrics see them, curves do not."""
+    if "dynamic" not in run.analyses or not isinstance(scene.compliance, HarmonicStiffness):
+        return None
+    if not np.any(scene.compliance.relative_amplitudes):
+        return None
+    waves = scene.system.orders.get("mesh", 0.0) * float(scene.system.input_speed) * run.duration / (2 * math.pi)
+    if run.samples - 1 >= FEWEST_PER_WAVE * waves:
+        return None
+    return (
+        f"the mesh has {waves:.0f} waves in the record of {run.samples} samples, which curves, load sharing and "
+        f"spectrum of the motion miss: raise run.samples to {math.ceil(2 * FEWEST_PER_WAVE * waves) + 1}"
+    )
 
 
 def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:

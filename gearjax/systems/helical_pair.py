@@ -32,7 +32,8 @@ class HelicalPair(AbstractSystem):
     the contact lines of all pairs of teeth that may touch, on the plane of action. Their overlap and force are along
     the normal of the flanks, so that the lever on the wheel is ``r_b2 cos beta_b``; errors of profile and helix count
     in transverse sections, along the base tangent, as they are measured (ISO 1328-1). Driving flanks of ideal gears
-    just touch; the backlash is that of the centre distance and the profile shifts, to which [backlash] adds.
+    just touch; the backlash is that of the centre distance and the profile shifts, and the section ``backlash`` adds
+    to it.
 
     At the ends of the path of contact (``tip_contact``) contacts end, as in Guo and Fang (2018): a slice counts for the
     share of it that is on the path, at the middle of that. Or they go on at the corner of a tip, with the gap between

@@ -60,7 +60,7 @@ class InvoluteRV(AbstractSystem):
     end of the flanks nearest to it, or a grid over flank and face. A contact force acts along the tangent of the base
     circle, so that the lever is ``r_b1`` while the crank is held (Yang et al. 2019, eq. 7); gaps are the base radius
     times the angle between flanks at equal radius. Driving flanks of ideal gears just touch; the backlash is that of
-    the centre distance and the profile shifts, to which [backlash] adds.
+    the centre distance and the profile shifts, and the section ``backlash`` adds to it.
 
     With a first stage the input is its sun, which turns the cranks through planet wheels on the output, as those of an
     RV reducer. External gears sit evenly around the crank: gear i is where gear 1 is ``(i - 1) / gears`` of a turn of

@@ -23,6 +23,8 @@ class TwoKV(AbstractSystem):
     Pair i is planet wheel i in the ring, its line of action turning with the crank. Planet wheels sit evenly
     around the crank: pair i sees the eccentricities of the revolution and of the output wheel
     ``(i - 1) / planets`` of a turn later than pair 1 does; the phase of a planet wheel is counted from its own line.
+    At input angle zero the angle of every body, to which its phase adds, is minus the working pressure angle as the
+    driving flank of pair 1 sees it, plus that as its back flank does.
     Seen from the line, planet wheels and revolution turn ``z_r / (z_r - z_p)`` times per turn of the output and
     the output wheel ``z_p / (z_r - z_p)`` times (26 and 25 for 50 and 52 teeth; Wang et al. 2020, eqs. 1-4).
 
