@@ -12,7 +12,7 @@ HEAD = """\
 Written by `gearjax reproduce --all`; the tests fail where this page differs from what gearjax computes.
 
 - **reproduced**: within a limit that the precision of the printed value, or of its reading, allows;
-- **inferred**: it rests on constants that the paper does not give and that were fitted to such values; the note says which;
+- **inferred**: it rests on constants that the paper does not give, fitted to such values; the note says which;
 - **not reproduced**: further off, or the paper does not give what the value needs; the note says why;
 - **not published**: a value of ours that tells something about the others.
 
