@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -115,3 +117,13 @@ def test_only_a_layout_knows_the_order_of_contacts():
     assert ORDERS.search("if system.two_sided:")
     for path in FILES:
         assert ORDERS.search(path.read_text(encoding="utf-8")) is None, path
+
+
+LATER = ("pint", "pandas", "matplotlib", "xarray", "zarr", "scipy.special", "scipy.optimize", "SALib", "typer", "skfem")
+
+
+def test_importing_brings_nothing_that_only_some_analyses_need():
+    """In a process of its own: it is half of the time that a notebook waits for its first cell."""
+    look = f"import sys, gearjax; print([name for name in {LATER} if name in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout
+    assert found.strip() == "[]"

@@ -11,8 +11,6 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
 
-import pint
-
 _DEFINITIONS = """
 nano- = 1e-9 = n-
 micro- = 1e-6 = µ- = μ- = u-
@@ -119,6 +117,8 @@ class Factor(NamedTuple):
 @functools.cache
 def registry() -> Any:
     """The units of gearjax, for pint."""
+    import pint  # a fifth of a second, with what it brings, that a scene made in Python need not wait for
+
     known = pint.UnitRegistry(cast(Any, None), cache_folder=None)  # None: no units yet
     known.load_definitions(_DEFINITIONS.splitlines())
     return known

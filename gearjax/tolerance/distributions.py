@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from scipy import special
 
 from gearjax.checks import ParameterError
 from gearjax.parameters import Parameter, check_value
@@ -115,6 +114,8 @@ class Normal(AbstractDistribution):
         check_declared(self)
 
     def quantile(self, share):
+        from scipy import special
+
         return self.mean + self.std * special.ndtri(share)
 
     @property
@@ -161,6 +162,8 @@ class TruncatedNormal(AbstractDistribution):
         return -1.0 if lower + upper > 0 else 1.0
 
     def quantile(self, share):
+        from scipy import special
+
         sign, ends = self._mirrored, self._ends
         lower, upper = sorted(sign * np.array(ends))
         low, high = special.ndtr(lower), special.ndtr(upper)
@@ -250,6 +253,8 @@ class Rayleigh(AbstractDistribution):
         check_declared(self)
 
     def quantile(self, share):
+        from scipy import special
+
         return self.scale * np.sqrt(-2 * special.log1p(-share))
 
     @property
@@ -278,6 +283,8 @@ class Lognormal(AbstractDistribution):
         check_declared(self)
 
     def quantile(self, share):
+        from scipy import special
+
         return self.median * np.exp(self.sigma * special.ndtri(share))
 
     @property

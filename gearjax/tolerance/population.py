@@ -6,7 +6,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
@@ -191,6 +190,8 @@ class Tolerances:
     def _correlated(self, points: np.ndarray) -> np.ndarray:
         """The same points with the normal scores mixed; column by column, so that no sum depends on how many points
         are worked on at once."""
+        from scipy import special
+
         if self._mixing is None:
             return points
         scores = special.ndtri(points)

@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 CONFIDENCE = 0.95
 
@@ -50,6 +49,8 @@ def wilson(value: float, number: float, multiple: float) -> tuple[float, float]:
 
 def _effective(good: np.ndarray, sizes: np.ndarray, value: float) -> tuple[float, float]:
     """Effective number of samples, and standard deviations that an interval reaches."""
+    from scipy import special
+
     if len(sizes) < 2:
         return float(len(good)), float(special.ndtri(0.5 + CONFIDENCE / 2))
     means = np.add.reduceat(good.astype(float), np.concatenate([[0], np.cumsum(sizes)[:-1]])) / sizes
