@@ -496,6 +496,7 @@ COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {
     "compare": None,  # of recordings: tests/test_bench_commands.py; both functions are above
     "identify": None,
     "example": None,  # of files that are shipped: tests/test_examples.py
+    "show": None,  # of results: tests/test_report.py
     "new": None,  # of a kind, not of a configuration: tests/test_config_new.py
     "reproduce": None,  # of papers, not of a configuration: test_published.py and others
 }

@@ -128,3 +128,31 @@ def test_a_browser_shows_it_without_an_error(written, tmp_path):
     title = re.search(r"<title>(.*?)</title>", shown.stdout)
     assert title
     assert re.match(r"shown: .*time \[s\]: [\d.e-]+ .*\[arcmin\]: -?[\d.]+ of [1-9]\d\d", title[1]), title[1]
+
+
+def test_show_opens_the_report_or_the_figures(written, tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr("typer.launch", opened.append)
+    monkeypatch.setattr("gearjax.cli.show._has_display", lambda: True)
+    with pytest.raises(SystemExit, match="0"):
+        main(["show", str(written)])
+    assert opened == [str(written / "report.html")] == capsys.readouterr().out.split()
+    (tmp_path / "b.png").touch()
+    (tmp_path / "a.svg").touch()
+    (tmp_path / "c.csv").touch()
+    monkeypatch.setattr("gearjax.cli.show._has_display", lambda: False)
+    with pytest.raises(SystemExit, match="0"):
+        main(["show", str(tmp_path)])
+    told = capsys.readouterr()
+    assert told.out.split() == [str(tmp_path / "a.svg"), str(tmp_path / "b.png")]
+    assert "no display here" in told.err
+    assert len(opened) == 1
+
+
+def test_show_refuses_what_has_no_figures(tmp_path, capsys):
+    for folder, words in ((tmp_path, "has no figures"), (tmp_path / "none", "no folder"), (CONFIG, "no folder")):
+        with pytest.raises(SystemExit, match="2"):
+            main(["show", str(folder)])
+        told = capsys.readouterr().err
+        assert words in told
+        assert told.count("\n") == 1

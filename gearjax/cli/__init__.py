@@ -13,6 +13,7 @@ from gearjax.cli import bench as _bench  # noqa: F401  (adds its commands)
 from gearjax.cli import example as _example  # noqa: F401  (adds its command)
 from gearjax.cli import new as _new  # noqa: F401  (adds its command)
 from gearjax.cli import programs, stopping
+from gearjax.cli import show as _show  # noqa: F401  (adds its command)
 from gearjax.cli.commands import app
 
 __all__ = ["app", "main"]
