@@ -14,6 +14,7 @@ import pytest
 
 import gearjax as gj
 from gearjax import results
+from gearjax.cli import main
 from gearjax.results.store import NAME
 from gearjax.units import arcmin
 from tests.conftest import ROOT
@@ -124,6 +125,22 @@ WRITTEN = {
         NAME,
     },
 }
+
+
+def test_a_run_says_once_what_its_samples_miss(tmp_path, config_text, capsys):
+    """Of what turns fastest, or else of the waves of the stiffness in motion."""
+    for samples, words in (
+        ("2", "angles per turn of what turns fastest"),
+        ("301", "the mesh has 247 waves in the record"),
+    ):
+        text = config_text.replace("samples = 3001", f"samples = {samples}")
+        (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(SystemExit, match="0"):
+            main(["run", str(tmp_path / "mine.toml"), "--json"])
+        told = capsys.readouterr().err
+        assert told.count(words) == 1
+        assert told.count("raise run.samples") == 1
+        assert "warning" not in told
 
 
 def test_every_shipped_configuration_has_its_command():

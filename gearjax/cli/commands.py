@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import warnings
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from gearjax.analysis import FewAngles
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
 from gearjax.cli.report import Report, ReportOption
 from gearjax.cli.tables import (
@@ -88,11 +90,13 @@ def run(
 
     Without --out they go to out/NAME; with --json and no --out nothing is written.
     """
-    text, scene = _read(config)
-    folder = folder_for(out, json_, config)
-    page = Report(report, folder)
-    with page.listening():
-        _run(config, text, scene, folder, json_, accuracy, page)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewAngles)  # the remarks tell it once, and what to change
+        text, scene = _read(config)
+        folder = folder_for(out, json_, config)
+        page = Report(report, folder)
+        with page.listening():
+            _run(config, text, scene, folder, json_, accuracy, page)
 
 
 def _run(

@@ -230,6 +230,7 @@ def _errors(text: str, scene: Scene) -> str:
         "Errors, as many as there are, [errors.NAME] each. The name is free: paths such as errors.NAME.amplitude lead "
         f"to its numbers. Bodies: {', '.join(scene.system.bodies)}."
     )
+    refused: dict[str, list[str]] = {}
     for part in kinds("gearjax.errors"):
         fault = "it has no bodies"
         for body in scene.system.bodies:
@@ -239,7 +240,10 @@ def _errors(text: str, scene: Scene) -> str:
                 sections += section
                 break
         if fault:
-            sections += f"\n{_prose(f'No {part.kind} for a {scene.system.kind}: {fault}')}"
+            refused.setdefault(fault, []).append(part.kind)
+    for fault, names in refused.items():
+        words = f"No {', '.join(names)} for a {scene.system.kind}: {fault}"
+        sections += f"\n{_prose(words)}"
     return sections
 
 
