@@ -12,8 +12,8 @@ from gearjax.typing import Array, Float, Number
 
 
 class Eccentricity(AbstractError):
-    """A vector that rotates with its body; along a line of action it counts ``e sin(angle + phase)``
-    (Wang et al. 2020, eqs. 1-4).
+    """An axis that is off its axis of rotation: a vector that turns with its body. Along a line of action it moves the
+    flank by ``e sin(angle + phase)`` (Wang et al. 2020, eqs. 1-4).
 
     Args:
         body: body of the system that carries it.

@@ -37,10 +37,10 @@ class TwoKV(AbstractSystem):
         cutting_pressure_angle: pressure angle of the rack [rad].
         working_pressure_angle: working pressure angle of the second stage [rad].
         input_speed: speed of the sun [rad/s].
-        te_radius: lever of a line of action on the output, a radius [m] or by what is held still while the output
-            gives way: ``"planet"``, the base circle of the planet wheel (held crank, as most of the paper has it);
-            ``"ring"``, that of the ring (cranks that turn with the output, as its figure 13 has it); ``"held_sun"``,
-            the true lever under a held sun, ``r_b3 + (r_b3 - r_b2) z_1 / z_2`` of ring and planet wheel.
+        te_radius: radius that turns a displacement along the line of action into an angle of the output [m], or a
+            word for it: ``"held_sun"``, as on a test bench whose input is held, ``r_b3 + (r_b3 - r_b2) z_1 / z_2`` with
+            the base radii r_b3 of the ring and r_b2 of the planet wheel; ``"planet"``, r_b2, as Wang et al. (2020) mostly
+            have it; ``"ring"``, r_b3, as their figure 13 has it. They differ by some 5 %.
         planets: number of planet wheels.
 
     Raises:
