@@ -39,8 +39,8 @@ class TwoKV(AbstractSystem):
         input_speed: speed of the sun [rad/s].
         te_radius: radius that turns a displacement along the line of action into an angle of the output [m], or a
             word for it: ``"held_sun"``, as on a test bench whose input is held, ``r_b3 + (r_b3 - r_b2) z_1 / z_2`` with
-            the base radii r_b3 of the ring and r_b2 of the planet wheel; ``"planet"``, r_b2, as Wang et al. (2020) mostly
-            have it; ``"ring"``, r_b3, as their figure 13 has it. They differ by some 5 %.
+            the base radii r_b3 of the ring and r_b2 of the planet wheel; ``"planet"``, r_b2, as Wang et al. (2020)
+            mostly have it; ``"ring"``, r_b3, as their figure 13 has it. They differ by some 5 %.
         planets: number of planet wheels.
 
     Raises:
