@@ -66,7 +66,7 @@ class Compensation:
         scene: the compensated scene.
         values: its numbers by path, SI.
         before, after: both designs judged.
-        holds: whether every requirement holds, judged hard under every set of errors.
+        holds: whether every requirement holds, judged by the hard contact law under every set of errors.
         complaints: what does not hold, one line each.
         interferes: whether bodies of the start interfere under some set of errors (`Judged.clash` names them).
     """

@@ -116,7 +116,7 @@ def minimise(
     r"""The minimum of an objective over numbers of a scene, from many starts at once.
 
     From each start the smoothed objective (`gearjax.studies.objective`) is descended while its temperature falls. The
-    end is polished on the hard objective (`gearjax.studies.minimax`), whose optima lie on kinks, and judged hard.
+    end is polished on the hard objective (`gearjax.studies.minimax`), whose optima lie on kinks, and judged by it.
     Angles are periodic; other numbers stay within their bounds, by a logistic transform in the descent and exactly in
     the polish. The descent looks at 10 samples per turn of the fastest error, the polish at 16 with the extremes
     between them, the judgement at all.

@@ -89,7 +89,7 @@ def local_sensitivity(
     """Gradient, curvature and flat directions of an objective at a point, and what deviations from the point cost.
 
     The Hessian is that of the smoothed objective (`gearjax.studies.objective`) at a temperature of 1 % of the
-    objective; everything else is judged hard.
+    objective; everything else is judged by the hard contact law.
 
     Args:
         loss, scene, where, theta, torque, bounds: as in `gearjax.minimise`.

@@ -2,8 +2,8 @@
 
 Every tolerance is scaled by a factor: the size of an error as a whole, other numbers about their means. The yield of a
 set of gear sets is smoothed (a sigmoid in place of the step at the limit), which gives it a gradient; sequential
-quadratic programming (scipy's SLSQP) finds the cheapest factors for it. What is reported is judged hard on fresh gear
-sets, and where their yield is not proved the smoothed one is asked for more.
+quadratic programming (scipy's SLSQP) finds the cheapest factors for it. What is reported is counted on fresh gear sets,
+with the step itself, and where their yield is not proved the smoothed one is asked for more.
 """
 
 import dataclasses
