@@ -126,8 +126,8 @@ axes.legend(title="contact over", ncols=2)
 figure.savefig(OUT / "smooth_and_hard_2.svg")
 
 # %% [markdown]
-# Where no contact opens or closes, of soft and of the stiffest teeth here, all are right. Between them the derivative of
-# hard contact is off by up to a fifth, whichever the steps, and the wider the contact the less.
+# Where no contact opens or closes, of soft and of the stiffest teeth here, all are right. Between them the derivative
+# of hard contact is off by up to a fifth, whichever the steps, and the wider the contact the less.
 #
 # ## Why then judge hard?
 # Because a width gives way where a tooth does not. An optimum found with 8 um looks different from what a reducer
