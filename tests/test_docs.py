@@ -4,6 +4,7 @@ import ast
 import doctest
 import importlib
 import inspect
+import json
 import pkgutil
 import re
 import subprocess
@@ -13,8 +14,9 @@ import pytest
 
 import gearjax
 from gearjax import registry
-from gearjax.cli import app
+from gearjax.cli import app, main
 from tests.conftest import ROOT
+from tests.test_spectra import COMMANDS
 
 LONG = (
     "gearjax.studies.compensate",
@@ -117,6 +119,38 @@ def test_the_manual_builds_without_a_warning(tmp_path):
     assert 'id="gearjax.transmission_error"' in statics
     pages = (tmp_path / "manual").glob("**/*.html")
     assert not [page for page in pages if re.search(r'<(script|link|img)[^>]*(src|href)="https?://', page.read_text())]
+
+
+RUN_ELSEWHERE = {  # commands of pages, and the tests that run them
+    "tradeoff configs/two_kv/wang_2020.toml --error 0.001": "test_tradeoff.py, in process",
+    "new two_kv > mine.toml": "test_config_new.py",
+    "run mine.toml": "test_config_new.py",
+    "example two_kv": "test_examples.py",
+    'tolerance CONFIG --out DIR --scheduler "$(cat address)"': "test_tolerance_command.py, on a cluster of its own",
+    "reproduce involute_rv --out out/yang": "test_involute_rv_published.py",
+    "reproduce rv_cycloidal": "test_rv_studies.py",
+    "reproduce helical": "test_helical_published.py",
+    "reproduce elliptic": "test_elliptic_published.py",
+    "compare configs/two_kv/wang_2020.toml --measured configs/two_kv/measured_forward_150.csv": "below",
+}
+
+
+def test_every_command_of_a_page_is_run_by_a_test():
+    shipped = {f"{word} configs/{name}" for word, name in COMMANDS}  # tests/test_spectra.py runs these
+    pattern = re.compile(r"^(?:    )?(?:python -m pip .*&& )?gearjax ([^#\n]*[^#\s])", flags=re.MULTILINE)
+    shown = {command for page in PAGES for command in pattern.findall(page.read_text(encoding="utf-8"))}
+    assert shown <= shipped | set(RUN_ELSEWHERE)
+    assert set(RUN_ELSEWHERE) <= shown
+
+
+def test_another_reducer_beside_a_recording(monkeypatch, capsys):
+    """The page of the test bench says that it explains less than nothing."""
+    monkeypatch.chdir(ROOT)
+    shown = next(command for command in RUN_ELSEWHERE if command.startswith("compare"))
+    with pytest.raises(SystemExit, match="0"):
+        main([*shown.split(), "--json"])
+    (record,) = json.loads(capsys.readouterr().out)["records"]
+    assert record["explained"] < 0
 
 
 def test_the_readme_is_short():
