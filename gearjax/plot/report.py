@@ -20,6 +20,7 @@ from gearjax.plot.report_parts import SCRIPT, STYLE
 MOST_VALUES = 20_000  # of axes, that the pointer finds
 MOST_DRAWN = 40_000  # points of axes, that are drawn as vectors
 LONGEST_ROW = 12  # numbers of a list that are shown
+DEEPEST, FEW_ROWS = 2, 3  # tables that are further inside others, and longer, are folded
 
 
 def report_page(
@@ -39,8 +40,8 @@ def report_page(
     sections = [
         f"<h1>{html.escape(title)}</h1>",
         f"<h2>Notes and warnings</h2><ul>{says}</ul>" if says else "",
-        f"<h2>Results</h2>{_shown(told)}",
         f"<h2>Figures</h2>{drawn}" if drawn else "",
+        f"<h2>Results</h2>{_shown(told)}",
         f"<h2>Configuration</h2><pre>{html.escape(config)}</pre>",
         f"<h2>Made with</h2>{_shown(versions())}",
     ]
@@ -101,13 +102,13 @@ def _values(ax: Axes) -> dict[str, Any]:
     }
 
 
-def _shown(value: Any) -> str:
-    """A result as a table, a list or a word."""
+def _shown(value: Any, depth: int = 0) -> str:
+    """A result as a table, a list or a word; tables far inside others are folded."""
     if isinstance(value, Mapping):
-        rows = "".join(f"<tr><th>{_named(key)}</th><td>{_shown(each)}</td></tr>" for key, each in value.items())
-        return f"<table>{rows}</table>" if rows else "none"
+        rows = (f"<tr><th>{_named(key)}</th><td>{_shown(each, depth + 1)}</td></tr>" for key, each in value.items())
+        return f"<table>{''.join(rows)}</table>" if value else "none"
     if isinstance(value, list | tuple):
-        return _listed(list(value))
+        return _listed(list(value), depth)
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: ""}[value]
     if isinstance(value, float):
@@ -115,14 +116,17 @@ def _shown(value: Any) -> str:
     return html.escape(str(value))
 
 
-def _listed(values: list[Any]) -> str:
+def _listed(values: list[Any], depth: int) -> str:
     """Rows with the same keys are one table; a long list is cut."""
     if values and all(isinstance(each, Mapping) for each in values):
         keys = dict.fromkeys(key for each in values for key in each)
         head = "".join(f"<th>{_named(key)}</th>" for key in keys)
-        rows = "".join(f"<tr>{''.join(f'<td>{_shown(each.get(key))}</td>' for key in keys)}</tr>" for each in values)
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-    shown = [_shown(each) for each in values[:LONGEST_ROW]]
+        cells = (("".join(f"<td>{_shown(each.get(key), depth + 1)}</td>" for key in keys)) for each in values)
+        rows = "".join(f"<tr>{row}</tr>" for row in cells)
+        table = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        folded = f"<details><summary>{len(values)} rows</summary>{table}</details>"
+        return folded if depth > DEEPEST and len(values) > FEW_ROWS else table
+    shown = [_shown(each, depth + 1) for each in values[:LONGEST_ROW]]
     more = [f"… {len(values)} in all"] if len(values) > LONGEST_ROW else []
     return ", ".join(shown + more) or "none"
 

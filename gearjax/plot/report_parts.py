@@ -6,6 +6,7 @@ h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; border-botto
 table { border-collapse: collapse; margin: .4rem 0; font-size: .9rem; }
 td, th { border: 1px solid #ddd; padding: .2rem .5rem; text-align: left; vertical-align: top; font-weight: normal; }
 th { background: #f4f4f4; } td { font-variant-numeric: tabular-nums; }
+summary { cursor: pointer; } body > table { display: block; overflow-x: auto; }
 figure { position: relative; margin: 1rem 0; } figure svg { width: 100%; height: auto; display: block; }
 pre { background: #f7f7f7; padding: .8rem; overflow-x: auto; font-size: .85rem; }
 .tip { position: absolute; pointer-events: none; background: #fff; border: 1px solid #888; border-radius: 4px;
