@@ -188,10 +188,10 @@ def test_mistakes(config_text, old, new, words):
     ids=lambda text: text[:24],
 )
 def test_absurd_strings_are_refused_at_once(config_text, absurd):
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(gj.GearjaxError) as caught:
         gj.loads(config_text.replace('"2.5 mm"', absurd))
-    assert time.monotonic() - began < 2.0
+    assert time.process_time() - began < 2.0
     assert "system.module" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300

@@ -17,7 +17,7 @@ Written by `gearjax reproduce --all`; the tests fail where this page differs fro
 - **not published**: a value of ours that tells something about the others.
 
 """
-ROUNDING = 1e-12  # below it a value, in whatever unit it is shown, differs from machine to machine
+ROUNDING = 1e-6  # below it a value, in whatever unit it is shown, is rounding, which differs from machine to machine
 STATUSES = ("reproduced", "inferred", "not reproduced", "not published")
 
 
@@ -49,8 +49,9 @@ def counted(title: str, rows: list[Row]) -> str:
 
 
 def _cells(row: Row, notes: dict[str, int]) -> tuple[str, ...]:
-    value = 0.0 if abs(row.computed) < ROUNDING else row.computed
-    ours = f"{value:.5g}" if math.isfinite(value) else ""
+    ours = f"{row.computed:.5g}" if math.isfinite(row.computed) else ""
+    if abs(row.computed) < ROUNDING:
+        ours = f"below {ROUNDING:g}"
     return _plain(row.item), row.published, ours, _plain(row.unit), row.status, str(notes.get(row.why, ""))
 
 
