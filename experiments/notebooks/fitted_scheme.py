@@ -103,7 +103,7 @@ steady = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
 alternating = dataclasses.replace(steady, load=gj.SinusoidalLoad(20.0))
 ts = jnp.linspace(0.0, 0.05, 101)
 steps = np.array([4e-5, 2e-5, 1e-5, 5e-6, 2.5e-6])
-figure, (order, windows) = plt.subplots(1, 2, figsize=(7.0, 3.6))
+figure, order = plt.subplots()
 for words, scene, line in (("steady", steady, "-"), ("alternating", alternating, "--")):
     truth = gj.simulate(scene, ts, 100.0, stepper=gj.FixedStep(2e-7, solver=gj.RungeKutta4())).te
     for name, solver, colour in (("fitted", gj.ExponentialFit(), "C0"), ("Runge-Kutta", gj.RungeKutta4(), "C1")):
@@ -119,7 +119,8 @@ order.set_xticks(1e6 * steps, [f"{step:g}" for step in 1e6 * steps])
 order.minorticks_off()
 order.set_xlabel("step [us]")
 order.set_ylabel("largest error of a sample [arcmin]")
-order.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+order.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+figure.savefig(OUT / "fitted_scheme.svg")
 
 # %% [markdown]
 # ## Windows
@@ -141,10 +142,11 @@ for warm_up in warm_ups:
     left.append(np.nan if told else off)
     words = str(told[0].message) if told else f"off by {off:.1e} arcmin"
     print(f"4 windows, warm-up {1e3 * warm_up:4.1f} ms: {words}")
+figure, windows = plt.subplots()
 windows.semilogy(1e3 * warm_ups, left, marker="s")
 windows.set_xlabel("warm-up before each window [ms]")
 windows.set_ylabel("off from one go [arcmin]")
-figure.savefig(OUT / "fitted_scheme.svg")
+figure.savefig(OUT / "fitted_scheme_windows.svg")
 
 # %% [markdown]
 # ## What its derivatives are
