@@ -142,6 +142,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 MOST_MAPS = 30_000
+MOST_BYTES = 6e9  # that a worker may hold: one of them once took 15 GB, and was killed
 TESTS_BETWEEN_LOOKS = 10
 MAPS = Path("/proc/self/maps")
 _finished = 0
@@ -153,8 +154,12 @@ def pytest_runtest_logfinish() -> None:
     _finished += 1
     if _finished % TESTS_BETWEEN_LOOKS == 0 and MAPS.exists():
         with MAPS.open(encoding="ascii", errors="replace") as maps:
-            if sum(1 for _ in maps) > MOST_MAPS:
-                jax.clear_caches()
+            crowded = sum(1 for _ in maps) > MOST_MAPS
+        held = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        if crowded or held > MOST_BYTES:
+            jax.clear_caches()
+        if held > MOST_BYTES:
+            gc.collect()
 
 
 @pytest.fixture
