@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from tests.conftest import ROOT
 from tests.test_modes import planets
 from tests.test_uneven import lobed
 
@@ -33,6 +34,27 @@ def test_what_is_chosen_and_why(scene, change, ts, stepper, scheme, reason):
     assert (found.step is None) == (scheme in ("AdaptiveStep", "QuasiStatic"))
     if found.step is not None:
         assert 0 < found.step <= np.diff(ts).max()
+
+
+def damped_pins():
+    """An RV reducer whose record is long beside what damps it, as `gearjax new rv_cycloidal` has it."""
+    waves = gj.HarmonicStiffness(9.2e7, np.array([0.1]), np.array([np.pi / 2]))
+    parts = {"compliance": waves, "inertia": gj.EquivalentMass(3.0), "damping": gj.DampingRatio(0.1)}
+    return dataclasses.replace(gj.load(ROOT / "configs" / "rv_cycloidal" / "hu_2020.toml"), **parts)
+
+
+def test_levers_that_turn_have_no_windows():
+    """Their march took two minutes to compile."""
+    found = gj.chosen_steps(damped_pins(), LONG, 100.0)
+    assert (found.scheme, found.windows) == ("constant modes", 1)
+
+
+@pytest.mark.slow
+def test_levers_that_turn_move_as_by_short_steps_of_another_scheme():
+    one, ts = damped_pins(), np.linspace(0.0, 0.02, 201)
+    exact = gj.simulate(one, ts, 100.0, stepper=gj.FixedStep(5e-7, solver=gj.RungeKutta4()))
+    chosen = gj.simulate(one, ts, 100.0)
+    assert float(abs(chosen.te - exact.te).max()) < 1e-4 * float(exact.te.max() - exact.te.min())
 
 
 def test_more_coordinates_and_uneven_outputs():

@@ -17,6 +17,7 @@ LAYERS = {
     "checks": 0,
     "dependence": 0,
     "files": 0,
+    "markdown": 0,
     "memory": 0,
     "xla": 0,
     "timing": 0,

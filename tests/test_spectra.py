@@ -131,7 +131,7 @@ def test_a_run_says_once_what_its_samples_miss(tmp_path, config_text, capsys):
     """Of what turns fastest, or else of the waves of the stiffness in motion."""
     for samples, words in (
         ("2", "angles per turn of what turns fastest"),
-        ("301", "the mesh has 247 waves in the record"),
+        ("301", "the stiffness has 247 waves in the record"),
     ):
         text = config_text.replace("samples = 3001", f"samples = {samples}")
         (tmp_path / "mine.toml").write_text(text, encoding="utf-8")

@@ -31,14 +31,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.units import arcmin, deg, rpm, um
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "elliptic").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-pair = gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml")
+pair = gj.load(examples()["elliptic"] / "dong_2020.toml")
 turn = jnp.linspace(0.0, 2 * jnp.pi, 361)
 
 # %% [markdown]

@@ -51,12 +51,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.units import arcmin
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
 
 
@@ -99,7 +98,7 @@ for ratio in (0.0, 0.1, 1.0, 3.0):
 # has an order, errors fall irregularly with the step, and four forces a step buy little.
 
 # %%
-steady = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
+steady = gj.load(examples()["two_kv"] / "wang_2020.toml")
 alternating = dataclasses.replace(steady, load=gj.SinusoidalLoad(20.0))
 ts = jnp.linspace(0.0, 0.05, 101)
 steps = np.array([4e-5, 2e-5, 1e-5, 5e-6, 2.5e-6])

@@ -29,15 +29,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.plot.identification import comparison_figure, estimates_figure, residual_figure
 from gearjax.units import arcmin, deg, um
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(ROOT / "configs" / "two_kv" / "measured.toml")  # geometry, and what is looked for
+scene = gj.load(examples()["two_kv"] / "measured.toml")  # geometry, and what is looked for
 
 # %% [markdown]
 # ## The unit on the bench

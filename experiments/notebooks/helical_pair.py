@@ -29,15 +29,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.plot import waterfall_figure
 from gearjax.units import arcmin, rpm, um
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "helical").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(ROOT / "configs" / "helical" / "guo_2018_optimise.toml")  # without any modification
+scene = gj.load(examples()["helical"] / "guo_2018_optimise.toml")  # without any modification
 mesh = jnp.linspace(0.0, 2 * jnp.pi / scene.system.pinion_teeth, 33)  # a mesh period of the pinion
 torques = (400.0, 600.0, 830.0)
 

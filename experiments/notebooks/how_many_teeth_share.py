@@ -28,14 +28,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.units import arcmin, um
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
+scene = gj.load(examples()["involute_rv"] / "yang_2019.toml")
 mesh = jnp.linspace(0.0, 2 * jnp.pi / 240, 41)  # a mesh period of the crank
 
 # %%

@@ -30,14 +30,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.units import arcmin, um
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(ROOT / "configs" / "rv_cycloidal" / "hu_2020.toml")
+scene = gj.load(examples()["rv_cycloidal"] / "hu_2020.toml")
 scene = dataclasses.replace(scene, system=dataclasses.replace(scene.system, thickness_modification=0.0))
 NAMES = [f"system.{name}_modification" for name in ("isometric", "shifting", "thickness")]
 TORQUE, LEAST_PLAY = 784.0, 0.1 * arcmin

@@ -29,14 +29,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.units import arcmin, deg, um
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
+scene = gj.load(examples()["two_kv"] / "wang_2020.toml")
 theta = jnp.linspace(0.0, scene.system.cycle, 2001)
 
 

@@ -31,14 +31,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gearjax as gj
+from gearjax.config.examples import examples
 from gearjax.units import arcmin
 
 plt.style.use("gearjax.plot.gearjax")
-PLACES = [Path.cwd(), *Path.cwd().parents]
-ROOT = next((place for place in PLACES if (place / "configs" / "two_kv").is_dir()), Path.cwd())
-OUT = ROOT / "out" / "notebooks"
+OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
+scene = gj.load(examples()["two_kv"] / "wang_2020.toml")
 ts = jnp.linspace(0.0, 1.0, 1001)
 TORQUE = 100.0
 
@@ -90,7 +89,7 @@ figure.savefig(OUT / "speed_and_accuracy.svg")
 
 # %%
 with jax.enable_x64(False):
-    single = gj.load(ROOT / "configs" / "two_kv" / "wang_2020.toml")
+    single = gj.load(examples()["two_kv"] / "wang_2020.toml")
     rough, _ = measured(gj.FixedStep(1e-5), single, jnp.linspace(0.0, 1.0, 1001))
 fine, _ = measured(gj.FixedStep(1e-5))
 print(f"float32 against float64 at the same step: {np.abs(rough - fine).max() / arcmin:.1e} arcmin")

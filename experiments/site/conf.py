@@ -38,6 +38,7 @@ nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
+nb_execution_in_temp = True  # what notebooks write goes with it
 nb_merge_streams = True
 nb_ipywidgets_js: dict = {}
 

@@ -217,15 +217,22 @@ def _load_changes(scene: Scene) -> bool:
     return not scene.system.turns_evenly or (scene.load is not None and scene.load.alternates)
 
 
+def stiffness_order(scene: Scene) -> float:
+    """Waves of the stiffness per turn of the input, of its highest harmonic; 0 where it is constant or not by pairs."""
+    compliance = scene.compliance
+    if not isinstance(compliance, AbstractCompliance):
+        return 0.0
+    return compliance.harmonics * scene.system.orders.get("mesh", 0.0)
+
+
 def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
     """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known."""
     assert scene.load is not None
-    system, compliance = scene.system, scene.compliance
-    if not isinstance(compliance, AbstractCompliance) or not is_concrete((ts, system.input_speed, scene.load)):
+    system = scene.system
+    if not isinstance(scene.compliance, AbstractCompliance) or not is_concrete((ts, system.input_speed, scene.load)):
         return None
     with jax.ensure_compile_time_eval():
-        mesh = compliance.harmonics * system.orders["mesh"]
-        turning = max(mesh, system.fastest_order) * abs(float(system.input_speed))
+        turning = max(stiffness_order(scene), system.fastest_order) * abs(float(system.input_speed))
         fastest = max(turning, abs(float(scene.load.rate(system.input_speed, system.orders))))
     return fastest * float(np.ptp(np.asarray(ts))) / (ts.shape[0] - 1) / steps
 

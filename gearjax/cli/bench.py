@@ -11,7 +11,17 @@ import typer
 from rich.table import Table
 
 from gearjax.checks import GearjaxError, RepairedData
-from gearjax.cli.commands import ConfigArgument, JsonOption, OutOption, app, folder_for, say, text_of
+from gearjax.cli.commands import (
+    ConfigArgument,
+    JsonOption,
+    OutOption,
+    app,
+    folder_for,
+    noted,
+    say,
+    text_of,
+    told_written,
+)
 from gearjax.cli.report import Report, ReportOption
 from gearjax.cli.tables import output
 from gearjax.config import IdentifySection, loads_identify, read_measurement
@@ -52,12 +62,13 @@ def compare(
     folder = folder_for(out, json_, config)
     say(f"computing beside {len(records)} recordings")
     beside = beside_each_other(scene, records, shift="find" if shift else "none", analysis=section.analysis)
-    _notes(beside.notes)
+    for words in beside.notes:
+        say(f"note: {words}")
     if folder is not None:
         from gearjax.plot.identification import save_comparison_figures
 
         written = save_comparison(beside, folder) + save_comparison_figures(beside, folder)
-        say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        told_written(folder, written)
     if json_:
         print(json.dumps({"config": str(config)} | beside.as_json(), allow_nan=False))
     else:
@@ -88,9 +99,8 @@ def identify(
     page = Report(report, folder)
     with page.listening():
         result = identified(section, scene, records, say)
-    _notes(result.found.notes)
     for words in result.found.notes:
-        page.note(words)
+        noted(page, words)
     told = {"config": str(config)} | result.as_json()
     if folder is not None:
         from gearjax.plot.identification import save_identification_figures
@@ -99,7 +109,7 @@ def identify(
         with page.drawing():
             written += save_identification_figures(result.found, result.beside, folder)
         written += page.write(f"gearjax identify {config.name}", told, text)
-        say(f"written to {folder}: {', '.join(path.name for path in written)}")
+        told_written(folder, written)
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
@@ -119,11 +129,6 @@ def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> list[Measure
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RepairedData)  # told again with the results
         return [read_measurement(file) for file in files]
-
-
-def _notes(notes: tuple[str, ...]) -> None:
-    for words in notes:
-        say(f"note: {words}")
 
 
 def _print_comparison(beside: Comparison) -> None:

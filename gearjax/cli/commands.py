@@ -24,7 +24,7 @@ from gearjax.cli.tables import (
 )
 from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables, self_contained
 from gearjax.files import writable, write_file
-from gearjax.reproduce import PAPERS, Row, page
+from gearjax.reproduce import PAPERS, Row, validation_page
 from gearjax.results import (
     GradedGear,
     clash_of,
@@ -108,18 +108,18 @@ def _run(
         if scene.run is not None and "dynamic" in scene.run.analyses:
             stepper = accurate_step(scene, allowed, say)
     for remark in remarks(scene):
-        _noted(page, remark)
+        noted(page, remark)
     cases = []
     for case in run_cases(scene, stepper, workers=os.cpu_count() or 1):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
         remark = growth_remark(scene, case)
         if remark is not None:
-            _noted(page, remark)
+            noted(page, remark)
         cases.append(case)
     overlap = clash_of(scene, cases)
     words = None if overlap is None else overlap.told(scene)
     if words is not None:
-        _noted(page, words, "warning")
+        noted(page, words, "warning")
     graded = _graded(scene)
     told = {"config": str(config), "cases": [case.as_json() for case in cases]}
     if overlap is not None and words is not None:
@@ -133,7 +133,7 @@ def _run(
         with page.drawing():
             written += save_figures(scene, cases, folder)
         written += page.write(f"gearjax run {config.name}", told, text)
-        _written(folder, written)
+        told_written(folder, written)
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
@@ -141,12 +141,13 @@ def _run(
         print_accuracy(graded)
 
 
-def _noted(page: Report, words: str, kind: str = "note") -> None:
+def noted(page: Report, words: str, kind: str = "note") -> None:
+    """Something that a reader of the results should know, now and on the page of a report."""
     page.note(words)
     _progress.print(f"{kind}: {words}", soft_wrap=True)
 
 
-def _written(folder: Path, files: list[Path]) -> None:
+def told_written(folder: Path, files: list[Path]) -> None:
     say(f"written to {folder}: {', '.join(path.name for path in files)}")
 
 
@@ -203,13 +204,13 @@ def reproduce(
     if out is not None:
         _write_rows(out, reports)
         if all_:
-            write_file(out / "validation.md", page(reports))
+            write_file(out / "validation.md", validation_page(reports))
     objects = [{"paper": paper, "rows": [row.as_json() for row in rows]} for paper, rows in reports]
     if json_:
         print(json.dumps(objects[0] if len(objects) == 1 else {"papers": objects}))
         return
     if all_ and out is None:
-        print(page(reports), end="")
+        print(validation_page(reports), end="")
         return
     for paper, rows in reports:
         print_rows(paper, rows)
@@ -229,15 +230,16 @@ def optimise(
     page = Report(report, folder)
     with page.listening():
         optimisation = run_optimise(section, scene, say)
+    told = optimisation.as_json()
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
         written = save_optimisation(optimisation, text, folder, config.parent)
         with page.drawing():
             written += save_optimisation_figures(optimisation, folder)
-        _written(folder, written + page.write(f"gearjax optimise {config.name}", optimisation.as_json(), text))
+        told_written(folder, written + page.write(f"gearjax optimise {config.name}", told, text))
     if json_:
-        print(json.dumps(optimisation.as_json(), allow_nan=False))
+        print(json.dumps(told, allow_nan=False))
     else:
         print_optimisation(optimisation)
 
@@ -274,7 +276,7 @@ def tradeoff(
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
-        _written(folder, save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder))
+        told_written(folder, save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder))
     if json_:
         entries = tradeoff_as_json(str(config), comparison)
         if shifted:
@@ -311,15 +313,16 @@ def tolerance(
     page = Report(report, folder)
     with page.listening():
         results, work = study(text, config.parent, folder, scheduler, workers, _progress, say)
+    told = results.as_json()
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
 
         written = save_tolerance(results, work, text, folder, config.parent)
         with page.drawing():
             written += save_tolerance_figures(results, folder)
-        _written(folder, written + page.write(f"gearjax tolerance {config.name}", results.as_json(), text))
+        told_written(folder, written + page.write(f"gearjax tolerance {config.name}", told, text))
     if json_:
-        print(json.dumps(results.as_json(), allow_nan=False))
+        print(json.dumps(told, allow_nan=False))
     else:
         print_tolerance(results)
 

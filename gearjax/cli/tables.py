@@ -131,9 +131,11 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
         table.add_row(case.title, case.span, *values, "" if sharing is None else f"{sharing:.3f}")
     console = output()
     console.print(table)
-    if any(" of " in case.span for case in cases):
-        words = "3 of 15.8 is a record of 3 s, of the 15.8 s after which all errors repeat: extremes may lie beyond"
-        console.print(f"amplitude: largest absolute value; window: {words}", style="dim", soft_wrap=True)
+    part = next((case for case in cases if " of " in case.span), None)
+    if part is not None:
+        words = f"a record of {part.window:g} s, of the {part.cycle:g} s after which all errors repeat"
+        console.print(f"{part.span}: {words}: extremes may lie beyond", style="dim", soft_wrap=True)
+    console.print("amplitude: largest absolute value", style="dim", soft_wrap=True)
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
         titles = ", ".join(case.title for case in cases if case.published and case.published.note == note)
         console.print(f"{titles}: {note}", style="dim", soft_wrap=True)

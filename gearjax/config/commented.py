@@ -6,9 +6,9 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from gearjax.analysis.choice import stiffness_order
 from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
-from gearjax.compliance import HarmonicStiffness
 from gearjax.config.build import CONTACTS, REFERENCE_KEYS, loads
 from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
 from gearjax.config.identify import IDENTIFY_KEYS
@@ -295,8 +295,8 @@ def _run(scene: Scene) -> str:
     orders = {name: order for name, order in scene.system.orders.items() if name != "mesh"}
     turns = min(_TURNS, max(orders.values()) * scene.system.cycle / (2 * math.pi))
     duration = turns * 2 * math.pi / (max(orders.values()) * float(scene.system.input_speed))
-    waves = scene.system.orders.get("mesh", 0.0) * float(scene.system.input_speed) * duration / (2 * math.pi)
-    of_waves = waves * _PER_WAVE if isinstance(scene.compliance, HarmonicStiffness) and _can(scene, "dynamic") else 0.0
+    waves = stiffness_order(scene) * float(scene.system.input_speed) * duration / (2 * math.pi)
+    of_waves = waves * _PER_WAVE if _can(scene, "dynamic") else 0.0
     given = {
         "duration": f'"{duration:.4g} s"',
         "samples": str(math.ceil(max(turns * _PER_TURN, of_waves)) + 1),

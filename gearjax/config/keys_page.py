@@ -24,6 +24,7 @@ from gearjax.config.tolerance import (
 )
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
+from gearjax.markdown import plain
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.run import Published, Run
@@ -42,7 +43,7 @@ A configuration is a TOML file. Physical values are strings with their unit, suc
 are numbers or `"5 %"`. A key without a default must be given, unless the table says "may be left out". Bounds are in
 SI units or in those that engineers read.
 """
-FILE_KEY = Key("the name of a CSV file in quotes, in place of the values", '"flank.csv"')
+FILE = "the name of a CSV file in quotes, in place of the values"
 
 
 def keys_page() -> str:
@@ -110,7 +111,7 @@ def _part(title: str, part: Any) -> str:
     """The section of a part of the scene."""
     rows = _rows(_of_fields(part), part)
     if getattr(part, "kind", "") in READERS:
-        rows.append(("file", FILE_KEY.words, "may be left out"))
+        rows.append(("file", FILE, "may be left out"))
     return _section(title, summary(part), rows)
 
 
@@ -131,14 +132,7 @@ def _rows(keys: Mapping[str, Key], part: Any = None) -> list[tuple[str, str, str
 
 
 def _section(title: str, paragraphs: Iterable[str], rows: Iterable[tuple[str, str, str]]) -> str:
-    about = "".join(f"{_cell(paragraph)}\n\n" for paragraph in paragraphs)
-    table = "".join(f"| `{name}` | {_cell(words)} | {default} |\n" for name, words, default in rows)
+    about = "".join(f"{plain(paragraph)}\n\n" for paragraph in paragraphs)
+    table = "".join(f"| `{name}` | {plain(words)} | {default} |\n" for name, words, default in rows)
     head = "| key | what it is | default |\n|---|---|---|\n"
     return f"\n### `{title}`\n\n{about}" + (head + table if table else "No keys.\n")
-
-
-def _cell(words: str) -> str:
-    """Words in which Markdown finds nothing to do."""
-    for sign in ("|", "*", "_", "<", "[", "]"):
-        words = words.replace(sign, f"\\{sign}")
-    return words

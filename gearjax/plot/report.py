@@ -43,14 +43,14 @@ def report_page(
         f"<h2>Figures</h2>{drawn}" if drawn else "",
         f"<h2>Results</h2>{_shown(told)}",
         f"<h2>Configuration</h2><pre>{html.escape(config)}</pre>",
-        f"<h2>Made with</h2>{_shown(versions())}",
+        f"<h2>Made with</h2>{_shown(_versions())}",
     ]
     head = f'<meta charset="utf-8"><title>{html.escape(title)}</title><style>{STYLE}</style>'
     body = f"{''.join(sections)}<script>{SCRIPT}</script>"
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{body}</body></html>\n'
 
 
-def versions() -> dict[str, str]:
+def _versions() -> dict[str, str]:
     """Of gearjax, Python and the packages that decide numbers."""
     packages = ("gearjax", "jax", "jaxlib", "diffrax", "numpy", "scipy")
     return {name: metadata.version(name) for name in packages} | {

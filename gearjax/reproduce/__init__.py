@@ -7,7 +7,7 @@ from typing import NamedTuple
 from gearjax.progress import Progress
 from gearjax.reproduce import elliptic, helical, involute_rv, rv_cycloidal, two_kv
 from gearjax.reproduce.figures import save_loads_figure
-from gearjax.reproduce.page import page
+from gearjax.reproduce.page import validation_page
 from gearjax.reproduce.rows import Row
 
 
@@ -33,4 +33,4 @@ PAPERS = {
     "elliptic": Paper(elliptic.PAPER, elliptic.rows, elliptic.save_elliptic_figures),
 }
 
-__all__ = ["PAPERS", "Paper", "Row", "page"]
+__all__ = ["PAPERS", "Paper", "Row", "validation_page"]

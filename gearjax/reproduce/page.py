@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 
+from gearjax.markdown import plain
 from gearjax.reproduce.rows import Row
 
 HEAD = """\
@@ -21,7 +22,7 @@ ROUNDING = 1e-6  # below it a value, in whatever unit it is shown, is rounding, 
 STATUSES = ("reproduced", "inferred", "not reproduced", "not published")
 
 
-def page(reports: Iterable[tuple[str, list[Row]]]) -> str:
+def validation_page(reports: Iterable[tuple[str, list[Row]]]) -> str:
     """The page.
 
     Args:
@@ -37,7 +38,7 @@ def section(title: str, rows: list[Row]) -> str:
     """What the page says of one paper: a table, and the notes that it names."""
     notes = {why: number for number, why in enumerate(dict.fromkeys(row.why for row in rows if row.why), 1)}
     lines = "".join(f"| {' | '.join(_cells(row, notes))} |\n" for row in rows)
-    said = "".join(f"{number}. {_plain(why)}\n" for why, number in notes.items())
+    said = "".join(f"{number}. {plain(why)}\n" for why, number in notes.items())
     head = "| value | published | ours | unit | | note |\n|---|---:|---:|---|---|---|\n"
     return f"\n## {title}\n\n{head}{lines}" + (f"\nNotes:\n\n{said}" if notes else "")
 
@@ -52,11 +53,4 @@ def _cells(row: Row, notes: dict[str, int]) -> tuple[str, ...]:
     ours = f"{row.computed:.5g}" if math.isfinite(row.computed) else ""
     if abs(row.computed) < ROUNDING:
         ours = f"below {ROUNDING:g}"
-    return _plain(row.item), row.published, ours, _plain(row.unit), row.status, str(notes.get(row.why, ""))
-
-
-def _plain(words: str) -> str:
-    """Words in which Markdown finds nothing to do."""
-    for sign in ("|", "*", "_", "<"):
-        words = words.replace(sign, f"\\{sign}")
-    return words
+    return plain(row.item), row.published, ours, plain(row.unit), row.status, str(notes.get(row.why, ""))

@@ -22,12 +22,12 @@ from gearjax.analysis import (
     simulate,
     transmission_error,
 )
-from gearjax.analysis.choice import suitable_step
+from gearjax.analysis.choice import stiffness_order, suitable_step
 from gearjax.analysis.dynamics import growth_rate
 from gearjax.analysis.growth import LOST
 from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError
-from gearjax.compliance import HarmonicStiffness, couples
+from gearjax.compliance import couples
 from gearjax.coordinates import unit_of
 from gearjax.files import write_file
 from gearjax.results.profile import FORMATS, export_profile
@@ -114,15 +114,11 @@ def remarks(scene: Scene) -> list[str]:
 
 def _missed_waves(scene: Scene, run: Run) -> str | None:
     """Where samples in motion are too few for the waves of the stiffness: metrics see them, curves do not."""
-    if "dynamic" not in run.analyses or not isinstance(scene.compliance, HarmonicStiffness):
-        return None
-    if not np.any(scene.compliance.relative_amplitudes):
-        return None
-    waves = scene.system.orders.get("mesh", 0.0) * float(scene.system.input_speed) * run.duration / (2 * math.pi)
-    if run.samples - 1 >= FEWEST_PER_WAVE * waves:
+    waves = stiffness_order(scene) * float(scene.system.input_speed) * run.duration / (2 * math.pi)
+    if "dynamic" not in run.analyses or run.samples - 1 >= FEWEST_PER_WAVE * waves:
         return None
     return (
-        f"the mesh has {waves:.0f} waves in the record of {run.samples} samples, which curves, load sharing and "
+        f"the stiffness has {waves:.0f} waves in the record of {run.samples} samples, which curves, load sharing and "
         f"spectrum of the motion miss: raise run.samples to {math.ceil(2 * FEWEST_PER_WAVE * waves) + 1}"
     )
 
