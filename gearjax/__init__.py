@@ -1,4 +1,4 @@
-"""gearjax: differentiable gear dynamics in JAX. Transmission error without load, under load and in motion."""
+"""gearjax: differentiable gear dynamics in JAX: transmission error without load, under static load and in motion."""
 
 from gearjax import units
 from gearjax.analysis import (

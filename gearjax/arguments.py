@@ -1,7 +1,7 @@
-"""What the arguments of public functions may be: what is not is refused in one line, before anything is computed.
+"""Checks of the arguments of public functions: a wrong one is refused by a one-line error before anything is computed.
 
-`checked` looks at the arguments of a function by their names, so that ``scene``, ``theta`` and ``torque`` mean the same
-everywhere. Values that are being traced pass, for they cannot be read.
+`checked` chooses the check of an argument by the argument's name, so that ``scene``, ``theta`` and ``torque`` mean the
+same everywhere. Traced values pass, because they cannot be read.
 """
 
 import functools
@@ -24,17 +24,17 @@ R = TypeVar("R")
 Checker = Callable[[str, Any], None]
 
 LARGEST_TORQUE = 1e12  # N m, as in a configuration
-LARGEST_ANGLE = 1e12  # rad: beyond, float64 does not tell the parts of a tooth apart
-DEGREES = 4 * math.pi  # span of angles [rad] beyond which whole steps are taken for degrees
+LARGEST_ANGLE = 1e12  # rad: beyond it, float64 no longer resolves the parts of a tooth
+DEGREES = 4 * math.pi  # rad: angles over a longer span, in steps of whole numbers, are taken for degrees
 
 
 def checked(**special: Checker) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """A decorator that checks the arguments of a function by their names.
 
-    An argument that is left at its default is not looked at.
+    An argument that is left at its default is not checked.
 
     Args:
-        special: checkers by name, where an argument is not what its name means elsewhere (`KNOWN`).
+        special: checkers by name, for arguments that mean something else here than in `KNOWN`.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -55,7 +55,7 @@ def checked(**special: Checker) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def a_scene(name: str, value: Any) -> None:
-    """A scene."""
+    """Refuse a value that is not a scene."""
     if not isinstance(value, Scene):
         is_path = isinstance(value, str | Path)
         words = "is a path: give gj.load(path)" if is_path else "must be a Scene, such as gj.load(path)"
@@ -63,10 +63,10 @@ def a_scene(name: str, value: Any) -> None:
 
 
 def real(name: str, value: Any, words: str = "must be a real number, or an array of them") -> np.ndarray | None:
-    """The real numbers of a value; ``None`` while they are traced.
+    """The value as an array of real numbers; ``None`` while it is traced.
 
     Raises:
-        ParameterError: it is something else.
+        ParameterError: the value is something else.
     """
     if not is_concrete(value):
         if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(value)):
@@ -82,7 +82,7 @@ def real(name: str, value: Any, words: str = "must be a real number, or an array
 
 
 def finite(name: str, value: Any) -> np.ndarray | None:
-    """Real numbers that are finite, any shape."""
+    """The value as an array of finite real numbers, of any shape; ``None`` while it is traced."""
     array = real(name, value)
     if array is not None and not np.isfinite(array).all():
         place = np.argwhere(~np.isfinite(array))[0]
@@ -92,45 +92,45 @@ def finite(name: str, value: Any) -> np.ndarray | None:
 
 
 def numbers(name: str, value: Any) -> None:
-    """Finite numbers of any shape."""
+    """Refuse anything but finite numbers, of any shape."""
     finite(name, value)
 
 
 def one_number(name: str, value: Any) -> None:
-    """One finite number."""
+    """Refuse anything but one finite number."""
     array = finite(name, value)
     if array is not None and array.ndim:
         raise ParameterError(name, array.shape, "is a shape: must be one number")
 
 
 def positive(name: str, value: Any) -> None:
-    """Finite numbers above zero."""
+    """Refuse anything but finite numbers above zero."""
     array = finite(name, value)
     if array is not None and not (array > 0).all():
         raise ParameterError(name, array.min() if array.size else value, "must be above 0")
 
 
 def one_positive(name: str, value: Any) -> None:
-    """One finite number above zero."""
+    """Refuse anything but one finite number above zero."""
     one_number(name, value)
     positive(name, value)
 
 
 def torques(name: str, value: Any) -> None:
-    """Torques [N m], any shape."""
+    """Refuse anything but torques [N m], of any shape."""
     array = finite(name, value)
     if array is not None and array.size and np.abs(array).max() > LARGEST_TORQUE:
         raise ParameterError(name, np.abs(array).max(), f"must be at most {LARGEST_TORQUE:g} N*m")
 
 
 def torque(name: str, value: Any) -> None:
-    """One torque [N m]."""
+    """Refuse anything but one torque [N m]."""
     one_number(name, value)
     torques(name, value)
 
 
 def angles(name: str, value: Any) -> None:
-    """Increasing angles, shape (n,) [rad]; a warning where they look like degrees."""
+    """Refuse anything but increasing angles, shape (n,) [rad]; warn if they look like degrees."""
     _increasing(name, value, 1, "give input angles of shape (n,)")
     if not is_concrete(value):
         return
@@ -148,7 +148,7 @@ def angles(name: str, value: Any) -> None:
 
 
 def times(name: str, value: Any) -> None:
-    """Increasing times, at least two, shape (n,) [s]."""
+    """Refuse anything but at least two increasing times, shape (n,) [s]."""
     _increasing(name, value, 2, "give at least two sample times")
 
 
@@ -162,7 +162,7 @@ def _increasing(name: str, value: Any, least: int, words: str) -> None:
 
 
 def whole(least: int) -> Checker:
-    """A whole number, not less than a given one."""
+    """A checker of whole numbers that are at least ``least``."""
 
     def check(name: str, value: Any) -> None:
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
@@ -174,7 +174,7 @@ def whole(least: int) -> Checker:
 
 
 def turn(name: str, value: Any) -> None:
-    """The angle of a turn [rad]."""
+    """Refuse anything but the angle of one turn [rad]."""
     one_positive(name, value)
     number = real(name, value)
     if number is not None and not 1e-9 <= float(number) <= 1e9:
@@ -182,7 +182,10 @@ def turn(name: str, value: Any) -> None:
 
 
 def starts(name: str, value: Any) -> None:
-    """A number of starts, or the starting points: those that are not finite are dropped and counted."""
+    """Refuse anything but a number of starts, or the starting points.
+
+    Points that are not finite pass; the search drops and counts them.
+    """
     if np.ndim(value) == 0:
         whole(1)(name, value)
     else:
@@ -190,14 +193,14 @@ def starts(name: str, value: Any) -> None:
 
 
 def paths(name: str, value: Any) -> None:
-    """Paths of numbers of a scene, or a function that picks them."""
+    """Refuse anything but paths of numbers of a scene, or a function that picks such numbers."""
     several = isinstance(value, Sequence) and all(isinstance(path, str) for path in value)
     if not (callable(value) or several):
         raise ParameterError(name, value, 'must be paths such as ["errors.planet_1.phase"], or a function of the scene')
 
 
 def pairs(name: str, value: Any) -> None:
-    """Bounds by path: lowest and highest value."""
+    """Refuse anything but a pair of bounds for each path: lowest and highest value."""
     if not isinstance(value, Mapping):
         raise ParameterError(name, value, 'must be pairs by path: {"errors.planet_1.amplitude": (0.0, 20e-6)}')
     for path, pair in value.items():
@@ -207,21 +210,21 @@ def pairs(name: str, value: Any) -> None:
 
 
 def spacing(name: str, value: Any) -> None:
-    """One spacing for all numbers, or one by path."""
+    """Refuse anything but one spacing for all numbers, or one for each path."""
     for path, step in value.items() if isinstance(value, Mapping) else [("", value)]:
         one_number(f"{name} of {path}" if path else name, step)
 
 
 def a_loss(name: str, value: Any) -> None:
-    """The name of an objective, terms, or a function of the scene."""
-    terms = value if isinstance(value, Sequence) else [value]  # terms and objectives are of a layer above this one
+    """Refuse anything but the name of an objective, terms, or a function of the scene."""
+    terms = value if isinstance(value, Sequence) else [value]  # their classes are of a higher layer
     known = all(hasattr(term, "analysis") or hasattr(term, "pieces") for term in terms)
     if not (isinstance(value, str) or callable(value) or known):
         raise ParameterError(name, value, 'must be a name ("no_load_amplitude"), terms, or a function of the scene')
 
 
 def an(kind: type | tuple[type, ...], words: str) -> Checker:
-    """An instance of a type."""
+    """A checker of instances of a type."""
 
     def check(name: str, value: Any) -> None:
         if not isinstance(value, kind):
@@ -249,4 +252,4 @@ KNOWN: dict[str, Checker] = {
     "at": numbers,
     "deviations": numbers,
 }
-"""What arguments of these names are, wherever they stand."""
+"""The checker of each argument name, the same in all functions."""

@@ -1,4 +1,4 @@
-"""Errors that a user's mistake raises: one line that says what is wrong, where, and what would be right."""
+"""Errors for mistakes of the user: each message is one line that says what is wrong, where, and what would be right."""
 
 import contextlib
 import difflib
@@ -18,19 +18,19 @@ _MOST_NAMES = 210  # characters of names that an error lists
 
 
 class GearjaxError(ValueError):
-    """A mistake in what was asked for. Its message is one line, without what would break a terminal."""
+    """A mistake of the user. Its message is one line of printable characters, so that it cannot disturb a terminal."""
 
     def __init__(self, message: str):
         super().__init__(_clean(message))
 
 
 class ParameterError(GearjaxError):
-    """A parameter has a value that it cannot have.
+    """A parameter has a value that is not allowed.
 
     Args:
-        key: where, as a dotted path such as ``errors.planet_1.amplitude``.
-        given: what was given.
-        right: what would be right.
+        key: place of the parameter, as a dotted path such as ``errors.planet_1.amplitude``.
+        given: value that was given.
+        right: description of a right value.
     """
 
     def __init__(self, key: str, given: object, right: str):
@@ -39,23 +39,27 @@ class ParameterError(GearjaxError):
 
 
 class MissingExtraError(GearjaxError):
-    """What was asked for needs a package that comes with an extra of gearjax."""
+    """The request needs a package that is installed only with an optional extra of gearjax."""
 
 
 class FewCandidates(UserWarning):
-    """Candidates are too few: more teeth would carry, or forces on single nodes tell of finite elements."""
+    """There are too few candidate contacts.
+
+    Further teeth would carry load, or there are fewer candidates than finite elements along the profile, so that forces
+    act on single nodes.
+    """
 
 
 class RepairedData(UserWarning):
-    """Measured data have gaps, which were filled in, or values that do not go with their neighbours."""
+    """Measured data have gaps, which were filled in, or values that do not fit their neighbours."""
 
 
 class SceneError(GearjaxError):
-    """An analysis was asked for that the scene, as listed, does not allow."""
+    """The scene, as it is listed, does not allow the analysis."""
 
 
 def shown(value: object) -> str:
-    """A value as an error repeats it: one short line."""
+    """The value as an error message repeats it: one short line."""
     if isinstance(value, str):
         return _clean(f'"{value[:_SHOWN]}"') + (f"... ({len(value)} characters)" if len(value) > _SHOWN else "")
     if isinstance(value, (dict, list, tuple)) and len(value) > 8:
@@ -70,15 +74,15 @@ def shown(value: object) -> str:
 
 
 def _clean(text: str) -> str:
-    """The text without what would break a line or a terminal."""
+    """The text with a space in place of each character that is not printable, such as a line break."""
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def check_name(key: str, name: object) -> None:
-    """Refuse a name that paths such as ``errors.NAME.amplitude`` cannot lead to.
+    """Refuse a name that cannot stand in a path such as ``errors.NAME.amplitude``.
 
     Raises:
-        ParameterError: naming the rule.
+        ParameterError: the name breaks the rule, which the message states.
     """
     if not isinstance(name, str) or len(name) > _SHOWN or not _NAME.fullmatch(name):
         right = f"a name is of letters, digits, _ and -, begins with a letter and has at most {_SHOWN} of them"
@@ -86,18 +90,20 @@ def check_name(key: str, name: object) -> None:
 
 
 def check_path(key: str, path: str | Path) -> None:
-    """Refuse a path that no file system takes.
+    """Refuse a path that no file system accepts.
 
     Raises:
-        ParameterError: naming the key.
+        ParameterError: the path has a character NUL; the message names the key.
     """
     if "\0" in str(path):
         raise ParameterError(key, str(path), "a file name has no character NUL")
 
 
 def nearest(name: object, names: Iterable[str]) -> str:
-    """``did you mean "x"? valid: a, b`` for a name that is not among ``names``;
-    the entries of a series are told together."""
+    """The hint ``did you mean "x"? valid: a, b`` for a name that is not among ``names``.
+
+    The entries of a series are abbreviated, such as ``a[0..2]``.
+    """
     names = list(names)
     close = difflib.get_close_matches(name[:100], names, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f'did you mean "{close[0]}"? ' if close else ""
@@ -110,7 +116,7 @@ def nearest(name: object, names: Iterable[str]) -> str:
 
 
 def _told(names: Sequence[str]) -> Iterator[str]:
-    """Names, those of a series such as ``a[0]``, ``a[1]``, ``a[2]`` as ``a[0..2]``."""
+    """The names, with a series such as ``a[0]``, ``a[1]``, ``a[2]`` abbreviated to ``a[0..2]``."""
     for stem, group in itertools.groupby(names, lambda name: name[: name.rfind("[")] if name[-1:] == "]" else name):
         members = list(group)
         if len(members) > 2 and members == [f"{stem}[{index}]" for index in range(len(members))]:
@@ -121,10 +127,10 @@ def _told(names: Sequence[str]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def writing(path: str | Path) -> Iterator[None]:
-    """Files written in the block are the user's ``--out``: what goes wrong there is a mistake of one line.
+    """A context in which the user's ``--out`` is written: a failure of the file system becomes a one-line error.
 
     Raises:
-        GearjaxError: naming the path.
+        GearjaxError: a file cannot be written; the message names the path.
     """
     check_path("--out", path)
     try:
@@ -134,13 +140,13 @@ def writing(path: str | Path) -> Iterator[None]:
 
 
 def place(path: str | Path) -> str:
-    """A path as an error repeats it: one short line."""
+    """The path as an error message repeats it: one short line."""
     text = _clean(str(path))
     return text if len(text) <= _LONGEST_KEY else f"{text[:_SHOWN]}... ({len(text)} characters)"
 
 
 class Missing:
-    """Stands for a value that was not given, or for several."""
+    """Placeholder in an error message for one or several values that were not given."""
 
     def __init__(self, number: int = 1):
         self.number = number
@@ -153,16 +159,19 @@ MISSING = Missing()
 
 
 def is_concrete(value: object) -> bool:
-    """Whether the numbers of ``value`` are known now (not while tracing)."""
+    """Whether the numbers of ``value`` are known now, that is, whether none of them is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 
 
 def is_batched(value: object) -> bool:
-    """Whether ``value`` is being traced for a batch by ``jax.vmap``, as far as its tracers tell: a hint of what is
-    fast, since JAX has no public word for it and a ``jit`` in between hides it."""
+    """Whether ``value`` is being traced for a batch by ``jax.vmap``, as far as its tracers show.
+
+    JAX has no public function for this, and a ``jit`` in between hides the batch. The answer may therefore only choose
+    the faster of two equivalent programs.
+    """
 
     def batched(leaf: object) -> bool:
-        inner = getattr(leaf, "primal", None)  # of what is differentiated
+        inner = getattr(leaf, "primal", None)  # a tracer of a derivative wraps its primal value
         return type(leaf).__name__ == "BatchTracer" or (inner is not None and batched(inner))
 
     return any(batched(leaf) for leaf in jax.tree.leaves(value))

@@ -1,4 +1,4 @@
-"""Where the gaps are counted from: initial backlash, and the zero of the errors."""
+"""Reference of the gaps: initial backlash, and the zero of the errors."""
 
 import equinox as eqx
 
@@ -9,8 +9,8 @@ from gearjax.typing import Array, Float, Number
 class InitialBacklash(eqx.Module):
     """Backlash of each pair before the errors change it, ``B_i(0)`` of Wang et al. (2020), eq. 7.
 
-    With the reference zero at the start it is the backlash of each pair at input angle zero; without, the
-    backlash of a pair without errors.
+    If the reference counts errors from input angle zero, it is the backlash of each pair at that angle. Otherwise it is
+    the backlash of a pair without errors.
 
     Args:
         initial: backlash along the line of action [m].
@@ -23,15 +23,15 @@ class InitialBacklash(eqx.Module):
 
 
 class ZeroAtStart(eqx.Module):
-    """Errors count from their values at input angle zero, as if every pair just touched there
+    """Errors count from their values at input angle zero, as if every pair just touched at that angle
     (the t0 terms of Wang et al. 2020, eqs. 1-4)."""
 
 
 class Anchor(eqx.Module):
-    """`ZeroAtStart` with the values at the start worked out, so that they are computed once.
+    """`ZeroAtStart` whose values at input angle zero are stored, so that they are computed only once.
 
     Args:
-        gap: what the errors make of the gaps at input angle zero, shape (contact,) [m].
+        gap: contribution of the errors to the gaps at input angle zero, shape (contact,) [m].
     """
 
     gap: Float[Array, " contact"]

@@ -1,7 +1,8 @@
-"""What moves in a scene: the output, shafts that turn freely between two meshes, what supports and shafts hold.
+"""Coordinates of a scene: the output, shafts that turn freely between two meshes, motions held by supports or shafts.
 
-The motions of the bodies are sums of coordinates: a body on a shaft turns with the shaft, and by its own twist against
-the body that the shaft's turn is told of, where the shaft has a torsional stiffness.
+The motion of a body is a sum of coordinates. A body on a shaft turns with the shaft. If the shaft has a torsional
+stiffness, each of its bodies but the reference body also has a twist, its rotation relative to the reference body. The
+rotation of the shaft itself is that of the reference body.
 """
 
 import dataclasses
@@ -16,21 +17,24 @@ from gearjax.shafts import Shaft
 from gearjax.supports import TURNS, Support
 
 Meshes = tuple[tuple[str, str], ...]
-"""Bodies of each mesh, the one that drives first, from the input on."""
+"""The two bodies of each mesh, the driving one first; meshes in order from the input."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Coordinates:
-    """Coordinates of a scene, and the motions of its bodies by them. It has no numbers: it decides what a program is.
+    """Coordinates of a scene, and the motions of its bodies as sums of coordinates.
+
+    The object holds no physical numbers: it is static and decides the structure of a compiled program.
 
     Args:
-        names: the output, then shafts that turn freely from the input on, then what supports and shafts hold.
-        free: how many of them nothing but contacts holds.
-        turns: of each whether it is an angle.
-        motions: motions of bodies that the gear set is asked for, such as ``disc_1.x``, each with the coordinates that
-            add up to it.
-        rotations: of the bodies of a train, each with the coordinates that add up to its turn.
-        holds: of each mesh the free coordinate that its driven body turns with.
+        names: names of the coordinates: the output, then the shafts that turn freely in order from the input, then the
+            motions that supports and shafts hold.
+        free: number of coordinates that only contacts hold; they come first.
+        turns: whether each coordinate is an angle.
+        motions: motions of bodies that the gear set must provide, such as ``disc_1.x``, each with the numbers of the
+            coordinates that add up to it.
+        rotations: rotations of the bodies of a train, each with the numbers of the coordinates that add up to it.
+        holds: for each mesh, the number of the free coordinate that its driven body turns with.
     """
 
     names: tuple[str, ...]
@@ -45,14 +49,14 @@ class Coordinates:
         """Coordinates of a scene.
 
         Raises:
-            SceneError: bodies of a train are on no shaft, or a shaft turns freely that no mesh drives.
-            ParameterError: a shaft has a body that is in no mesh, or that another one has.
+            SceneError: a body of a train is on no shaft, or no mesh drives a shaft that turns freely.
+            ParameterError: a shaft lists a body that is in no mesh, or that is on another shaft already.
         """
         for body, support in supports.items():
             if meshes and body != meshes[0][0] and support.rz is not None:
                 words = f"is for {meshes[0][0]}, whose turn the input holds: what else turns, contacts and shafts hold"
                 raise ParameterError(f"supports.{body}.rz", support.rz, words)
-        # sorted, as a program sees dictionaries in the order of their keys
+        # sorted, because JAX passes a dictionary to a program in the order of its keys
         ways = tuple(sorted((body, support.directions) for body, support in supports.items()))
         on = tuple(sorted((name, shaft.bodies, shaft.torsion is not None) for name, shaft in shafts.items()))
         return _coordinates(meshes, ways, on)
@@ -64,29 +68,32 @@ class Coordinates:
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Motions that the gear set is asked for."""
+        """Names of the motions that the gear set must provide."""
         return tuple(name for name, _ in self.motions)
 
     @property
     def rigid(self) -> "Coordinates":
-        """What still moves where nothing gives way: the output, and shafts that turn freely."""
+        """Coordinates that remain if supports and shafts are rigid: the output, and shafts that turn freely."""
         names, turns = self.names[: self.free], self.turns[: self.free]
         motions, rotations = (_up_to(self.free, of) for of in (self.motions, self.rotations))
         return Coordinates(names, self.free, turns, motions, rotations, self.holds)
 
     @property
     def spread(self) -> np.ndarray:
-        """Motions of the output and of the bodies per coordinate, shape (1 + motion, coordinate)."""
+        """Motions of the output and of the bodies per unit of each coordinate, shape (1 + motion, coordinate)."""
         return np.stack([self._row(places) for places in ((0,), *(places for _, places in self.motions))])
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Bodies whose inertia counts by itself, in their order."""
+        """Bodies that need an inertia of their own, in their order."""
         moving = dict.fromkeys(name.rpartition(".")[0] for name, _ in (*self.motions, *self._rotations))
         return tuple(body for body in moving if self.needs(body))
 
     def needs(self, body: str) -> tuple[str, ...]:
-        """Inertia that a body needs: mass, polar, transverse. What turns with the output alone is counted there."""
+        """Kinds of inertia that a body needs: mass, polar, transverse.
+
+        A body that turns with the output alone needs none, because the inertia of the output includes it.
+        """
         ways = [
             name.rpartition(".")[2]
             for name, places in dict((*self.motions, *self._rotations)).items()
@@ -99,7 +106,7 @@ class Coordinates:
         return tuple((f"{body}.rz", places) for body, places in self.rotations)
 
     def along(self, body: str, way: str) -> np.ndarray | None:
-        """Motion of a body per coordinate, shape (coordinate,); ``None`` where it is rigid."""
+        """Motion of a body in one direction per unit of each coordinate, shape (coordinate,); ``None`` if rigid."""
         places = dict((*self.motions, *self._rotations)).get(f"{body}.{way}")
         return self._row(places) if places else None
 
@@ -110,13 +117,13 @@ class Coordinates:
 
 
 def _up_to(free: int, motions: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Motions, by the first coordinates alone."""
+    """The motions as sums of the first ``free`` coordinates alone."""
     left = [(name, tuple(place for place in places if place < free)) for name, places in motions]
     return tuple((name, places) for name, places in left if places)
 
 
 def unit_of(coordinate: str) -> str:
-    """Unit of a coordinate by its name: turns of the output, of shafts and of bodies in rad, displacements in m."""
+    """Unit of a coordinate, from its name: rad for rotations of the output, shafts and bodies, m for displacements."""
     _, dot, way = coordinate.rpartition(".")
     return "rad" if not dot or way in (*TURNS, "twist") else "m"
 
@@ -124,16 +131,16 @@ def unit_of(coordinate: str) -> str:
 def check_offered(
     kind: str, offered: Mapping[str, tuple[str, ...]], supports: Mapping[str, Support], shafts: Mapping[str, Shaft]
 ) -> None:
-    """Refuse supports and shafts that a gear set has no place for.
+    """Refuse supports and shafts that do not suit a gear set.
 
     Args:
-        kind: of the gear set.
-        offered: directions that its bodies can move in.
-        supports, shafts: what is asked for.
+        kind: kind of the gear set.
+        offered: directions in which each of its bodies can move.
+        supports, shafts: the supports and shafts of the scene.
 
     Raises:
-        SceneError: the gear set's bodies do not move.
-        ParameterError: no such body, or it does not move in a direction.
+        SceneError: no body of the gear set can have supports or shafts.
+        ParameterError: there is no such body, or it cannot move in a direction.
     """
     for slot, name in (*(("supports", name) for name in supports), *(("shafts", name) for name in shafts)):
         if not offered:
@@ -156,16 +163,16 @@ def check_offered(
                 raise ParameterError(f"shafts.{name}.bodies", body, nearest(body, turning))
 
 
-@functools.lru_cache(maxsize=512)  # a scene asks again at every look at its contacts
+@functools.lru_cache(maxsize=512)  # a scene calls this each time that it evaluates its contacts
 def _coordinates(
     meshes: Meshes, ways: tuple[tuple[str, tuple[str, ...]], ...], on: tuple[tuple[str, tuple[str, ...], bool], ...]
 ) -> Coordinates:
     """Coordinates of a scene.
 
     Args:
-        meshes: of the gear set.
-        ways: directions that the supports of each body list.
-        on: shafts with their bodies, and whether they twist.
+        meshes: meshes of the gear set.
+        ways: for each body with a support, the directions that the support lists.
+        on: for each shaft its name, its bodies, and whether it twists.
     """
     shafts = {name: bodies for name, bodies, _ in on}
     _check_shafts(meshes, shafts)
@@ -195,12 +202,12 @@ def _coordinates(
 
 
 def _first(bodies: tuple[str, ...], ends: tuple[str, str]) -> str:
-    """The body that the turn of a shaft is told of: that of the input or the output, else its first."""
+    """The reference body of a shaft: the body that turns with the input or the output, else the first of the shaft."""
     return next((body for body in bodies if body in ends), bodies[0])
 
 
 def _check_shafts(meshes: Meshes, shafts: Mapping[str, tuple[str, ...]]) -> None:
-    """Refuse shafts that cannot be, and trains without the shafts they need."""
+    """Refuse shafts that are impossible, and trains that lack shafts."""
     bodies = tuple(dict.fromkeys(body for mesh in meshes for body in mesh))
     places = [(body, name) for name, own in shafts.items() for body in own]
     for body, name in places:
@@ -221,7 +228,11 @@ def _check_shafts(meshes: Meshes, shafts: Mapping[str, tuple[str, ...]]) -> None
 
 
 def _holds(meshes: Meshes, rotations: Mapping[str, tuple[int, ...]], free: int) -> tuple[int, ...]:
-    """Of each mesh the free coordinate of its driven body, each handed on to by what comes before it."""
+    """For each mesh, the free coordinate that its driven body turns with.
+
+    Raises:
+        SceneError: motion is not passed on from the input to the output, from one shaft to the next.
+    """
     driven, drivers = [], []
     for driver, body in meshes:
         free_of = [next((at for at in rotations[end] if at < free), None) for end in (driver, body)]

@@ -1,4 +1,4 @@
-"""What a program depends on, from the program itself."""
+"""Which results of a program depend on its argument, found in the program itself (its jaxpr)."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -6,17 +6,17 @@ from typing import Any
 import jax
 from jax.extend.core import Jaxpr, Literal
 
-CALLS = "jit", "pjit"  # by the version of jax
+CALLS = "jit", "pjit"  # the name of the primitive depends on the version of jax
 
 
 def depends(function: Callable[[Any], Any], argument: Any) -> list[bool]:
-    """Which results of a function, the leaves of a tree, depend on its argument."""
+    """For each result of a function, a leaf of its output tree, whether it depends on the argument."""
     program = jax.make_jaxpr(function)(argument).jaxpr
     return _touched(program, [True] * len(program.invars))
 
 
 def _touched(program: Jaxpr, given: Sequence[bool]) -> list[bool]:
-    """Which results of a program depend on the arguments that are marked."""
+    """For each result of a program, whether it depends on one of the arguments that ``given`` marks."""
     touched = {variable for variable, own in zip(program.invars, given, strict=True) if own}
 
     def depending(atoms: Sequence[Any]) -> list[bool]:

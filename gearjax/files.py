@@ -1,4 +1,7 @@
-"""Files of results: written whole or not at all, through to the disk, in folders that were tried beforehand."""
+"""Writing of result files: each is written completely or not at all, and flushed to the disk.
+
+A folder for results can be tried before the work begins.
+"""
 
 import contextlib
 import os
@@ -9,19 +12,21 @@ from pathlib import Path
 from gearjax.checks import GearjaxError, place, writing
 
 unbroken = threading.RLock()
-"""Held while a file is written: who takes it before ending the process leaves none half done."""
+"""Lock that is held while a file is written; taking it before ending the process avoids a partial file."""
 
 
 def write_file(path: Path, content: str | bytes) -> Path:
-    """Write a file, and its folder where that is missing: whoever reads it, and a loss of power, finds what was there
-    before or all that is new.
+    """Write a file, and make its folder if that is missing.
+
+    The file is replaced in one operation: a reader, also after a loss of power, finds the whole old or the whole new
+    content.
 
     Args:
         path: the file.
-        content: what is in it; text is written in UTF-8.
+        content: content of the file; text is written in UTF-8.
 
     Raises:
-        GearjaxError: it cannot be written.
+        GearjaxError: the file cannot be written.
 
     Example:
         >>> import tempfile
@@ -48,7 +53,7 @@ def write_file(path: Path, content: str | bytes) -> Path:
 
 
 def settle(folder: Path) -> None:
-    """Have the disk know the names in a folder, as fsync does for what is in a file; Windows knows them already."""
+    """Flush the names in a folder to the disk, as fsync does with the content of a file; Windows does not need it."""
     if os.name == "nt":
         return
     opened = os.open(folder, os.O_RDONLY)
@@ -59,13 +64,15 @@ def settle(folder: Path) -> None:
 
 
 def writable(folder: Path) -> Path:
-    """The folder, once a file could be made there, and the folders above it; nothing of that is left behind.
+    """The folder, after a trial that a file can be made in it.
+
+    Missing folders and the trial file are removed after the trial.
 
     Args:
-        folder: where results shall go, made already or not.
+        folder: folder for results, which need not exist yet.
 
     Raises:
-        GearjaxError: no file can be made there.
+        GearjaxError: no file can be made in the folder.
 
     Example:
         >>> from gearjax.files import writable
@@ -82,7 +89,7 @@ def writable(folder: Path) -> Path:
                 made.append(level)
             with tempfile.NamedTemporaryFile(dir=folder, prefix=".gearjax-") as tried:
                 tried.write(b"\0")
-    except ValueError as fault:  # of names that no system can have, such as one with a NUL
+    except ValueError as fault:  # raised for names that no system allows, such as one with a NUL
         if isinstance(fault, GearjaxError):
             raise
         raise GearjaxError(f"--out {place(folder)}: cannot be written ({fault})") from fault

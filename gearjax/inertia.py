@@ -12,10 +12,11 @@ from gearjax.typing import Array, Float, Number, Scalar
 class EquivalentMass(eqx.Module):
     """Inertia of the output as a mass on the line of action (Wang et al. 2020, eq. 19).
 
-    Where levers turn with the input, those at input angle zero make it a moment of inertia, which is constant.
+    The levers of the contacts convert it to a moment of inertia. If the levers change with the input angle, those at
+    input angle zero are used, so that the moment of inertia is constant.
 
     Args:
-        mass: equivalent mass [kg].
+        mass: equivalent mass on the line of action [kg].
     """
 
     mass: Number = number(units.MASS, at_least=1e-9, at_most=1e9)
@@ -24,19 +25,19 @@ class EquivalentMass(eqx.Module):
         check_parameters(self)
 
     def moment(self, lever: Float[Array, " contact"]) -> Scalar:
-        """Moment of inertia on the output's axis, ``mass * mean(lever^2)`` [kg m2]."""
+        """Moment of inertia about the output's axis, ``mass * mean(lever^2)`` [kg m2]."""
         return self.mass * jnp.mean(lever * lever)
 
     def at_contacts(self, lever: Float[Array, " contact"]) -> Scalar:
-        """As a mass on the line of action [kg]."""
+        """Equivalent mass on the line of action [kg]."""
         return self.mass
 
 
 class MomentOfInertia(eqx.Module):
-    """Inertia of the output about its axis, its load included.
+    """Inertia of the output about its axis, including its load.
 
     Args:
-        moment_of_inertia: [kg m2].
+        moment_of_inertia: moment of inertia of the output and its load about the output's axis [kg m2].
     """
 
     moment_of_inertia: Number = number(units.INERTIA, at_least=1e-12, at_most=1e9)
@@ -45,11 +46,11 @@ class MomentOfInertia(eqx.Module):
         check_parameters(self)
 
     def moment(self, lever: Float[Array, " contact"]) -> Scalar:
-        """Moment of inertia on the output's axis [kg m2]."""
+        """Moment of inertia about the output's axis [kg m2]."""
         return self.moment_of_inertia
 
     def at_contacts(self, lever: Float[Array, " contact"]) -> Scalar:
-        """As a mass on the line of action, ``moment / mean(lever^2)`` [kg]."""
+        """Equivalent mass on the line of action, ``moment / mean(lever^2)`` [kg]."""
         return self.moment_of_inertia / jnp.mean(lever * lever)
 
 
@@ -57,13 +58,13 @@ class BodyInertia(eqx.Module):
     """Inertia of one body that moves on its own, for the dynamic transmission error.
 
     Args:
-        mass: of a body that moves along x, y or z [kg].
-        polar: about the axis that it turns about, of a body on a shaft that turns freely or twists, or with a support
-            in rz [kg m2]. The inertia of the output itself does not count this body again.
-        transverse: about the axes across, of a body with a support in rx or ry [kg m2].
+        mass: mass of a body that moves along x, y or z [kg].
+        polar: moment of inertia about the axis of rotation [kg m2], for a body on a shaft that turns freely or twists,
+            or for a body with a support in rz. Do not include it in the inertia of the output as well.
+        transverse: moment of inertia about the axes x and y [kg m2], for a body with a support in rx or ry.
 
     Raises:
-        ParameterError: none is given, or one is out of range.
+        ParameterError: none of them is given, or one is out of range.
     """
 
     mass: Number | None = number(units.MASS, at_least=1e-9, at_most=1e9, default=None)
@@ -77,18 +78,21 @@ class BodyInertia(eqx.Module):
 
 
 OF_WAY = {"x": "mass", "y": "mass", "z": "mass", "rx": "transverse", "ry": "transverse", "rz": "polar"}
-"""The inertia that a motion in each direction needs."""
+"""The kind of inertia that a motion in each direction needs."""
 
 
 class DampingRatio(eqx.Module):
     """Viscous damping of each pair, ``c = ratio sqrt(2 k m)``.
 
-    Slices of contact lines have dampers in proportion to their stiffness, ``c = b k``: altogether, on average, as many
-    times that of a pair as pairs touch, ``b K = ratio sqrt(2 eps_gamma K m)`` with the mean stiffness K of the mesh.
+    Each slice of a contact line has a damper in proportion to its stiffness, ``c = b k``, with
+    ``b K = ratio sqrt(2 eps_gamma K m)``. K is the mean stiffness of the mesh and eps_gamma the total contact ratio, so
+    that the mesh has, on average, the dampers of as many pairs as touch.
 
     Args:
-        ratio: damping ratio [-]; k is the mean stiffness of the pair, m the equivalent mass.
-        acting: ``"contact"`` while one of its flanks is in contact, or ``"always"``, through the clearance too.
+        ratio: damping ratio [-] of a pair in ``c = ratio sqrt(2 k m)``, with the mean stiffness k of the pair and the
+            equivalent mass m.
+        acting: when the damper of a pair acts: ``"contact"``, while a flank of the pair is in contact, or
+            ``"always"``, also while the pair is separated.
     """
 
     ratio: Number = number(units.RATIO, at_least=0.0, at_most=100.0)

@@ -13,7 +13,7 @@ from gearjax.typing import Array, Float, Number, Scalar
 
 
 class AbstractLoad(eqx.Module):
-    """How the load torque runs in time; its size is the ``torque`` that an analysis is given."""
+    """Load torque over time, relative to its size. The size is the ``torque`` argument of an analysis."""
 
     kind: eqx.AbstractClassVar[str]
     alternates: eqx.AbstractClassVar[bool]
@@ -23,14 +23,14 @@ class AbstractLoad(eqx.Module):
     def shape(
         self, turns: Float[Array, "..."], time: Float[Array, "..."], orders: Mapping[str, float]
     ) -> Float[Array, "..."]:
-        """Torque over its size, at a number of turns of the input and a time [s].
+        """Torque divided by its size, after a number of turns of the input and at a time [s].
 
-        ``orders`` are the named frequencies of the system, per turn of the input.
+        ``orders`` are the named orders of the system, in cycles per turn of the input.
         """
 
     @abc.abstractmethod
     def rate(self, input_speed: Scalar, orders: Mapping[str, float]) -> Scalar:
-        """Fastest angular frequency [rad/s]; 0 for none."""
+        """Highest angular frequency of the torque [rad/s]; 0 for a constant torque."""
 
 
 class ConstantLoad(AbstractLoad):
@@ -52,7 +52,8 @@ class SinusoidalLoad(AbstractLoad):
     """Alternating torque ``T sin(2 pi f t)`` (Wang et al. 2020, figs. 7, 11 and 12).
 
     Args:
-        frequency: f [Hz], or the name of one of the system's orders: ``"crank"``, ``"mesh"``.
+        frequency: frequency f of the torque [Hz], or the name of an order of the system, such as ``"crank"`` or
+            ``"mesh"``.
     """
 
     kind: ClassVar[str] = "sinusoidal"

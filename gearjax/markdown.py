@@ -1,8 +1,8 @@
-"""Words on pages that gearjax writes in Markdown."""
+"""Text on pages that gearjax writes in Markdown."""
 
 
 def plain(words: str) -> str:
-    """Words in which Markdown finds nothing to do."""
+    """The text with its Markdown signs escaped, so that they are printed and have no effect."""
     for sign in ("|", "*", "_", "<", "[", "]"):
         words = words.replace(sign, f"\\{sign}")
     return words

@@ -1,4 +1,4 @@
-"""What this process may still take of memory, and how sizes are told."""
+"""Memory that this process may still use, and sizes in words."""
 
 import math
 import os
@@ -9,7 +9,7 @@ GIB = 2.0**30
 
 
 def free_memory() -> float | None:
-    """What this process may still take [B]; ``None`` where the system does not say."""
+    """Memory that this process may still use [B]; ``None`` if the system does not report it."""
     return min(_free(), default=None)
 
 
@@ -29,12 +29,12 @@ def _free() -> Iterator[float]:
             rows = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
         except (OSError, ValueError):  # no such group, or "max"
             continue
-        # what files take there is given back when it is needed
+        # memory of the file cache counts as used, but the system releases it when a process needs it
         yield float(allowed - taken + int(rows.get("file", rows.get("total_cache", 0))))
 
 
 def _groups() -> Iterator[tuple[Path, str, str]]:
-    """Control groups that this process is in, with the names of their limits, of both versions of Linux'."""
+    """Control groups (cgroups, versions 1 and 2) of this process, with the file names of their limits and usage."""
     try:
         own = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -51,7 +51,7 @@ def _groups() -> Iterator[tuple[Path, str, str]]:
 
 
 def size_words(number: float) -> str:
-    """A number of bytes as it is told."""
+    """A number of bytes in words, such as ``1.5 GiB``."""
     return f"{number / GIB:.2g} GiB" if 0.1 * GIB <= number < 100 * GIB else _small_or_large(number)
 
 
@@ -60,7 +60,7 @@ def _small_or_large(number: float) -> str:
 
 
 def fitting(most: float) -> str:
-    """How many of something fit, to two digits."""
+    """Words that say how many of something fit into the memory, rounded down to two digits."""
     if most < 2:
         return "nothing fits: use a machine with more"
     step = 10.0 ** max(0, math.floor(math.log10(most)) - 1)

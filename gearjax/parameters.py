@@ -1,8 +1,8 @@
-"""Fields of a part: each physical parameter is declared once, with its dimension and the values it may have.
+"""Fields of a part: each physical parameter is declared once, with its dimension and the values that it may have.
 
-A configuration, an error message and a table all read the declaration from the dataclass metadata.
-Every physical number is stored as a floating-point array leaf (a Python float would compile once per value);
-tooth numbers and names are static.
+Configurations, error messages and tables read the declaration from the dataclass metadata. Every physical number is
+stored as a floating-point array leaf, because a Python float would lead to one compilation per value. Tooth numbers and
+names are static.
 """
 
 import dataclasses
@@ -17,25 +17,25 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import GearjaxError, ParameterError, is_concrete, nearest, shown
 
-TIGHT = 100.0  # between bounds of a number that is tightly bounded, highest over lowest
+TIGHT = 100.0  # largest ratio of upper to lower bound of a tightly bounded number
 _LENGTHS = {"um": units.um, "mm": units.mm}
-TIGHT_SPAN = 2.0  # between them, of ratios and of angles [rad]
+TIGHT_SPAN = 2.0  # largest difference of the bounds of a tightly bounded ratio or angle [rad]
 
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """What one field of a part may hold.
+    """Declaration of one field of a part: its dimension and the values that it may have.
 
     Args:
-        dimension: its dimension, ``None`` for tooth numbers and names.
+        dimension: physical dimension; ``None`` for tooth numbers and names.
         kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"``, ``"name"`` or ``"list"`` (of names).
-        above, at_least, below, at_most: bounds, in SI.
-        names: words that may stand in place of a number, or the words that a name may be.
-        periodic: whether it is an angle whose full turns mean nothing.
-        words: whether any word may stand in place of a number; the scene knows which ones mean something.
-        example: a sensible value as a configuration holds it, such as ``"2.5 mm"`` or 12; ``None`` where that of the
-            dimension will do.
-        is_file: whether a name is that of a file or a folder, which configurations look for from their own folder on.
+        above, at_least, below, at_most: bounds, in SI units.
+        names: words that are allowed in place of a number, or the words that are allowed as a name.
+        periodic: whether the number is an angle to which full turns may be added without effect.
+        words: whether any word is allowed in place of a number; the scene checks the word.
+        example: a sensible value as written in a configuration, such as ``"2.5 mm"`` or 12; ``None`` to use the example
+            of the dimension.
+        is_file: whether a name is that of a file or a folder; configurations look for it from their own folder on.
     """
 
     dimension: units.Dimension | None
@@ -52,21 +52,24 @@ class Parameter:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Lowest and highest value, infinite without a bound."""
+        """Lowest and highest value; infinite if there is no bound."""
         low = [bound for bound in (self.above, self.at_least) if bound is not None]
         high = [bound for bound in (self.below, self.at_most) if bound is not None]
         return max(low, default=-math.inf), min(high, default=math.inf)
 
     @property
     def is_tight(self) -> bool:
-        """Whether its bounds are near enough to search between: some pressure angle, but no length up to a metre."""
+        """Whether the bounds are close enough to search between them.
+
+        Those of a pressure angle may be, those of a length of up to a metre are not.
+        """
         low, high = self.range
         plain = self.dimension in (units.RATIO, units.ANGLE)
         return (low > 0 and high <= TIGHT * low) or (plain and high - low <= TIGHT_SPAN)
 
     @property
     def shown_in(self) -> tuple[str, float]:
-        """Unit that results show it in, and its size in SI: lengths in that of the example, as they are written."""
+        """Unit in which results show the number, and its size in SI; for a length the unit of the example."""
         if self.dimension is None:
             return "", 1.0
         first = self.example[0] if isinstance(self.example, list) and self.example else self.example
@@ -91,7 +94,7 @@ class Parameter:
         return " and ".join(words)
 
     def holds(self, value: Any) -> bool:
-        """Whether finite values within the bounds are given."""
+        """Whether all values are finite and within the bounds."""
         value = np.asarray(value)
         return bool(
             np.all(np.isfinite(value))
@@ -103,7 +106,7 @@ class Parameter:
 
 
 class Named(eqx.Module):
-    """A word that stands for a number which another part knows (``"crank"``, ``"planet"``)."""
+    """A word that stands for a number which another part defines (``"crank"``, ``"planet"``)."""
 
     name: str = eqx.field(static=True)
 
@@ -112,7 +115,7 @@ class Named(eqx.Module):
 
 
 def as_leaf(value: Any) -> Any:
-    """A number as a floating-point array; arrays that are floating-point already keep their precision."""
+    """The number as a floating-point array; an array that is floating-point already keeps its precision."""
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
         return value
     if is_concrete(value) and not is_numeric(value):
@@ -121,7 +124,7 @@ def as_leaf(value: Any) -> Any:
 
 
 def is_numeric(value: Any) -> bool:
-    """Whether a value that is known is a real number, or an array of them."""
+    """Whether a value that is not traced is a real number, or an array of real numbers."""
     try:
         array = np.asarray(value)
     except (ValueError, TypeError):  # rows of different lengths
@@ -130,14 +133,14 @@ def is_numeric(value: Any) -> bool:
 
 
 def strong(value: Any) -> Any:
-    """A number as an array with a definite dtype: weakly typed ones would compile anew."""
+    """The number as an array with a definite dtype; a weakly typed array would compile the program again."""
     leaf = as_leaf(value)
-    # most are so already, and a copy of each would take as long as a short analysis
+    # most arrays have a definite dtype already, and copies of all would take as long as a short analysis
     return jnp.asarray(leaf, dtype=leaf.dtype) if leaf.weak_type else leaf
 
 
 def as_leaf_or_named(value: Any) -> Any:
-    """A number as an array, a word as a `Named`."""
+    """A number as an array, or a word as a `Named`."""
     if isinstance(value, Named):
         return value
     return Named(value) if isinstance(value, str) else as_leaf(value)
@@ -148,8 +151,10 @@ def _field(parameter: Parameter, **keywords: Any) -> Any:
 
 
 def number(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
-    """A physical number of the given dimension; ``names=`` or ``words=True`` let words stand in its place, and
-    ``default=None`` lets it be absent."""
+    """A field for a physical number of the given dimension.
+
+    ``names=`` or ``words=True`` allow words in place of the number; ``default=None`` makes the number optional.
+    """
     parameter = Parameter(dimension, **bounds)
     converter = as_leaf_or_named if parameter.names or parameter.words else as_leaf
     if default is None:
@@ -159,17 +164,17 @@ def number(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **
 
 
 def length(**bounds: Any) -> Any:
-    """A length [m]."""
+    """A field for a length [m]."""
     return number(units.LENGTH, **bounds)
 
 
 def angle(**bounds: Any) -> Any:
-    """An angle [rad]."""
+    """A field for an angle [rad]."""
     return number(units.ANGLE, **bounds)
 
 
 def series(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
-    """A list of numbers of the given dimension, of any length; one number is a list of it."""
+    """A field for a list of numbers of the given dimension, of any length; one number becomes a list of one."""
 
     def listed(given: Any) -> Any:
         leaf = as_leaf(given)
@@ -182,26 +187,26 @@ def series(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **
 def count(
     *, default: Any = dataclasses.MISSING, at_least: int = 1, at_most: int = 100_000, example: int | None = None
 ) -> Any:
-    """A whole number such as a number of teeth: static, a change of it compiles anew."""
+    """A static field for a whole number, such as a number of teeth; a change of it compiles the program again."""
     parameter = Parameter(None, "count", at_least=float(at_least), at_most=float(at_most), example=example)
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(parameter, static=True, **keywords)
 
 
 def name(*, default: Any = dataclasses.MISSING, names: tuple[str, ...] = ()) -> Any:
-    """A word, static; one of ``names`` where they are given."""
+    """A static field for a word; one of ``names``, if these are given."""
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(Parameter(None, "name", names=names), static=True, **keywords)
 
 
 def file_name(*, default: Any = dataclasses.MISSING) -> Any:
-    """The name of a file or a folder, static."""
+    """A static field for the name of a file or a folder."""
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return _field(Parameter(None, "name", is_file=True), static=True, **keywords)
 
 
 def name_list(*, example: Any = None) -> Any:
-    """A list of words such as names of bodies, static."""
+    """A static field for a list of words, such as names of bodies."""
 
     def keep(given: Any) -> Any:
         return tuple(given) if isinstance(given, list) else given
@@ -217,10 +222,12 @@ def declared(part: Any) -> dict[str, Parameter]:
 
 
 def check_parameters(part: Any) -> None:
-    """Refuse values outside what the fields declare. Traced values pass: they cannot be read; so do absent ones.
+    """Refuse values that the declarations of the fields do not allow.
+
+    Traced values pass, because they cannot be read, and so do absent ones.
 
     Raises:
-        ParameterError: naming the field, the value given and what would be right.
+        ParameterError: a value is not allowed; the message names the field, the value and what would be right.
     """
     for key, parameter in declared(part).items():
         if getattr(part, key) is not None:
@@ -231,7 +238,7 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
     """Refuse a value that the parameter's declaration does not allow.
 
     Raises:
-        ParameterError: naming the key, the value given and what would be right.
+        ParameterError: the value is not allowed; the message names the key, the value and what would be right.
     """
     if isinstance(value, Named):
         value = value.name

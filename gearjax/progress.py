@@ -1,4 +1,4 @@
-"""Lines of text that tell how far long work has come."""
+"""Progress of long computations, as lines of text."""
 
 from collections.abc import Callable
 
@@ -6,5 +6,5 @@ Progress = Callable[[str], None]
 
 
 def silent(words: str) -> None:
-    """Progress that nobody asked for."""
+    """Ignore a line of progress: the default if no progress is wanted."""
     del words

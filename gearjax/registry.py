@@ -1,4 +1,4 @@
-"""Kinds of parts that a configuration may name: those of gearjax, those registered by a program, those of plug-ins."""
+"""Kinds of parts that a configuration may name: built-in ones, and those that programs register or plug-ins bring."""
 
 import functools
 import inspect
@@ -17,7 +17,7 @@ GROUPS: dict[str, tuple[type, ...]] = {
     "gearjax.errors": (AbstractError,),
     "gearjax.compliances": get_args(AnyCompliance),
 }
-"""Groups of entry points that plug-ins are read from, and what they hold."""
+"""Groups of entry points that plug-ins are read from, and the base classes of the parts in each group."""
 
 _kinds: dict[str, dict[str, Any]] = {
     "gearjax.systems": {part.kind: part for part in SYSTEMS},
@@ -27,11 +27,11 @@ _kinds: dict[str, dict[str, Any]] = {
 
 
 def register(part: T) -> T:
-    """Make a gear set, an error or a compliance of one's own known to configurations, by its ``kind``.
+    """Register your own gear set, error or compliance, so that configurations can name it by its ``kind``.
 
-    It may stand above the class as a decorator. What is registered is known to this process; for the command
-    ``gearjax`` a package lists its classes as entry points of the groups ``gearjax.systems``, ``gearjax.errors`` or
-    ``gearjax.compliances``.
+    The function may also be used as a decorator of the class. The registration holds in this process only. For the
+    command ``gearjax``, a package lists its classes as entry points of the groups ``gearjax.systems``,
+    ``gearjax.errors`` or ``gearjax.compliances``.
 
     Args:
         part: a final subclass of `AbstractSystem`, `AbstractError`, `AbstractCompliance`, `AbstractLineContact`,
@@ -41,7 +41,7 @@ def register(part: T) -> T:
         The same class.
 
     Raises:
-        ParameterError: it is something else, is abstract, or its kind is no name or that of another class.
+        ParameterError: the part is something else or abstract, or its kind is not a name or belongs to another class.
 
     Example:
         >>> import gearjax as gj
@@ -53,10 +53,10 @@ def register(part: T) -> T:
 
 
 def kinds(group: str) -> list[Any]:
-    """Classes of a group, plug-ins included.
+    """Classes of a group, including those of plug-ins.
 
     Raises:
-        GearjaxError: a plug-in is broken, or two parts have the same kind; the package is named.
+        GearjaxError: a plug-in is broken, or two parts have the same kind; the message names the package.
     """
     _read_plugins()
     return list(_kinds[group].values())
@@ -80,21 +80,21 @@ def _add(part: Any, group: str) -> None:
         raise ParameterError(f"{name}.kind", kind, 'must be a name of letters, digits and _, such as "spur_pair"')
     other = _kinds[group].get(kind, part)
     taken = f"{other.__module__}.{other.__qualname__}"
-    if taken != name:  # the same name is the same class, defined again in a notebook
+    if taken != name:  # a class of the same name is the same class, defined again in a notebook
         raise ParameterError(f"{name}.kind", kind, f"is the kind of {taken} already: choose another")
     _kinds[group][kind] = part
 
 
 @functools.cache
 def _read_plugins() -> None:
-    """Add what installed packages list, once for a process."""
+    """Add the classes that installed packages list as entry points, once per process."""
     for group in GROUPS:
         for entry in metadata.entry_points(group=group):
             package = entry.dist.name if entry.dist is not None else entry.module
             where = f'plug-in "{entry.name}" of package {package}'
             try:
                 part = entry.load()
-            except Exception as fault:  # whatever a package raises when it is imported
+            except Exception as fault:  # importing a package may raise anything
                 words = " ".join(f"{type(fault).__name__}: {fault}".split())
                 raise GearjaxError(f"{where}: {entry.value} cannot be loaded ({words})") from fault
             try:

@@ -1,4 +1,4 @@
-"""What can be computed of a scene, and what a configuration asks for."""
+"""The analyses of a scene that a configuration can ask for, and its [run] section."""
 
 import dataclasses
 
@@ -14,9 +14,9 @@ NEEDS = {
     "dynamic": ("compliance", "load", "inertia"),
 }
 ANALYSES = tuple(NEEDS)
-"""Analyses of a scene, and the optional slots that each needs."""
+"""Names of the analyses; `NEEDS` gives the optional parts of a scene that each needs."""
 METRICS = ("peak_to_peak", "amplitude", "mean", "std")
-"""What is told of every record."""
+"""Metrics that are reported for every record."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,9 +24,10 @@ class Published:
     """Published or measured values to show next to computed ones.
 
     Args:
-        analysis, torque: the case they belong to; torque in N m, 0 without load.
+        analysis: analysis to which the values belong.
+        torque: load torque to which the values belong [N m]; 0 without load.
         metrics: pairs of a metric's name and its value [rad].
-        note: what a reader of the comparison should know.
+        note: remark for readers of the comparison.
     """
 
     analysis: str
@@ -37,19 +38,19 @@ class Published:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """What a configuration asks to be computed. Times in seconds, torques in N m.
+    """Analyses that a configuration asks for, and their record. Times are in seconds, torques in N m.
 
     Args:
         duration: length of the record [s].
-        samples: number of samples of the record, both ends included.
-        analyses: of ``no_load``, ``backlash``, ``static``, ``dynamic``.
+        samples: number of samples of the record, including both ends.
+        analyses: names of the analyses: ``no_load``, ``backlash``, ``static``, ``dynamic``.
         torques: sizes of the load torque [N m].
-        start: of the dynamic TE, ``"equilibrium"`` or ``"zero"``.
-        settle: time that the metrics of the dynamic TE leave out [s].
-        published: values to show next to the computed ones.
+        start: initial state of the dynamic TE: ``"equilibrium"``, or ``"zero"`` for rest at the ideal position.
+        settle: initial time that the metrics of the dynamic TE leave out [s].
+        published: published or measured values to show next to the computed ones.
 
     Raises:
-        ParameterError: a value that cannot be.
+        ParameterError: a value is not allowed.
     """
 
     duration: float

@@ -1,4 +1,4 @@
-"""A scene: one gear set and the effects that are modelled, nothing else."""
+"""A scene: one gear set with the effects that are modelled."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -49,26 +49,27 @@ Stiffness = Literal["rigid", "mean", "varying"]
 
 
 class Scene(eqx.Module):
-    """A gear set with the effects that are modelled. An absent effect is ``None``, or not in the dict.
+    """A gear set with the effects that are modelled. An absent effect is ``None``, or is not in the mapping.
 
     Args:
         system: the gear set.
-        errors: errors of its bodies, summed into the gaps; the key is the name in a configuration.
+        errors: errors of the bodies, by the name that a configuration gives them; their effects on the gaps add up.
         reference: `ZeroAtStart`, or ``None`` to count errors absolutely.
-        backlash: initial backlash; without it there are no back flanks.
-        compliance: stiffness of the teeth; ``None`` is rigid.
-        load: how the load torque runs in time.
+        backlash: initial backlash; without it back flanks are not modelled.
+        compliance: stiffness of the teeth; ``None`` for rigid teeth.
+        load: load torque over time, relative to its size.
         contact: contact law.
-        inertia, damping: for the dynamic transmission error.
-        supports: of bodies that give way under the forces of the contacts, by body; others are held rigidly.
-        shafts: that bodies of a train turn together with, by name.
-        body_inertia: of bodies that move on their own, by body, for the dynamic transmission error.
-        run: what the configuration asked for; not part of the physics.
+        inertia: inertia of the output, for the dynamic transmission error.
+        damping: damping of the pairs, for the dynamic transmission error.
+        supports: elastic supports, by body; bodies without a support are held rigidly.
+        shafts: shafts on which bodies of a train turn together, by name.
+        body_inertia: inertia of bodies that move on their own, by body, for the dynamic transmission error.
+        run: analyses that the configuration asked for; not part of the physics.
 
     Raises:
-        ParameterError: an error has a name that no path leads to, is placed on a body that the system does not have,
-            or does not suit it, or the load names a frequency that the system does not have.
-        SceneError: parts that do not go together.
+        ParameterError: an error has a name that cannot stand in a path, is on a body that the system does not have, or
+            does not suit the body; or the load names a frequency that the system does not have.
+        SceneError: parts of the scene do not suit each other.
     """
 
     system: AbstractSystem
@@ -86,7 +87,7 @@ class Scene(eqx.Module):
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        from gearjax.scene_checks import check_coupled, check_moving, check_rim  # it knows what a scene is
+        from gearjax.scene_checks import check_coupled, check_moving, check_rim  # that module imports this one
 
         if not isinstance(self.system, AbstractSystem):
             is_path = isinstance(self.system, str | Path)
@@ -123,28 +124,27 @@ class Scene(eqx.Module):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """What moves: the output, shafts that turn freely, then the bodies that have supports, each in the directions
-        that are listed, and what twists."""
+        """Names of the coordinates: output, free shafts, directions of the supports, twists of bodies on shafts."""
         return self.moving.coordinates.names
 
     @property
     def output_alone(self) -> bool:
-        """Whether nothing but the output moves."""
+        """Whether the output is the only coordinate."""
         return self.moving.coordinates.alone
 
     @property
     def is_train(self) -> bool:
-        """Whether motion is handed on from mesh to mesh, over shafts that turn freely."""
+        """Whether motion passes through several meshes in series, with shafts between them that turn freely."""
         return self.moving.coordinates.free > 1
 
     @property
     def moving(self) -> Moving:
-        """What moves, and the supports and shafts that hold it."""
+        """The coordinates, and the supports and shafts that hold them."""
         return Moving.of(self.system.meshes, self.supports, self.shafts)
 
     @property
     def structure(self) -> Structure:
-        """Mass, stiffness and damping of its coordinates; of a scene that the dynamic TE suits (`require`)."""
+        """Mass, stiffness and damping of the coordinates; the scene must suit the dynamic TE (`require`)."""
         assert self.inertia is not None
         contacts = self.contacts(jnp.zeros_like(self.system.input_speed))
         output = self.inertia.moment(contacts.output_levers)
@@ -152,8 +152,8 @@ class Scene(eqx.Module):
 
     @property
     def layout(self) -> Layout:
-        """Sides and pairs of its contacts."""
-        # by way of the classes: equinox makes a module of every bound method, which takes longer than all the rest
+        """Sides and pairs of the contacts."""
+        # called on the classes: equinox makes a module of every bound method, which takes longer than the call itself
         return type(self.system).layout(self.system, Scene._request(self, "rigid"))
 
     @property
@@ -163,57 +163,62 @@ class Scene(eqx.Module):
 
     @property
     def has_clearance(self) -> bool:
-        """Whether the room between both flanks is known, modelled or not: the gear set may know its own, but not once
-        the errors count from those of the driving flanks alone."""
+        """Whether the clearance between driving and back flanks is known.
+
+        It is known if back flanks are modelled, or if the gear set knows the clearance of its own geometry. The latter
+        does not help with an `Anchor`, which stores the errors of the driving flanks alone.
+        """
         return self.has_back or (self.system.has_clearance and not isinstance(self.reference, Anchor))
 
     @property
     def both_flanks(self) -> "Scene":
-        """The scene with its back flanks, where the room between both is known (`has_clearance`)."""
+        """The scene with back flanks, which must have a known clearance (`has_clearance`)."""
         if self.has_back:
             return self
         return dataclasses.replace(self, backlash=InitialBacklash(initial=jnp.zeros((), self.dtype)))
 
     @property
     def springs_apart(self) -> bool:
-        """Whether its springs are linear and one by one, and the output alone moves."""
+        """Whether the output alone moves, on linear springs of pairs of teeth that do not influence each other."""
         return isinstance(self.compliance, AbstractCompliance) and self.output_alone
 
     @property
     def linear_compliance(self) -> AbstractCompliance:
-        """Its compliance as linear springs, which the dynamics need (`require`)."""
+        """The compliance, known to consist of linear springs of pairs; the dynamics need them (`require`)."""
         assert isinstance(self.compliance, AbstractCompliance)
         return self.compliance
 
     @property
     def dtype(self) -> jnp.dtype:
-        """Precision that its numbers are given in."""
+        """Floating-point type of the numbers."""
         return jnp.result_type(self.system.input_speed)
 
     def physics(self, *slots: str) -> "Scene":
-        """What the program of an analysis depends on, and nothing else.
+        """The scene reduced to the parts that an analysis depends on, so that scenes share its compiled program.
 
-        That is the system, its errors, reference and contact law, and the named optional slots, supports with the
-        compliance; every number is an array of a definite dtype.
+        These are the system, its errors, reference and contact law, and the named optional slots; supports stay with
+        the compliance. Every number becomes an array of a definite dtype.
         """
         unused: dict = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
         moving = "inertia" in slots and bool(self.body_inertia)
         if not moving:
             unused["body_inertia"] = {}
-        if not moving and not {"compliance", "supports"} & set(slots):  # without forces nothing gives way
+        if not moving and not {"compliance", "supports"} & set(slots):  # without forces nothing deflects
             unused["supports"] = {}
             unused["shafts"] = {name: shaft.rigid for name, shaft in self.shafts.items()}
         return self._with(**unused)
 
     @property
     def springs_alone(self) -> "Scene":
-        """What the springs of its contacts depend on: scenes with other errors share a program of that."""
+        """The scene reduced to the parts that the springs depend on; scenes with other errors then share a program."""
         others = dict.fromkeys(("load", "inertia", "damping", "reference", "run"))
         return self._with(**others, errors={}, body_inertia={}, contact=HardContact())
 
     def _with(self, **changed: Any) -> "Scene":
-        """The same with other parts and numbers of a definite dtype. Parts of a scene that was checked need no new
-        checks, of which those of many pins took 30 ms."""
+        """The scene with some parts replaced, and with all numbers of a definite dtype.
+
+        The parts were checked before. Checking them again would take time, 30 ms for many pins.
+        """
         parts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | changed
         alone = object.__new__(Scene)
         for name, part in parts.items():
@@ -221,7 +226,7 @@ class Scene(eqx.Module):
         return jax.tree.map(strong, alone)
 
     def anchored(self) -> "Scene":
-        """The same scene with the values of its errors at the start worked out."""
+        """The scene with the effect of its errors at input angle zero computed and stored (`Anchor`)."""
         if not self.errors or not isinstance(self.reference, ZeroAtStart):
             return self
         start = self.pose(jnp.zeros_like(self.system.input_speed))
@@ -241,12 +246,12 @@ class Scene(eqx.Module):
         )
 
     def _coordinates(self, stiffness: Stiffness) -> Coordinates:
-        """What moves: without forces, what nothing holds."""
+        """The coordinates that move; without forces only those that no support or shaft holds."""
         coordinates = self.moving.coordinates
         return coordinates.rigid if stiffness == "rigid" else coordinates
 
     def pose(self, theta: Scalar, stiffness: Stiffness = "rigid") -> Pose:
-        """What the system shows at an input angle [rad]: all that does not depend on the errors' own numbers.
+        """Pose of the system at an input angle: everything that does not depend on the numbers of the errors.
 
         Args:
             theta: input angle [rad].
@@ -257,12 +262,12 @@ class Scene(eqx.Module):
     def contacts(
         self, theta: Scalar | Pose, stiffness: Stiffness = "rigid", position: Scalar | None = None
     ) -> ContactSet:
-        """Candidate contacts at an input angle [rad], errors, reference and backlash included.
+        """Candidate contacts at an input angle, including errors, reference and backlash.
 
         Args:
-            theta: input angle [rad], or the pose there.
-            stiffness: ``"rigid"`` for none, ``"mean"``, or ``"varying"`` with the mesh phase.
-            position: of the output, where a scene of exact geometry is looked at; its ideal position without [rad].
+            theta: input angle [rad], or the pose at that angle.
+            stiffness: ``"rigid"`` for contacts without springs, ``"mean"``, or ``"varying"`` with the mesh phase.
+            position: position of the output at which exact geometry is linearised [rad]; by default the ideal one.
         """
         pose, layout = theta if isinstance(theta, Pose) else self.pose(theta, stiffness), self.layout
         if self.system.exact:
@@ -281,12 +286,12 @@ class Scene(eqx.Module):
     def _by_coordinates(
         self, motions: Float[Array, "contact motion"], pose: Pose, coordinates: Coordinates
     ) -> Float[Array, "contact coordinate"]:
-        """The Jacobian by coordinates, of that by motions of the output and the bodies."""
+        """Jacobian with respect to the coordinates, from that with respect to motions of the output and of bodies."""
         asked = len(coordinates.asked)
-        if motions.shape[1] > 1 + asked:  # of a pose that was asked for what gives way too
+        if motions.shape[1] > 1 + asked:  # the pose also has columns of elastic motions
             names = dict(zip(self.moving.coordinates.asked, range(1, motions.shape[1]), strict=True))
             motions = motions[:, np.array([0, *(names[name] for name in coordinates.asked)])]
-        elif motions.shape[1] < 1 + asked:  # of a pose that was asked for rigid contacts
+        elif motions.shape[1] < 1 + asked:  # the pose was made for rigid contacts
             request = Request(self.backlash is not None, coordinates=coordinates.asked)
             motions = pose_of(self.system, pose.theta, request).jacobian
         spread = coordinates.spread
@@ -294,7 +299,7 @@ class Scene(eqx.Module):
         return motions if alike else motions @ jnp.asarray(spread, motions.dtype)
 
     def _displaced(self, theta: Scalar, position: Scalar) -> tuple[Float[Array, "contact 1"], Float[Array, " contact"]]:
-        """Contacts of the displaced bodies, in a straight line about a position of the output [rad]."""
+        """Jacobian and gaps of the displaced bodies, linearised at a position of the output [rad]."""
         by_body: dict[str, list[AbstractError]] = {}
         for error in self.errors.values():
             by_body.setdefault(error.body, []).append(error)
@@ -325,11 +330,11 @@ class Scene(eqx.Module):
         return LinearSprings(layout.per_contact(layout.apiece(self.compliance.stiffness(angle))))
 
     def _shown(self, pose: Pose, part: Any, request: Request) -> Any:
-        """The pose, or where a part of it was not asked for, one with it."""
+        """The pose, or, if a part of it is missing, a new pose with that part."""
         return pose_of(self.system, pose.theta, request) if part is None else pose
 
     def _gaps(self, pose: Pose, layout: Layout) -> Float[Array, " contact"]:
-        """Gaps with errors, reference and backlash, to first order."""
+        """Gaps with errors, reference and backlash, to first order in the errors."""
         gap = pose.gap
         if self.errors:
             gap = gap + self._errors(pose)
@@ -342,7 +347,7 @@ class Scene(eqx.Module):
     def _with_backlash(self, gap: Float[Array, " contact"], layout: Layout) -> Float[Array, " contact"]:
         if self.backlash is None:
             return gap
-        # a concatenation is a kernel of its own: gaps are worked out once, not again for every use (up to four times)
+        # the concatenation is an XLA kernel of its own, so that gaps are computed once and not up to four times
         return layout.joined(gap[layout.on(1)], gap[layout.on(-1)] + self.backlash.initial)
 
     def _errors(self, pose: Pose) -> Float[Array, " contact"]:

@@ -1,4 +1,4 @@
-"""What does not go together in a scene, and what an analysis needs that a scene does not list."""
+"""Checks that the parts of a scene suit each other, and that the scene lists all parts that an analysis needs."""
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from gearjax.typing import Array, Float
 
 
 def check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
-    """Refuse an error of pins or teeth that its body does not have."""
+    """Refuse an error of pins or teeth if its body does not have such pins or teeth."""
 
     def gap(error: AbstractError) -> Array:
         seen = pose_of(system, jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
@@ -35,7 +35,7 @@ def check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
 
 
 def check_moving(scene: Scene) -> None:
-    """Refuse supports, shafts and inertia that the gear set has no place for."""
+    """Refuse supports, shafts and inertia that do not suit the gear set."""
     system, coordinates = scene.system, scene.moving.coordinates
     for body, inertia in scene.body_inertia.items():
         needs = coordinates.needs(body)
@@ -59,7 +59,7 @@ def check_moving(scene: Scene) -> None:
 
 
 def check_coupled(scene: Scene) -> None:
-    """Refuse a coupled compliance that has no equilibrium, or that a smooth contact law is asked for."""
+    """Refuse a coupled compliance without a unique equilibrium, or together with a smooth contact law."""
     compliance = scene.compliance
     if isinstance(compliance, AbstractSliceCompliance):
         _check_slices(scene, compliance)
@@ -72,7 +72,7 @@ def check_coupled(scene: Scene) -> None:
         raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
     if not is_concrete((compliance, scene.system)):
         return
-    with jax.ensure_compile_time_eval():  # while something else is traced
+    with jax.ensure_compile_time_eval():  # also inside the trace of something else
         if isinstance(compliance, AbstractToothCompliance):
             places = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(places=True)).places
             assert places is not None  # the system has them
@@ -88,18 +88,18 @@ def check_coupled(scene: Scene) -> None:
 
 
 def _check_slices(scene: Scene, compliance: AbstractSliceCompliance) -> None:
-    """Refuse a compliance of slices where there are none, or that is not for these gears."""
+    """Refuse a compliance of slices if the gear set has no slices, or if the compliance does not suit its gears."""
     if not scene.system.has_slices:
         words = f"needs slices of contact lines, which a {scene.system.kind} does not offer"
         raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
     if is_concrete((compliance, scene.system)):
-        with jax.ensure_compile_time_eval():  # while something else is traced
+        with jax.ensure_compile_time_eval():  # also inside the trace of something else
             slices = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(slices=True)).slices
             assert slices is not None  # the system has them
             compliance.check(slices)
 
 
-@eqx.filter_jit  # one program: its single operations would each be compiled apart
+@eqx.filter_jit  # one program, since otherwise each operation would be compiled separately
 def _influence(scene: Scene) -> Float[Array, "contact contact"]:
     springs = scene.contacts(jnp.zeros_like(scene.system.input_speed), "mean").springs
     assert isinstance(springs, CoupledSprings)
@@ -107,14 +107,14 @@ def _influence(scene: Scene) -> Float[Array, "contact contact"]:
 
 
 def require(scene: Scene, what: str, *slots: str) -> None:
-    """Refuse an analysis whose slots the scene does not list, by name.
+    """Refuse an analysis, given by name, if the scene does not list the slots that the analysis needs.
 
     Raises:
-        SceneError: naming the analysis and the sections to add.
+        SceneError: the scene does not suit the analysis; the message names both the analysis and the missing sections.
     """
     missing = [slot for slot in slots if getattr(scene, slot) is None]
     if "backlash" in missing and scene.layout.sides_turn:
-        missing.remove("backlash")  # its contacts touch both flanks
+        missing.remove("backlash")  # the contacts of this gear set touch both flanks without it
     if missing:
         listed = " and ".join(f"[{slot}]" for slot in missing)
         raise SceneError(f'"{what}" needs {listed}, which this scene does not list')
@@ -144,10 +144,10 @@ def require(scene: Scene, what: str, *slots: str) -> None:
 
 
 def require_springs_apart(scene: Scene, what: str) -> None:
-    """Refuse an analysis of scenes whose bodies give way, or whose contacts are slices.
+    """Refuse an analysis if more than the output moves, or if the contacts are slices.
 
     Raises:
-        SceneError: naming what is in the way.
+        SceneError: the scene does not suit the analysis; the message names the reason.
     """
     require_output_alone(scene, what)
     if not scene.springs_apart:
@@ -155,10 +155,10 @@ def require_springs_apart(scene: Scene, what: str) -> None:
 
 
 def require_output_alone(scene: Scene, what: str) -> None:
-    """Refuse an analysis of scenes whose bodies give way.
+    """Refuse an analysis if more than the output moves.
 
     Raises:
-        SceneError: naming the section to leave out.
+        SceneError: the scene does not suit the analysis; the message names a section to leave out.
     """
     if scene.output_alone:
         return

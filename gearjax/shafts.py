@@ -9,20 +9,21 @@ from gearjax.typing import Number
 
 
 class Shaft(eqx.Module):
-    """A shaft that bodies sit on, in the order of the list.
+    """A shaft with its bodies, in the order in which they sit on it.
 
-    Without ``torsion`` they turn as one. Without ``bending`` they move sideways apart from each other, each on the
-    support of its own.
+    Without ``torsion`` the bodies turn together rigidly. Without ``bending`` the shaft does not couple their lateral
+    displacements: each body moves on its own support.
 
     Args:
-        bodies: that turn together.
-        torsion: stiffness between each body and the next [N m/rad].
-        torsion_damping: damping coefficient there [N m s/rad]; undamped without.
-        bending: stiffness between each body and the next against moving sideways, in x and in y, of bodies whose
-            supports list that direction [N/m].
+        bodies: names of the bodies on the shaft.
+        torsion: torsional stiffness of the shaft between each body and the next [N m/rad].
+        torsion_damping: torsional damping coefficient of the shaft between each body and the next [N m s/rad]; without
+            it the torsion is undamped.
+        bending: stiffness of the shaft between each body and the next against their relative displacement in x and in
+            y [N/m]; it acts in directions that the supports of both bodies list.
 
     Raises:
-        ParameterError: no body, one twice, or a number is out of range.
+        ParameterError: no body is listed, one is listed twice, or a number is out of range.
     """
 
     bodies: tuple[str, ...] = name_list(example=["wheel_1", "pinion_2"])
@@ -44,5 +45,5 @@ class Shaft(eqx.Module):
 
     @property
     def rigid(self) -> "Shaft":
-        """The same bodies on a shaft that does not give way."""
+        """The same bodies on a rigid shaft."""
         return Shaft(self.bodies)

@@ -2,21 +2,21 @@
 
     M q'' + C q' + K q + J^T f = Q(t)
 
-q counts from the ideal motion: the output's position first [rad], then what else moves (`gearjax.coordinates`): shafts
-and bodies, displacements [m] and turns [rad]. The moment of inertia of a scene whose output alone moves is the smallest
-case.
+q is the displacement from the ideal motion: first the position of the output [rad], then the other coordinates
+(`gearjax.coordinates`), displacements [m] and rotations [rad] of shafts and bodies. If the output alone moves, M is one
+number, the moment of inertia.
 
-A body that a crank carries goes round with it. With the throw a, the crank's speed W and the turn i of the crank per
-turn of the output while the input is held, its centre is at ``(a + x) e_r + y e_t`` of axes that have turned by
-``W t + i q_output``; Lagrange's equations of its kinetic energy, to first order in q, are
+A body that a crank carries moves round with it. Let a be the throw, W the speed of the crank, and i the rotation of the
+crank per rotation of the output while the input is held. The centre of the body is at ``(a + x) e_r + y e_t``, with
+axes rotated by ``W t + i q_output``. Lagrange's equations of its kinetic energy give, to first order in q,
 
     mass        m (e_x e_x^T + t t^T),                   t = e_y + a i e_output
     gyroscopic  2 m W (t e_x^T - e_x t^T)                Coriolis force, no damping
     stiffness   -m W^2 (e_x e_x^T + e_y e_y^T)           centrifugal force
     force       m a W^2 e_x
 
-with only the coordinates that are listed. The moment of inertia of the output holds what turns with it when nothing
-gives way, the orbits included, so that ``m (a i)^2`` is not added to it.
+with only the coordinates that are listed. The moment of inertia of the output covers all that turns with it if supports
+and shafts are rigid, including the bodies on cranks. Therefore ``m (a i)^2`` is not added to it.
 """
 
 import itertools
@@ -35,12 +35,13 @@ from gearjax.typing import Array, Float, Number, Scalar
 
 
 class Orbit(NamedTuple):
-    """How a body goes round, carried by a crank: its x points along the throw, its y ahead.
+    """Motion of a body that a crank carries: x points along the throw, y in the direction of the crank's rotation.
 
     Args:
         order: turns of the crank per turn of the input.
         throw: distance of the body's centre from the axis [m].
-        follows: turn of the crank, ahead, per turn of the output while the input is held [-].
+        follows: rotation of the crank, positive in its direction of rotation, per rotation of the output while the
+            input is held [-].
     """
 
     order: float
@@ -49,14 +50,14 @@ class Orbit(NamedTuple):
 
 
 class Structure(eqx.Module):
-    """Mass, stiffness and damping of the coordinates that move.
+    """Mass, stiffness and damping matrices of the coordinates.
 
     Args:
-        names: of the coordinates, the output first.
-        mass: shape (coordinate, coordinate) [kg m2, kg m, kg].
-        stiffness: of supports and shafts, centrifugal forces included; same shape [N/m, N m/rad].
-        damping: of supports and shafts, and Coriolis forces; same shape [N s/m, N m s/rad].
-        push: constant force that the ideal motion takes, shape (coordinate,) [N].
+        names: names of the coordinates, the output first.
+        mass: mass matrix, shape (coordinate, coordinate) [kg m2, kg m, kg].
+        stiffness: stiffness of supports and shafts, including centrifugal forces; same shape [N/m, N m/rad].
+        damping: damping of supports and shafts, including Coriolis forces; same shape [N s/m, N m s/rad].
+        push: constant centrifugal force of the ideal motion, shape (coordinate,) [N].
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -78,10 +79,10 @@ class Structure(eqx.Module):
 
         Args:
             output: moment of inertia that turns with the output [kg m2].
-            moving: what moves, and what holds it.
-            inertia: of the bodies that move.
-            orbits: of those that a crank carries.
-            speed: of the input [rad/s].
+            moving: the coordinates, with their supports and shafts.
+            inertia: inertia of the bodies that move on their own.
+            orbits: motions of the bodies that a crank carries.
+            speed: speed of the input [rad/s].
         """
         dtype = jnp.result_type(speed)
         names, along = moving.coordinates.names, moving.coordinates.along
@@ -109,12 +110,12 @@ class Structure(eqx.Module):
 
 
 class Moving(NamedTuple):
-    """What moves in a scene, and what holds it.
+    """The coordinates of a scene, with the supports and shafts that hold them.
 
     Args:
-        coordinates: of the scene.
-        supports: by body.
-        shafts: by name.
+        coordinates: coordinates of the scene.
+        supports: supports, by body.
+        shafts: shafts, by name.
     """
 
     coordinates: Coordinates
@@ -123,15 +124,15 @@ class Moving(NamedTuple):
 
     @classmethod
     def of(cls, meshes: Meshes, supports: Mapping[str, Support], shafts: Mapping[str, Shaft]) -> "Moving":
-        """What moves, as supports and shafts have it; raises as `Coordinates.of`."""
+        """The coordinates that follow from supports and shafts; raises the errors of `Coordinates.of`."""
         return cls(Coordinates.of(meshes, supports, shafts), supports, shafts)
 
     def springs(self, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
-        """Stiffness of supports and shafts [N/m, N m/rad]; none of the output and of shafts that turn freely."""
+        """Stiffness matrix of supports and shafts [N/m, N m/rad]; zero for the output and shafts that turn freely."""
         return self._sum("", dtype)
 
     def dampers(self, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
-        """Damping of the same [N s/m, N m s/rad]."""
+        """Damping matrix of supports and shafts [N s/m, N m s/rad]."""
         return self._sum("_damping", dtype)
 
     def _sum(self, kind: str, dtype: jnp.dtype) -> Float[Array, "coordinate coordinate"]:
@@ -149,15 +150,15 @@ class Moving(NamedTuple):
         return matrix
 
     def _apart(self, one: str, other: str, way: str) -> np.ndarray | None:
-        """Motion of two bodies against each other, per coordinate; ``None`` where one does not move that way."""
+        """Relative motion of two bodies per unit of each coordinate; ``None`` if one of them cannot move that way."""
         ends = [self.coordinates.along(body, way) for body in (one, other)]
-        if way == "rz":  # of the input's shaft the first body does not turn
+        if way == "rz":  # the body that the input turns is held: its row is zero
             ends = [np.zeros(len(self.coordinates.names)) if end is None else end for end in ends]
         return None if ends[0] is None or ends[1] is None else ends[0] - ends[1]
 
 
 def _with(matrix: Array, size: Number | None, along: np.ndarray | None) -> Array:
-    """A matrix and a spring or damper along a motion."""
+    """The matrix with a spring or damper added along a motion."""
     if size is None or along is None:
         return matrix
     return matrix + size * jnp.asarray(np.outer(along, along), matrix.dtype)

@@ -1,4 +1,4 @@
-"""Supports of bodies: bearings that give way under the forces of the contacts."""
+"""Supports of bodies: elastic bearings that deflect under the contact forces."""
 
 from typing import Any
 
@@ -30,20 +30,23 @@ def _turning_damping() -> Any:
 
 
 class Support(eqx.Module):
-    """Support of one body. A direction that is not listed is rigid, and not computed.
+    """Support of one body. A direction that is not listed is rigid, and its motion is not computed.
 
-    The axes are those of the body's gear set: x along the throw of a crank that carries the body and y across it,
-    ahead; of wheels whose axes stand still as the gear set says. z is along the axis. Turns are about these axes, rz in
-    the direction that the body turns in.
+    The gear set defines the axes. If a crank carries the body, x points along the throw and y perpendicular to it, in
+    the crank's sense of rotation; for wheels on fixed axes see the gear set. z is parallel to the axis of rotation. rx,
+    ry and rz are rotations about these axes, rz positive in the direction in which the body turns.
 
     Args:
-        x, y, z: stiffness along an axis [N/m].
-        rx, ry, rz: stiffness about an axis [N m/rad]; rz of a body that the input turns, held by its drive.
-        x_damping, y_damping, z_damping: damping coefficient in that direction [N s/m]; undamped without.
-        rx_damping, ry_damping, rz_damping: the same about an axis [N m s/rad].
+        x, y, z: stiffness along this axis [N/m].
+        rx, ry: stiffness against rotation about this axis [N m/rad].
+        rz: stiffness against rotation about this axis [N m/rad], only for the body that the input turns: the
+            stiffness of its drive.
+        x_damping, y_damping, z_damping: damping coefficient along this axis [N s/m]; without it there is no damping.
+        rx_damping, ry_damping, rz_damping: damping coefficient of rotation about this axis [N m s/rad]; without it
+            there is no damping.
 
     Raises:
-        ParameterError: no direction is listed, or a stiffness is out of range.
+        ParameterError: no direction is listed, a number is out of range, or a damping has no stiffness.
     """
 
     x: Number | None = _stiffness()
@@ -72,5 +75,5 @@ class Support(eqx.Module):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Directions that are listed."""
+        """Directions for which a stiffness is listed."""
         return tuple(way for way in DIRECTIONS if getattr(self, way) is not None)

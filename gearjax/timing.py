@@ -1,4 +1,4 @@
-"""Wall time of a piece of work, compilation apart."""
+"""Wall time of a computation, with the compilation time separated."""
 
 import time
 from types import TracebackType
@@ -29,11 +29,11 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        """Without compilation [s]."""
+        """Wall time without tracing and compiling [s]."""
         self.compile_seconds = 0.0
-        """Tracing and compiling [s]."""
+        """Time of tracing and compiling [s]."""
         self.intervals: list[tuple[float, float]] = []
-        """When something was traced or compiled."""
+        """Start and end of each event of tracing or compiling [s]."""
 
     def __enter__(self) -> "Stopwatch":
         if not _listening:
@@ -47,7 +47,7 @@ class Stopwatch:
         total = time.perf_counter() - self._began
         _running.remove(self)
         reached = self._began
-        for start, end in sorted(self.intervals):  # events are nested: count their union
+        for start, end in sorted(self.intervals):  # events are nested, so that only their union counts
             self.compile_seconds += max(0.0, end - max(start, reached))
             reached = max(reached, end)
         self.seconds = max(0.0, total - self.compile_seconds)

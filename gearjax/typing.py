@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 Scalar = Float[Array, ""]
 
-if TYPE_CHECKING:  # a type checker sees what a constructor takes: anything that the field's converter accepts
+if TYPE_CHECKING:  # for a type checker, a constructor accepts anything that the field's converter accepts
     Number = Any
 else:
     Number = Float[Array, "..."]

@@ -1,4 +1,4 @@
-"""Units. SI and radians are used everywhere inside; multiply by these on the way in, divide on the way out.
+"""Units. gearjax computes in SI units and radians: multiply inputs by these units, and divide results by them.
 
 >>> from gearjax.units import um, arcmin
 >>> amplitude = 10 * um          # metres
@@ -18,10 +18,10 @@ rpm = 2 * math.pi / 60
 
 
 class Dimension(NamedTuple):
-    """A physical dimension: its name, its unit inside gearjax, and how a configuration writes it.
+    """A physical dimension: its name, its unit inside gearjax, and an example as a configuration writes it.
 
-    ``shown`` and ``per_shown`` are the unit that messages use and its size in SI; ``forms`` are other
-    products of SI units that measure the same.
+    ``shown`` and ``per_shown`` are the unit in messages and its size in SI; ``forms`` are other products of SI units
+    that measure the same quantity.
     """
 
     name: str
@@ -33,12 +33,12 @@ class Dimension(NamedTuple):
 
     @property
     def described(self) -> str:
-        """``a length`` or ``an angle``."""
+        """The name with its article, such as ``a length`` or ``an angle``."""
         return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
 
     @property
     def several(self) -> str:
-        """``lengths`` or ``frequencies``."""
+        """The plural of the name, such as ``lengths`` or ``frequencies``."""
         return {"y": f"{self.name[:-1]}ies", "s": f"{self.name}es"}.get(self.name[-1], f"{self.name}s")
 
 

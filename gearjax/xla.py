@@ -1,4 +1,4 @@
-"""Options of XLA for the programs of gearjax on CPUs. XLA reads them when JAX starts, from ``XLA_FLAGS``."""
+"""Options of XLA for gearjax on CPUs. XLA reads them from the variable ``XLA_FLAGS`` when JAX starts."""
 
 import functools
 import os
@@ -7,41 +7,41 @@ import sys
 from pathlib import Path
 
 LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000"
-"""A loop is one kernel, where XLA calls several for each of its steps."""
+"""Compiles a loop to one kernel; without it XLA calls several kernels for each step of the loop."""
 WIDE = "--xla_cpu_prefer_vector_width=512"
-"""Vectors of processors with AVX-512 in full."""
+"""Uses the full vector width of processors with AVX-512."""
 QUICK_COMPILER = "--xla_cpu_use_fusion_emitters=false"
-"""The older compiler for kernels: it takes half the time, and what it compiles 1 to 1.4 times as long."""
+"""Uses the older kernel compiler: compiling takes half the time, and the compiled program 1 to 1.4 times as long."""
 
 
 def xla_options(*, quick_compiler: bool = False) -> str:
-    """Options that make the programs of gearjax quicker on CPUs: those of `LOOPS` and `WIDE` that are known here.
+    """Options that make gearjax faster on CPUs: those of `LOOPS` and `WIDE` that this version of XLA knows.
 
-    The command ``gearjax`` sets them itself, unless ``XLA_FLAGS`` is set. In Python, before anything is computed:
+    The command ``gearjax`` sets them itself, unless ``XLA_FLAGS`` is set. In Python, set them before any computation:
 
         import os
         import gearjax as gj
         os.environ["XLA_FLAGS"] = gj.xla_options()
 
-    They change results by rounding alone. Finding out what this version of XLA knows takes a second or two: one that it
-    does not know would end the process.
+    They change results by rounding only. An option that XLA does not know would end the process; therefore the options
+    are tried first, which takes a second or two.
 
     Args:
         quick_compiler: whether to add `QUICK_COMPILER`, for work that compiles longer than it runs.
 
     Returns:
-        For ``XLA_FLAGS``; empty where this version of XLA knows none of them.
+        The options as the value of ``XLA_FLAGS``; empty if this version of XLA knows none of them.
     """
     return chosen(known_options(), quick_compiler=quick_compiler)
 
 
 def chosen(known: str, *, quick_compiler: bool) -> str:
-    """Those of some known options that a work wants."""
+    """The known options, without `QUICK_COMPILER` unless it is wanted."""
     return " ".join(option for option in known.split() if quick_compiler or option != QUICK_COMPILER)
 
 
 def known_options() -> str:
-    """All options of this file that suit the processor and are known to this version of XLA."""
+    """All options of this file that suit the processor and that this version of XLA knows."""
     return _known_of((LOOPS, *((WIDE,) if _has_wide_vectors() else ()), QUICK_COMPILER))
 
 
@@ -52,7 +52,7 @@ def _known_of(options: tuple[str, ...]) -> str:
 
 
 def is_known(options: str) -> bool:
-    """Whether the XLA of this environment starts with these options, tried in a process of its own."""
+    """Whether the XLA of this environment starts with these options; this is tried in a separate process."""
     environment = os.environ | {"XLA_FLAGS": options, "JAX_PLATFORMS": "cpu"}
     tried = [sys.executable, "-c", "import jax; jax.devices()"]
     return not subprocess.run(tried, env=environment, capture_output=True, check=False).returncode

@@ -113,7 +113,10 @@ def test_meaning_units_bounds_and_default_stand_above_a_key():
     text = written("two_kv")
     assert ('# module of the second stage (a length, at least 1e-06 m and at most 1 m)\nmodule = "2.5 mm"\n') in text
     assert "# number of planet wheels (a whole number, at least 1 and at most 5); without it 2\n#planets = 2\n" in text
-    assert "# number of starts of the gradient search (a whole number from 1 to 1000000); without it 300\n" in text
+    assert (
+        "# number of starting points of the gradient search (a whole number from 1 to 1000000); without it 300\n"
+        in text
+    )
 
 
 def test_meanings_are_those_of_the_docstrings():

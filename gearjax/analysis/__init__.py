@@ -1,4 +1,4 @@
-"""Analyses of a scene: quasi-static, dynamic, their metrics and order spectra."""
+"""Analyses of a scene: quasi-static and dynamic analyses, their metrics and order spectra."""
 
 from gearjax.analysis.choice import ChosenSteps
 from gearjax.analysis.dynamics import chosen_steps, growth_rate, simulate

@@ -1,4 +1,7 @@
-"""Which steps suit a scene: the one place that chooses how a motion is computed, by what is known of it now."""
+"""Choice of the steps for a motion, the only module that makes it.
+
+The choice uses the numbers of the scene and the sample times as far as they are known, that is, not traced.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -22,15 +25,15 @@ from gearjax.scene_checks import require_springs_apart
 from gearjax.typing import Array
 
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
-STEP = 0.4  # of the longest one, by default
+STEP = 0.4  # default step over the longest step
 MOST_STEPS = 1_000_000_000
-WINDOW, FEWEST = (3000, 2000), 8  # steps after the warm-up of many windows and of few, and windows that pay
-FORGOTTEN = 12.0  # time constants of the decay that a warm-up lasts
-APART = 1e-4, 1e4  # that windows may be apart where they meet: scaled position (1e-9 m), or spacings of the dtype
+WINDOW, FEWEST = (3000, 2000), 8  # steps per window for many and for few windows, and the fewest windows that pay
+FORGOTTEN = 12.0  # duration of a warm-up, in time constants of the decay
+APART = 1e-4, 1e4  # allowed difference of windows where they meet: scaled position (1e-9 m), or spacings of the dtype
 
 
 class Modes(NamedTuple):
-    """Even steps of constant modes, where bodies move too, contacts are slices, or a gear set asks for them."""
+    """Even steps of constant modes: for bodies on supports, slices, or gear sets that ask for such steps."""
 
     spacing: Spacing
 
@@ -39,10 +42,10 @@ class Fitted(NamedTuple):
     """Even steps of the exponentially fitted scheme.
 
     Args:
-        spacing: of samples and steps.
-        windows: how the record is cut, or ``None``.
-        fall_back: whether windows that do not agree are replaced, within the program, by the march in one go.
-        quick: for bodies that turn slowly, which one go finds out while it runs where no speed is known before.
+        spacing: spacing of samples and steps.
+        windows: windows into which the record is cut, or ``None``.
+        fall_back: whether the program itself computes the record again in one go if the windows do not agree.
+        quick: spacing for bodies that turn slowly, used if the speed becomes known only while the program runs.
     """
 
     spacing: march.Spacing
@@ -55,13 +58,13 @@ Method = Even | Fitted | Modes | AdaptiveStep | QuasiStatic
 
 
 class Limits(NamedTuple):
-    """What a step depends on: rates of the scene [rad/s] and its position per scaled position [rad].
+    """Quantities that limit a step: rates of the scene [rad/s] and its position per scaled position [rad].
 
     Args:
-        fastest: what steps of the fitted scheme, or of constant modes, have to resolve.
-        decay: of a motion while one pair is in contact, 0 where it is not known.
+        fastest: fastest rate that steps of the fitted scheme, or of constant modes, have to resolve.
+        decay: decay rate of a motion while one pair is in contact; 0 if it is not known.
         scale: position per scaled position.
-        whole: what other solvers have to resolve where supports are faster; ``None`` where it is the same.
+        whole: fastest rate for other solvers, which also have to resolve the supports; ``None`` if it is ``fastest``.
     """
 
     fastest: Array
@@ -71,7 +74,7 @@ class Limits(NamedTuple):
 
 
 def known_limits(physics: Scene) -> Limits | None:
-    """The limits of a scene whose numbers are known, also inside the trace of something else."""
+    """The limits of a scene, or ``None`` if its numbers are traced; works also inside the trace of something else."""
     if not is_concrete(physics):
         return None
     with jax.ensure_compile_time_eval():
@@ -81,7 +84,7 @@ def known_limits(physics: Scene) -> Limits | None:
 @eqx.filter_jit
 def limits_of(physics: Scene) -> Limits:
     nothing = jnp.zeros((), physics.dtype)
-    if not physics.springs_apart:  # what windows forget is not known: none
+    if not physics.springs_apart:  # the decay is not known, hence no windows
         equation = StructureEquation.of(physics, nothing)
         return Limits(equation.fastest_rate(modes=True), nothing, equation.scale[0], equation.fastest_rate())
     equation = Equation.of(physics, nothing)
@@ -89,7 +92,7 @@ def limits_of(physics: Scene) -> Limits:
 
 
 def suitable_step(scene: Scene, duration: float) -> FixedStep:
-    """Steps that resolve the fastest motion of the scene, and windows where it is damped and the record is long.
+    """Steps that resolve the fastest motion of the scene, with windows if it is damped and the record is long.
 
     Raises:
         SceneError: the record would need more than `MOST_STEPS` steps.
@@ -108,8 +111,11 @@ def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
 
 
 def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits) -> Windows | None:
-    """Windows for a record, or ``None`` where they would not pay: it is short, what damps it forgets too slowly, or the
-    levers of many contacts turn, whose march takes minutes to compile and no less time than constant modes."""
+    """Windows for a record, or ``None`` if they would not pay.
+
+    They do not pay if the record is short, the damping weak, or the load changes. Nor do they if the levers of many
+    contacts change with the angle: that march takes minutes to compile and is not faster than constant modes.
+    """
     decay = float(limits.decay)
     if decay <= 0 or _load_changes(scene) or scene.system.by_constant_modes:
         return None
@@ -117,14 +123,14 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
     if short < FEWEST:
         return None
-    few = min(math.ceil(short / FEWEST) * FEWEST, march.LANES)  # whole vectors: what is left over takes longer
+    few = min(math.ceil(short / FEWEST) * FEWEST, march.LANES)  # whole vectors, because a remainder takes longer
     return Windows(max(long // march.LANES * march.LANES, few), warm_up)
 
 
 def method_of(
     scene: Scene, ts: Array | np.ndarray, torque: Array, stepper: Stepper | QuasiStatic | None, limits: Limits | None
 ) -> Method:
-    """What a stepper means for a scene and its sample times; whatever is known now is made static."""
+    """The method that a stepper means for a scene and its sample times; what is not traced becomes static."""
     limits = limits if is_concrete(ts) else None
     even = not is_concrete(ts) or _are_even(np.asarray(ts))
     if stepper is None:
@@ -149,7 +155,7 @@ def method_of(
             words = "windows are for a scene whose output alone moves, on springs of pairs of teeth"
             raise SceneError(f"{words}: give FixedStep(...) without")
         return _modes(scene, ts, steps)
-    alternates = scene.load is not None and scene.load.alternates  # the march tells of gradients that mean nothing then
+    alternates = scene.load is not None and scene.load.alternates  # the march then warns of meaningless gradients
     if scene.system.by_constant_modes and stepper.windows is None and not alternates:
         return _modes(scene, ts, steps)
     samples = ts.shape[0]
@@ -161,7 +167,7 @@ def method_of(
     batched = is_batched((scene, ts, torque))
     block, signals = march.suitable_block(phase, ts.dtype, batched)
     windows = _windows(stepper.windows, samples, spacing, block) if stepper.windows and spacing else None
-    seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # the defect, outside of any trace
+    seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # then `simulate` checks the defect itself
     whole = march.Spacing(samples, steps, block, signals)
     alone = phase is None and not batched
     quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
@@ -176,10 +182,11 @@ class ChosenSteps(NamedTuple):
     """How a motion is computed, and why.
 
     Args:
-        scheme: ``"fitted march"``, ``"fitted march in windows"``, ``"constant modes"``, or the name of what was given.
-        reason: what of the scene, the samples or the stepper decided.
-        step: length of a step; ``None`` where it adapts, or the sample times are not known [s].
-        windows: how many there are side by side; 1 for one go.
+        scheme: ``"fitted march"``, ``"fitted march in windows"``, ``"constant modes"``, or the name of the given
+            stepper or solver.
+        reason: property of the scene, the samples or the stepper that decided.
+        step: length of a step [s]; ``None`` if it is adaptive, or if the sample times are traced.
+        windows: number of parallel windows; 1 if the record is computed in one go.
     """
 
     scheme: str
@@ -189,7 +196,7 @@ class ChosenSteps(NamedTuple):
 
 
 def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | None, method: Method) -> ChosenSteps:
-    """What a method is, in words; arguments as for `method_of`."""
+    """Description of a method in words; arguments as for `method_of`."""
     if isinstance(method, AdaptiveStep | QuasiStatic):
         return ChosenSteps(type(method).__name__, "the stepper was given", None)
     each = method.steps if isinstance(method, Even) else method.spacing.each
@@ -218,7 +225,7 @@ def _load_changes(scene: Scene) -> bool:
 
 
 def stiffness_order(scene: Scene) -> float:
-    """Waves of the stiffness per turn of the input, of its highest harmonic; 0 where it is constant or not by pairs."""
+    """Order of the highest harmonic of the stiffness; 0 if it is constant or is not given per pair."""
     compliance = scene.compliance
     if not isinstance(compliance, AbstractCompliance):
         return 0.0
@@ -226,7 +233,7 @@ def stiffness_order(scene: Scene) -> float:
 
 
 def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
-    """Phase per step of what drives a scene fastest [rad]; ``None`` where it is not known."""
+    """Phase per step of the fastest excitation of a scene [rad]; ``None`` if it is not known."""
     assert scene.load is not None
     system = scene.system
     if not isinstance(scene.compliance, AbstractCompliance) or not is_concrete((ts, system.input_speed, scene.load)):
@@ -244,19 +251,19 @@ def _are_even(ts: np.ndarray) -> bool:
 
 
 def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:
-    """Windows in samples; ``None`` where fewer than two would be left."""
+    """Windows with a warm-up in samples; ``None`` if fewer than two windows would be left."""
     number = max(1, min(windows.number, samples // 2))
     warm_up = max(1, math.ceil(windows.warm_up / spacing - 1e-9))
     return march.Windows(number, warm_up, block) if number > 1 else None
 
 
 def allowed(dtype: Any) -> float:
-    """How far windows may be apart, scaled."""
+    """Allowed difference of neighbouring windows where they meet, scaled."""
     return max(APART[0], APART[1] * float(jnp.finfo(dtype).eps))
 
 
 def advice(limits: Limits | None, method: Method, fault: int) -> str:
-    """What would be right where a step is too long."""
+    """Advice in words if a step is too long; otherwise an empty text."""
     if fault != 2 or limits is None:
         return ""
     whole = limits.whole if isinstance(method, Even) else None

@@ -1,6 +1,6 @@
 """Dynamic transmission error: the motion of the output on its contacts (`gearjax.analysis.equation`).
 
-Times come from the sample and step number.
+Times are computed from the numbers of the sample and of the step, not by adding steps.
 """
 
 import dataclasses
@@ -66,17 +66,19 @@ def simulate(
     Args:
         scene: the scene, with compliance, load and inertia.
         ts: sample times, increasing, shape (n,) [s].
-        torque: size of the load torque [N m]; positive loads the driving flanks.
-        start: ``"equilibrium"``, moving as the gaps move it, or ``"zero"``, at rest at the ideal position. The
-            smooth static form of a smooth law is within its width of the rest position of its forces, not on it.
-        settle: time after the first sample that metrics leave out [s].
-        stepper: `FixedStep`, `AdaptiveStep`, or `QuasiStatic` for no integration at all. Without, fixed steps of the
-            exponentially fitted scheme that resolve the fastest motion, a long damped record in windows side by side
-            (`chosen_steps` tells which and why); where the samples are not even, of Runge-Kutta.
+        torque: size of the load torque [N m]; a positive torque loads the driving flanks.
+        start: initial state: ``"equilibrium"``, with the velocity at which the equilibrium moves with the gaps, or
+            ``"zero"``, at rest at the ideal position. With a smooth contact law, the static position differs from the
+            one at which the forces balance, by no more than the width of the law.
+        settle: time after the first sample that the metrics leave out [s].
+        stepper: `FixedStep`, `AdaptiveStep`, or `QuasiStatic` for a motion without integration. By default fixed steps
+            that resolve the fastest motion: of the exponentially fitted scheme or of constant modes, long damped
+            records in parallel windows of time (`chosen_steps` reports the choice and its reason); for uneven samples
+            of Runge-Kutta.
 
     Returns:
-        The motion. While tracing, faults are in its ``result``; otherwise they raise. Windows that are further apart
-        than 1e-9 m where they meet are replaced by the march in one go, with a warning.
+        The motion. If the scene is traced, faults are reported in its ``result``; otherwise they raise. If windows
+        differ by more than 1e-9 m where they meet, the record is computed again in one go, with a warning.
 
     Raises:
         SceneError: the scene lacks a part, or the step does not suit it.
@@ -118,8 +120,10 @@ def simulate(
 def chosen_steps(
     scene: Scene, ts: ArrayLike, torque: ArrayLike, *, stepper: Stepper | QuasiStatic | None = None
 ) -> ChosenSteps:
-    """How `simulate` computes a motion, and why: the fast march of one coordinate where it suits, else steps of
-    constant modes, or what was given. Nothing is computed.
+    """How `simulate` would compute a motion, and why; the motion itself is not computed.
+
+    The choices are the fast march of one coordinate if it suits, otherwise steps of constant modes, or the given
+    stepper.
 
     Args:
         scene, ts, torque, stepper: as for `simulate`.
@@ -140,7 +144,7 @@ def chosen_steps(
 
 
 def _checked(scene: Scene, ts: ArrayLike, start: str) -> Array | np.ndarray:
-    """Sample times, of numpy where they are known: inside a trace an array of JAX would not stay known."""
+    """Checked sample times; a numpy array if they are known, because inside a trace a JAX array would become traced."""
     require(scene, "dynamic", "compliance", "load", "inertia")
     if start not in ("equilibrium", "zero"):
         raise SceneError(f'start = "{start}": valid: equilibrium, zero')
@@ -156,16 +160,15 @@ def _checked(scene: Scene, ts: ArrayLike, start: str) -> Array | np.ndarray:
 def growth_rate(
     scene: Scene, ts: ArrayLike, torque: ArrayLike, *, start: str = "equilibrium", stepper: FixedStep | None = None
 ) -> Scalar:
-    """Mean rate at which a small disturbance of the motion grows over a record [1/s]; negative where it dies out.
+    """Mean growth rate of a small disturbance of the motion over a record [1/s]; negative if the disturbance dies out.
 
-    The largest Lyapunov exponent, from the linearised steps of the exponentially fitted scheme, or of constant modes
-    for bodies on supports (Benettin et al. 1980).
-    Where rate times duration is large the motion is chaotic for all purposes: its samples and their gradients mean
-    nothing, and its statistics scatter.
+    It is the largest Lyapunov exponent, from the linearised steps of the exponentially fitted scheme, or of constant
+    modes for bodies on supports (Benettin et al. 1980). If rate times duration is large, the motion is chaotic for
+    practical purposes: its samples and their gradients mean nothing, and its statistics scatter.
 
     Args:
-        scene, ts, torque, start: as for `simulate`, ts evenly spaced.
-        stepper: steps of that scheme; those of `suitable_step` without.
+        scene, ts, torque, start: as for `simulate`, with evenly spaced ts.
+        stepper: steps of that scheme; by default those of `suitable_step`.
 
     Raises:
         SceneError: the scene lacks a part, or the step does not suit it.
@@ -193,12 +196,12 @@ def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: ma
 
 
 def _steps(equation: StructureEquation, ts: Array, spacing: modes.Spacing) -> Steps:
-    """Even steps of a record."""
+    """Constant-mode steps of a record."""
     return Steps.of(equation, ts[0], (ts[-1] - ts[0]) / ((ts.shape[0] - 1) * spacing.each))
 
 
 def _begin(equation: Equation, ts: Array, start: str, spacing: march.Spacing) -> tuple[Forcing, tuple, Array]:
-    """What drives the even steps of a record, where they begin, and whether there is an equilibrium to begin from."""
+    """Forcing of the even steps of a record, the initial state, and whether an equilibrium exists to start from."""
     step = (ts[-1] - ts[0]) / ((spacing.samples - 1) * spacing.each)
     forcing = Forcing.of(Oscillator(equation, step), ts[0])
     state = None if start == "equilibrium" else equation.initial(ts[0], start)
@@ -228,7 +231,7 @@ def _simulate(scene: Scene, ts: Array, torque: Array, settle: Array, start: str,
 
 
 def _followed(equation: Equation, ts: Array, settle: Array, method: QuasiStatic) -> Motion:
-    """By following the quasi-static position; extremes are those of the samples."""
+    """A motion that follows the quasi-static position; its extremes are those of the samples."""
     place, speed = follow(equation, ts, method)
     forces = jax.vmap(equation.forces)(ts, place)
     failed = jnp.where(jnp.isfinite(place[0]), 0, 4)
@@ -236,7 +239,7 @@ def _followed(equation: Equation, ts: Array, settle: Array, method: QuasiStatic)
 
 
 def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str, method: Modes) -> Motion:
-    """By constant modes."""
+    """A motion computed by steps of constant modes."""
     state = equation.initial(ts[0], start)
     there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
@@ -252,7 +255,7 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
 
 
 def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
-    """By the exponentially fitted scheme."""
+    """A motion computed by the exponentially fitted scheme."""
     forcing, carry, there = _begin(equation, ts, start, method.spacing)
     begun, step = ts[0], forcing.oscillator.step
     spacing = step * method.spacing.each
@@ -263,7 +266,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
     def by(spacing: march.Spacing) -> march.March:
         record = march.march(forcing, begun, carry, spacing)
         load = equation.scene.load
-        growing = load is not None and load.alternates  # what else makes disturbances grow is not known
+        growing = load is not None and load.alternates  # other causes of growing disturbances are not known
         return watch(record, forcing, begun, carry, spacing) if growing else record
 
     def in_one_go() -> march.March:

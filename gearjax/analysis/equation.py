@@ -2,9 +2,9 @@
 
     M q'' + sum_i J_i (k_i(t) penetration(overlap_i) + c_i overlap_i') = -T(t) - M phi''
 
-(consistent form of Wang et al. 2020, eq. 19; the printed one has wrong signs). phi is the ideal output angle: where it
-turns evenly, nothing is left of it. Position is scaled by `LENGTH_SCALE` on
-the line of action, time by the highest natural frequency.
+(consistent form of Wang et al. 2020, eq. 19; the printed equation has wrong signs). phi is the ideal output angle; if
+the output turns evenly, its term vanishes. Position is scaled by `LENGTH_SCALE` on the line of action, time by the
+highest natural frequency.
 """
 
 from typing import NamedTuple
@@ -22,14 +22,14 @@ LENGTH_SCALE = 1e-5  # m on the line of action
 
 
 class Instant(NamedTuple):
-    """What the system shows at one time, and its rate where it counts; errors change neither."""
+    """Pose of the system at one time, and its rate if it is needed; errors change neither."""
 
     pose: Pose
     rate: Pose | None
 
 
 class Gaps(eqx.Module):
-    """Levers and gaps of the contacts at one time, and their rates; ``None`` where they do not count."""
+    """Levers and gaps of the contacts at one time, and their rates; a rate that is not needed is ``None``."""
 
     lever: Array
     gap: Array
@@ -38,7 +38,7 @@ class Gaps(eqx.Module):
 
 
 class Excitation(eqx.Module):
-    """What drives the motion at one time: everything but the output's own position."""
+    """Excitation of the motion at one time: everything in the equation except the state of the output."""
 
     gaps: Gaps
     stiffness: Array
@@ -49,14 +49,14 @@ class Equation(eqx.Module):
     """The scaled equation of motion of one scene under one torque.
 
     Args:
-        scene: with its start worked out.
-        torque: size of the load [N m].
-        frequency: highest natural frequency, all pairs in contact at their peak stiffness [rad/s]; scales time.
+        scene: the scene, `Scene.anchored`.
+        torque: size of the load torque [N m].
+        frequency: highest natural frequency, with all pairs in contact at their peak stiffness [rad/s]; scales time.
         scale: position per scaled position [rad].
-        inertia: moment of inertia on the output's axis; constant, as a body's is, where levers turn too [kg m2].
-        mass: the same on the line of action, that the damping counts with [kg].
+        inertia: moment of inertia about the output's axis [kg m2]; constant, even if the levers change over time.
+        mass: equivalent mass on the line of action, from which the damping is computed [kg].
         levers_turn: whether the levers change over time.
-        turns_evenly: whether the ideal output does.
+        turns_evenly: whether the ideal output turns evenly.
         layout: sides and pairs of the contacts.
     """
 
@@ -92,7 +92,7 @@ class Equation(eqx.Module):
         return self.scene.load.alternates or not self.turns_evenly
 
     def torque_at(self, time: Scalar) -> Scalar:
-        """Load torque, and what the ideal output takes to accelerate [N m]."""
+        """Load torque plus the torque that accelerates the ideal output [N m]."""
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
         torque = self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
@@ -107,7 +107,7 @@ class Equation(eqx.Module):
         return contacts.lever, contacts.linear
 
     def instant(self, time: Scalar, moving: bool = False) -> Instant:
-        """What the system shows at a time [s], and its rate where dampers count it or ``moving`` asks for it."""
+        """Pose of the system at a time [s], with its rate if dampers need it or ``moving`` asks for it."""
 
         def pose(time: Scalar) -> Pose:
             return self.scene.pose(self.scene.system.input_speed * time)
@@ -155,7 +155,7 @@ class Equation(eqx.Module):
             closed = scene.contact.closed(overlap)
             first, *others = self.layout.flanks
             engaged = closed[first]
-            for flank in others:  # one damper per pair, while any of its flanks is in contact
+            for flank in others:  # each pair has one damper, which acts while any of its flanks is in contact
                 engaged = 1.0 - (1.0 - engaged) * (1.0 - closed[flank])
             engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged
             net = net - (gaps.lever[first] * coefficient * engaged * speed[first]).sum()
@@ -171,22 +171,22 @@ class Equation(eqx.Module):
         return jnp.stack([state[1], acceleration / (self.scale * self.frequency**2)])
 
     def equilibrium(self, lever: Array, gap: Array, stiffness: Array, torque: Scalar) -> Scalar:
-        """Position where the contacts balance a load [rad]; arguments as for `following`."""
+        """Position at which the contacts balance a load [rad]; arguments as for `following`."""
         contacts = ContactSet(lever[:, None], gap, LinearSprings(stiffness), self.layout)
         return equilibrium(contacts, -torque, self.scene.contact).position
 
     def resting(self, time: Scalar, stiffness: Float[Array, " contact"], torque: Scalar) -> Scalar:
-        """Static equilibrium at a time [s] under a stiffness [N/m] and a load [N m]: position [rad]."""
+        """Position of the static equilibrium at a time [s], with a given stiffness [N/m] and load [N m] [rad]."""
         now = self.scene.contacts(self.scene.system.input_speed * time)
         return self.equilibrium(now.lever, now.gap, stiffness, torque)
 
     def following(self, now: Gaps, stiffness: Float[Array, " contact"], torque: Scalar) -> Float[Array, "2"]:
-        """Scaled position and velocity of the static equilibrium, moving as the gaps move it.
+        """Scaled position of the static equilibrium, and scaled velocity at which it moves with the gaps.
 
         Args:
             now: levers and gaps, with their rates.
-            stiffness: of each contact [N/m].
-            torque: [N m].
+            stiffness: stiffness of each contact [N/m].
+            torque: load torque [N m].
         """
         assert now.gap_rate is not None
         turning = jnp.zeros_like(now.lever) if now.lever_rate is None else now.lever_rate
@@ -205,14 +205,14 @@ class Equation(eqx.Module):
         return self.following(now, self.springs(time)[1], self.torque_at(time))
 
     def per_step(self, step: Scalar) -> Float[Array, "2"]:
-        """From scaled position and velocity to position and velocity times step."""
+        """Factors from scaled position and scaled velocity to scaled position and its change per step."""
         return jnp.stack([jnp.ones_like(step), self.frequency * step])
 
     def fastest_rate(self) -> Scalar:
         """Fastest rate of a scene, which a step has to resolve [rad/s].
 
-        The largest of the highest natural frequency, the decay rate of all dampers together, the highest harmonic of
-        the stiffness, the load and the bodies.
+        It is the largest of these: the highest natural frequency, the decay rate of all dampers together, and the rates
+        of the highest harmonic of the stiffness, of the load and of the bodies.
         """
         scene = self.scene
         assert scene.load is not None
@@ -231,12 +231,12 @@ class Equation(eqx.Module):
 
 
 def turning_rate(scene: Scene) -> Scalar:
-    """Fastest rate of the turning bodies, which the gaps follow [rad/s]."""
+    """Angular frequency of the fastest body, which the gaps follow [rad/s]."""
     return jnp.asarray(scene.system.fastest_order, scene.dtype) * jnp.abs(scene.system.input_speed)
 
 
 def slowest_decay(equation: Equation) -> Scalar:
-    """Rate at which a motion forgets its start while one pair is in contact [1/s]; 0 undamped."""
+    """Decay rate of a free motion while one pair is in contact [1/s]; 0 without damping."""
     scene = equation.scene
     if scene.damping is None or scene.inertia is None or scene.compliance is None:
         return jnp.zeros((), scene.dtype)

@@ -9,11 +9,11 @@ from gearjax.typing import Array, Float, Scalar
 
 
 class QuasiStatic(eqx.Module):
-    """The cheapest stand-in for a motion: equilibrium at each time under the stiffness and load of that time.
+    """The cheapest approximation of a motion: equilibrium at each time under the stiffness and load of that time.
 
     Args:
-        inertia: whether to add the first correction, ``-(M q'' + d q') / k`` of the following output; it holds where
-            everything is slow against the natural frequency.
+        inertia: whether to add the first correction for inertia and damping, ``-(M q'' + d q') / k``. It is valid if
+            the whole excitation is slow compared with the natural frequency.
     """
 
     inertia: bool = eqx.field(static=True, default=True)
@@ -32,7 +32,7 @@ def follow(equation: Equation, ts: Float[Array, " n"], method: QuasiStatic) -> t
         if not method.inertia:
             return rate(time)
         (place, velocity), (_, acceleration) = jax.jvp(rate, (time,), (jnp.ones_like(time),))
-        # what the equation of motion lacks at the followed position, over the stiffness there
+        # the correction is the residual of the equation of motion at this position, over the stiffness
         now = equation.excitation(time)
         missing = acceleration - equation.acceleration(now, place, velocity)
         closed = equation.scene.contact.closed(now.gaps.lever * place - now.gaps.gap)

@@ -1,4 +1,4 @@
-"""How fast a disturbance of a motion grows, which tells whether single samples and their gradients mean anything."""
+"""Growth rate of a disturbance of a motion: if it is high, single samples and their gradients mean nothing."""
 
 import dataclasses
 import math
@@ -13,15 +13,15 @@ from gearjax.analysis.fast import march
 from gearjax.analysis.fast.signals import Forcing
 from gearjax.typing import Array, Scalar
 
-MOST_STEPS = 2048  # that a disturbance is followed before it is made small again
+MOST_STEPS = 2048  # steps after which the disturbance is scaled back to its first size
 LOST = math.log(1e6)  # growth over a record after which gradients of its samples mean nothing
 
 
 def growth(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing) -> Scalar:
-    """Mean rate at which a small disturbance grows after the first part of a record [1/s]; negative where it dies out.
+    """Mean growth rate of a small disturbance after the first part of a record [1/s]; negative if it dies out.
 
-    The largest Lyapunov exponent, from the linearised steps of the motion (Benettin et al. 1980), its sizes measured
-    as position and velocity over the natural frequency.
+    It is the largest Lyapunov exponent, from the linearised steps of the motion (Benettin et al. 1980). The size of the
+    disturbance is measured in position and in velocity over the natural frequency.
 
     Args:
         forcing, start, carry, spacing: as for `gearjax.analysis.fast.march.march`.
@@ -37,7 +37,7 @@ def growth(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacin
         nodes = march.nodes_of(forcing, begun, part)
         state, way = jax.jvp(lambda *state: march.run_blocks(forcing, begun, state, part, nodes)[0], state, way)
         size = jnp.sqrt(way[0] ** 2 + (way[1] * velocity) ** 2)
-        nothing = size == 0  # it died out within one part
+        nothing = size == 0  # the disturbance died out within one part
         safe = jnp.where(nothing, 1.0, size)
         kept = tuple(jnp.where(nothing, fresh, one / safe) for fresh, one in zip(seed, way, strict=True))
         return (state, kept), jnp.log(jnp.where(nothing, jnp.finfo(size.dtype).tiny, size))
@@ -49,8 +49,10 @@ def growth(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacin
 
 
 def growth_in_modes(steps: modes.Steps, place: Array, speed: Array, spacing: modes.Spacing) -> Scalar:
-    """The same of bodies on supports, from their coordinates and velocities; arguments as for
-    `gearjax.analysis.modes.march`. Sizes are measured in all coordinates and velocities, scaled."""
+    """`growth` for bodies on supports, from their coordinates and velocities; arguments as for `modes.march`.
+
+    The size of the disturbance is measured in all scaled coordinates and velocities.
+    """
     parts = max(1, spacing.samples * spacing.each // MOST_STEPS)
     part = spacing._replace(samples=1 + max(1, (spacing.samples - 1) // parts))
     length = (part.samples - 1) * spacing.each * steps.step
@@ -75,8 +77,7 @@ def growth_in_modes(steps: modes.Steps, place: Array, speed: Array, spacing: mod
 def watch(
     record: march.March, forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: march.Spacing
 ) -> march.March:
-    """The same march, which warns when it is differentiated although disturbances of it grow; arguments as for
-    `growth`."""
+    """The same march, with a warning if it is differentiated while its disturbances grow; arguments as for `growth`."""
 
     @jax.custom_jvp
     def same(record: march.March, given: tuple) -> march.March:

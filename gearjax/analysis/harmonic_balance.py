@@ -1,6 +1,8 @@
-"""Periodic response as a Fourier series: harmonic balance, on what the contacts see of a structure.
+"""Periodic response as a Fourier series: harmonic balance.
 
-It solves for a root, by Newton's method of optimistix, and is differentiated by the implicit function theorem.
+The unknowns are Fourier coefficients of the output, or of the approaches at the contacts of a structure
+(`gearjax.analysis.modes.lines`). Newton's method of optimistix finds them, and the implicit function theorem gives
+their derivatives.
 """
 
 from typing import NamedTuple
@@ -32,17 +34,17 @@ def harmonic_balance(
     guess: ArrayLike | None = None,
     max_steps: int = 60,
 ) -> Periodic:
-    """The motion that repeats after a period as a Fourier series, forces by alternating between time and frequency.
+    """Motion that repeats after a period, as a Fourier series; the contact forces are evaluated in time.
 
     Args:
         scene: the scene, with compliance, load and inertia.
         torque: size of the load torque [N m].
         period: common period of everything that drives it [s].
-        harmonics: of the series.
-        samples: of the period at which forces are evaluated; 16 per harmonic without.
-        guess: transmission error over the period to start from, shape (n,) [rad]; of bodies on supports all
-            coordinates, shape (n, coordinate) [rad, m]. The static one without.
-        max_steps: of Newton's method.
+        harmonics: number of harmonics of the series.
+        samples: number of times per period at which forces are evaluated; by default 16 per harmonic.
+        guess: transmission error over the period as initial guess, shape (n,) [rad]; for bodies on supports all
+            coordinates, shape (n, coordinate) [rad, m]. By default the static equilibrium.
+        max_steps: largest number of steps of Newton's method.
 
     Raises:
         SceneError: the scene lacks a part, or there are too few samples.
@@ -65,13 +67,14 @@ def harmonic_balance(
 
 
 class Series(NamedTuple):
-    """A Fourier series at even places of its period: a mean, cosines, sines.
+    """A Fourier series (mean, cosines, sines) and the even places of its period at which it is evaluated.
 
     Args:
-        places: parts of the period, shape (n,).
-        values, rates: of each function and its derivative by the angle over its order, shape (n, function).
-        orders: of the functions, shape (function,).
-        weights: of the places in each coefficient, shape (function, n).
+        places: places as fractions of the period, shape (n,).
+        values: value of each function at each place, shape (n, function).
+        rates: derivative of each function with respect to its angle (order times phase), shape (n, function).
+        orders: orders of the functions, shape (function,).
+        weights: weights of the values at the places in each coefficient, shape (function, n).
     """
 
     places: Array
@@ -82,7 +85,7 @@ class Series(NamedTuple):
 
     @classmethod
     def of(cls, harmonics: int, samples: int, dtype: jnp.dtype) -> "Series":
-        """A series of some harmonics at some places."""
+        """A series with a number of harmonics, at a number of places."""
         places, order = np.arange(samples) / samples, np.arange(1, harmonics + 1)
         angle = 2 * np.pi * places[:, None] * order[None, :]
         values = np.concatenate([np.ones((samples, 1)), np.cos(angle), np.sin(angle)], axis=1)
@@ -93,7 +96,7 @@ class Series(NamedTuple):
 
     @property
     def harmonics(self) -> int:
-        """How many."""
+        """Number of harmonics."""
         return len(self.orders) // 2
 
     def apart(self, numbers: Float[Array, "function column"]) -> tuple[Array, Array, Array]:
@@ -107,13 +110,13 @@ class Series(NamedTuple):
 
 
 class OfOutput:
-    """Coefficients of the output alone, shape (function, 1), and what its equation of motion lacks."""
+    """Harmonic balance of a scene whose output alone moves: unknowns are its coefficients, shape (function, 1)."""
 
     def __init__(self, problem: Problem, series: Series):
         self.equation, self.series, self.period = Equation.of(problem.scene, problem.torque), series, problem.period
 
     def seen(self, place: Float[Array, "n 1"]) -> Float[Array, "n 1"]:
-        """The curves that are searched for, scaled, of the coordinates."""
+        """The scaled unknown curves, from the coordinates over time."""
         return place / self.equation.scale
 
     def resting(self) -> Float[Array, " 1"]:
@@ -122,11 +125,11 @@ class OfOutput:
 
     @property
     def scale(self) -> Float[Array, " 1"]:
-        """Coordinates per scaled ones."""
+        """Coordinates per scaled coordinate."""
         return self.equation.scale[None]
 
     def lacking(self, numbers: Float[Array, "function 1"]) -> Float[Array, "function 1"]:
-        """What the equation of motion lacks, as the static displacement that it makes."""
+        """Residual of the equation of motion, as the static displacement that it would cause."""
         equation = self.equation
 
         def at(time: Scalar, place: Array, speed: Array, acceleration: Array) -> Array:
@@ -143,11 +146,11 @@ class OfOutput:
 
 
 class OfStructure:
-    """Coefficients of what the contacts see of a structure (`modes.Lines`), shape (function, line).
+    """Harmonic balance of bodies on supports: unknowns are coefficients of lines (`modes.Lines`).
 
-    Where levers stand still that is their own approach, whatever moves behind them: with the dynamic stiffness
-    ``Z = K + i w C - w^2 M`` of each harmonic, mean springs of the contacts included, what is seen answers the inputs
-    by the receptance ``L Z^-1 G``.
+    The coefficients have shape (function, line). If levers are constant, a line is the approach of one contact, however
+    many coordinates move behind it. The dynamic stiffness of each harmonic, including mean springs of the contacts, is
+    ``Z = K + i w C - w^2 M``. The lines respond to the inputs by the receptance ``L Z^-1 G``.
     """
 
     def __init__(self, problem: Problem, series: Series):
@@ -160,20 +163,20 @@ class OfStructure:
 
     @property
     def scale(self) -> Float[Array, " coordinate"]:
-        """Coordinates per scaled ones [rad, m]."""
+        """Coordinates per scaled coordinate [rad, m]."""
         return self.equation.scale
 
     def seen(self, place: Float[Array, "n coordinate"]) -> Float[Array, "n line"]:
-        """The curves that are searched for, scaled, of the coordinates."""
+        """The scaled unknown curves of the lines, from the coordinates over time."""
         return place @ self.lines.seen.T / self.size[None]
 
     def resting(self) -> Float[Array, " line"]:
-        """What is seen of the static equilibrium, scaled."""
+        """Scaled lines of the static equilibrium."""
         place = self.equation.initial(jnp.zeros_like(self.period), "equilibrium")[0] * self.scale
         return self.seen(place[None])[0]
 
     def _answers(self) -> Complex[Array, "harmonic coordinate input"]:
-        """Complex displacement of the coordinates per input of the lines, ``Z^-1 G``, of each harmonic and the mean."""
+        """Complex displacement of the coordinates per input of the lines, ``Z^-1 G``, of the mean and each harmonic."""
         lines, parts, size = self.lines, self.equation.structure, self.scale
         stiffness, damping = lines.whole
         rates = 2 * jnp.pi / self.period * jnp.arange(self.series.harmonics + 1).astype(size.dtype)
@@ -188,7 +191,7 @@ class OfStructure:
         return jax.vmap(of)(rates)
 
     def _inputs(self, numbers: Float[Array, "function line"]) -> Float[Array, "function input"]:
-        """Coefficients of the inputs that curves lead to."""
+        """Coefficients of the inputs (forces) that follow from the curves."""
         lines = self.lines
         seen, rate, _ = self.series.motion(numbers * self.size[None], self.period)
 
@@ -199,11 +202,11 @@ class OfStructure:
         return self.series.weights @ jax.vmap(at)(self.series.places * self.period, seen, rate)
 
     def lacking(self, numbers: Float[Array, "function line"]) -> Float[Array, "function line"]:
-        """How far curves are from what they lead to."""
+        """Residual: the curves that follow from the inputs, minus the given curves."""
         return self.coordinates(numbers) @ self.lines.seen.T / self.size[None] - numbers
 
     def coordinates(self, numbers: Float[Array, "function line"]) -> Float[Array, "function coordinate"]:
-        """Coefficients of the coordinates that what is seen leads to [rad, m]."""
+        """Coefficients of the coordinates that follow from the curves [rad, m]."""
         mean, cosine, sine = self.series.apart(self._inputs(numbers))
         waves = jax.lax.complex(cosine, -sine)
         amplitudes = jnp.einsum("hci,hi->hc", self.answers[1:], waves)
@@ -228,7 +231,7 @@ def _harmonic_balance(problem: Problem, harmonics: int, samples: int, guess: Arr
     solver, start = optimistix.Newton(rtol=1e-10, atol=1e-10), series.weights @ curve
 
     def left(numbers: Array, problem: Problem) -> Array:
-        """Coefficients of what the equation of motion lacks."""
+        """Coefficients of the residual."""
         return _posed(problem, series).lacking(numbers)
 
     numbers = optimistix.root_find(left, solver, start, problem, max_steps=max_steps, throw=False).value

@@ -1,4 +1,4 @@
-"""Solvers of diffrax on the equation of motion: even steps of any of them, and its own adaptive loop."""
+"""Integration of the equation of motion by diffrax: even steps of any of its solvers, and its adaptive loop."""
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -13,20 +13,20 @@ from gearjax.analysis.motion import Motion
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, highest_between
 from gearjax.typing import Array, Float, Scalar
 
-MOST_ROWS = 256  # steps whose excitation is tabulated at once
+MOST_ROWS = 256  # largest number of steps whose excitation is tabulated at once
 
 
 @runtime_checkable
 class Motive(Protocol):
-    """An equation of motion: what drives it, and its rates."""
+    """Interface of an equation of motion: its excitation and its rates."""
 
     @property
     def frequency(self) -> Scalar:
-        """That scales time [rad/s]."""
+        """Angular frequency that scales time [rad/s]."""
         ...
 
     def excitation(self, time: Scalar) -> Any:
-        """All but the state, at a time [s]."""
+        """Everything except the state that the rates depend on, at a time [s]."""
         ...
 
     def rate(self, now: Any, state: Array) -> Array:
@@ -72,12 +72,12 @@ def recorded(
     """A motion from its records, each of the output, shape (n,), or of all coordinates, shape (n, coordinate).
 
     Args:
-        equation: of motion.
+        equation: equation of motion.
         ts: sample times [s].
         states: coordinates and velocities [rad, m].
-        extremes: highest and lowest up to each sample.
-        forces: of the contacts, shape (n, contact) [N].
-        settle: time that metrics leave out [s].
+        extremes: highest and lowest values up to each sample.
+        forces: forces of the contacts, shape (n, contact) [N].
+        settle: time that the metrics leave out [s].
         failed: result code.
     """
     layout, whole = equation.layout, jnp.zeros_like(settle)
@@ -90,11 +90,11 @@ def recorded(
 
 
 def even_steps(equation: Motive, ts: Array, state: Array, solver: diffrax.AbstractSolver, steps: int):
-    """Even steps: a scan over the sample intervals, cut into parts of `MOST_ROWS` steps, and over the steps of each.
+    """Integrate by even steps: a scan over the sample intervals, cut into parts of `MOST_ROWS` steps, and their steps.
 
-    What drives the motion is tabulated for all ends and middles of the steps of an interval at once (vectorised,
-    and out of the sequential loop); within a step it is interpolated, exactly so at the nodes of Runge-Kutta.
-    A step runs over the time 0 to 1.
+    The excitation is tabulated at once for all ends and middles of the steps of a part (vectorised, outside of the
+    sequential loop). Within a step it is interpolated, which is exact at the nodes of Runge-Kutta. The time within a
+    step runs from 0 to 1.
     """
 
     now, unpack = ravel_pytree(equation.excitation(ts[0]))
@@ -125,7 +125,7 @@ def even_steps(equation: Motive, ts: Array, state: Array, solver: diffrax.Abstra
         state, memory = carry
         firsts = jnp.arange(steps) == 0
         start = (state, memory, state[0], state[0])
-        # recompute each step when differentiating backwards: storing its inner values is slower and larger
+        # reverse mode computes each step again, because storing its inner values is slower and takes more memory
         carry, _ = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), start, (rows, firsts))
         state, memory, highest, lowest = carry
         return (state, memory), (state, highest, lowest)
@@ -144,7 +144,7 @@ def even_steps(equation: Motive, ts: Array, state: Array, solver: diffrax.Abstra
 
 
 def _within(rows: Float[Array, "3 row"], time: float | Scalar) -> Float[Array, " row"]:
-    """A row within a step, at a time from 0 to 1: the parabola through its start, middle and end."""
+    """Excitation at a time from 0 to 1 within a step: the parabola through the rows of its start, middle and end."""
     if isinstance(time, float) and time in (0.0, 0.5, 1.0):
         return rows[round(2 * time)]
     weights = 2 * (time - 0.5) * (time - 1), 4 * time * (1 - time), 2 * time * (time - 0.5)
@@ -152,7 +152,7 @@ def _within(rows: Float[Array, "3 row"], time: float | Scalar) -> Float[Array, "
 
 
 def adaptive_steps(equation: Motive, ts: Array, state: Array, stepper: AdaptiveStep):
-    """diffrax's adaptive loop; extremes are those of the samples."""
+    """Integrate by the adaptive loop of diffrax; extremes are those of the samples."""
 
     def field(tau, state, origin):
         return equation.rate(equation.excitation(origin + tau / equation.frequency), state)

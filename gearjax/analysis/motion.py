@@ -1,4 +1,4 @@
-"""The result of a simulation, and its metrics."""
+"""Result of a simulation, with its metrics."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,16 +14,16 @@ class Motion(eqx.Module):
     Args:
         ts: sample times, shape (n,) [s].
         te: transmission error, positive when the output leads, shape (n,) [rad].
-        velocity: its rate, shape (n,) [rad/s].
+        velocity: rate of the transmission error, shape (n,) [rad/s].
         forces: elastic force of each contact in the order of the layout, shape (n, contact) [N].
-        highest, lowest: extremes of te over the steps up to each sample from the one before, shape (n,) [rad].
-        settle: time that the metrics leave out [s].
-        result: 0 good, else a key of `gearjax.analysis.dynamics.FAULTS`.
-        defect: how far windows of time were apart where they meet, 0 without windows [rad].
+        highest, lowest: extremes of te over the steps from the previous sample to each sample, shape (n,) [rad].
+        settle: time at the start of the record that the metrics leave out [s].
+        result: 0 good, otherwise a key of `gearjax.analysis.dynamics.FAULTS`.
+        defect: largest difference of neighbouring windows of time where they meet [rad]; 0 without windows.
         layout: sides and pairs of the contacts.
-        carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` where all could.
-        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any.
-        coordinates: names of what moves: the output, then those displacements.
+        carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` if all could.
+        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` if there are none.
+        coordinates: names of the coordinates: the output, then the others.
     """
 
     ts: Float[Array, " n"]
@@ -42,13 +42,13 @@ class Motion(eqx.Module):
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
-        """Displacements from the ideal motion in each of the coordinates, the output's first [rad, m]."""
+        """Displacement from the ideal motion in each coordinate, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
     @property
     def settled(self) -> Array:
-        """Which samples the metrics count, shape (n,)."""
+        """Whether the metrics include each sample, shape (n,)."""
         return self.ts >= self.ts[..., :1] + self.settle[..., None]
 
     @property
@@ -63,14 +63,16 @@ class Motion(eqx.Module):
 
     @property
     def _after(self) -> Array:
-        """Intervals that lie wholly after the settling time; the first entry is the first sample itself."""
+        """Whether the interval up to each sample lies completely after settling; first entry: the first sample."""
         settled = self.settled
         return jnp.concatenate([settled[..., :1], settled[..., :-1]], axis=-1)
 
     @property
     def bands(self) -> tuple[Float[Array, "... n"], Float[Array, "... n"]]:
-        """Highest and lowest value up to each sample, shape (n,) each [rad]; the last sample stands for what the
-        metrics leave out."""
+        """Highest and lowest value up to each sample, shape (n,) each [rad].
+
+        Samples that the metrics leave out are replaced by the last sample.
+        """
         settled, last = self.settled, self.te[..., -1:]
         high = jnp.where(self._after, self.highest, self.te)
         low = jnp.where(self._after, self.lowest, self.te)
@@ -98,7 +100,7 @@ class Motion(eqx.Module):
 
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
-        """Load of the most loaded pair over the mean load of those that could carry, shape (n,) [-]."""
+        """Load of the most loaded pair over the mean load of the pairs that could carry, shape (n,) [-]."""
         carriers = self.layout.teeth if self.carriers is None else self.carriers
         return load_sharing(self.layout, self.forces, carriers)
 
@@ -109,5 +111,5 @@ def _pick(values: Float[Array, "... n"], index: Int[Array, "..."]) -> Float[Arra
 
 
 def _mean(values: Float[Array, "... n"], counted: Array) -> Float[Array, "..."]:
-    """Mean of the counted samples."""
+    """Mean of the samples that ``counted`` marks."""
     return jnp.where(counted, values, 0.0).sum(axis=-1) / counted.sum(axis=-1).astype(values.dtype)

@@ -22,11 +22,11 @@ class NaturalModes(eqx.Module):
     """Natural frequencies and modes, slowest first.
 
     Args:
-        frequencies: of the undamped motion, shape (mode,) [Hz].
-        shapes: of the modes, over their largest part, turns counted by how far they move the contacts, shape (mode,
-            coordinate) [rad or m by the coordinate, over that of the largest].
-        damping: share of critical damping of each mode, the modes taken one by one, shape (mode,) [-].
-        coordinates: names of what moves.
+        frequencies: natural frequencies of the undamped motion, shape (mode,) [Hz].
+        shapes: mode shapes, relative to their largest component, shape (mode, coordinate) [unit of the coordinate over
+            that of the largest]. To find the largest, a rotation counts by the displacement of the contacts.
+        damping: damping ratio of each mode, without coupling between modes, shape (mode,) [-].
+        coordinates: names of the coordinates.
     """
 
     frequencies: Float[Array, " mode"]
@@ -37,18 +37,21 @@ class NaturalModes(eqx.Module):
 
 @arguments.checked()
 def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
-    """Natural frequencies and modes, with the mean stiffness of the contacts that hold a torque at input angle 0; of
-    slices of contact lines the mean of the whole mesh. Forces of cranks that turn with the velocity are left out.
+    """Natural frequencies and modes of a scene about its loaded position at input angle 0.
+
+    The stiffness is the mean stiffness of the contacts that carry the torque; for slices of contact lines it is the
+    mean of the whole mesh. Gyroscopic forces of bodies on cranks are neglected.
 
     Args:
         scene: the scene, with compliance and inertia.
-        torque: whose sign tells which flanks carry, of contacts whose levers tell also how many [N m].
+        torque: load torque [N m]; its sign decides which flanks carry. If the lever of a contact decides its side, the
+            size decides how many contacts carry.
 
     Returns:
-        The modes, differentiable in the numbers of the scene where frequencies are apart.
+        The modes, differentiable in the numbers of the scene if the frequencies are distinct.
 
     Raises:
-        SceneError: the scene lacks a part, or its springs are not linear, one by one.
+        SceneError: the scene lacks a part, or its springs are not linear and independent of each other.
 
     Example:
         >>> import gearjax as gj
@@ -68,7 +71,7 @@ def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
 def _natural_modes(scene: Scene, torque: Array) -> NaturalModes:
     equation = StructureEquation.of(scene, torque)
     stiffness, damping = Lines.of(equation, jnp.zeros_like(torque)).whole
-    scale = equation.scale  # so that turns and displacements are of one size
+    scale = equation.scale  # brings rotations and displacements to the same size
     mass, stiffness, damping = (
         part * scale[:, None] * scale[None, :] for part in (equation.structure.mass, stiffness, damping)
     )

@@ -1,4 +1,4 @@
-"""The loaded analysis of a gear set as one contact, for motion where a matrix couples its springs."""
+"""Reduction of a gear set to one contact by its loaded analysis, for motion of gear sets with coupled springs."""
 
 import dataclasses
 import math
@@ -20,17 +20,17 @@ from gearjax.scene_checks import require
 from gearjax.systems.one_contact import OneContact
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-REPEATS = 1e-6  # of the mean lag, by which the static TE may differ after a period
+REPEATS = 1e-6  # share of the mean lag by which the static TE may differ after a period
 
 
 class Reduction(eqx.Module):
-    """A gear set as one contact, made at one torque.
+    """A gear set reduced to one contact at one torque.
 
     Args:
-        scene: with the one contact, for `gearjax.simulate` and the other analyses of motion.
-        whole: the scene that it stands for.
-        torque: that it was made at [N m].
-        theta: angles of one period that it was made from, shape (n,) [rad].
+        scene: scene with the one contact, for `gearjax.simulate` and the other analyses of motion.
+        whole: scene that was reduced.
+        torque: load torque of the reduction [N m].
+        theta: input angles of one period at which the whole scene was analysed, shape (n,) [rad].
     """
 
     scene: Scene
@@ -39,8 +39,10 @@ class Reduction(eqx.Module):
     theta: Float[Array, " n"]
 
     def static(self, torque: ArrayLike) -> Float[Array, " n"]:
-        """Static TE of the one contact under a positive torque [N m], with the stiffness of each angle, shape (n,)
-        [rad]."""
+        """Static TE of the one contact under a positive torque [N m], shape (n,) [rad].
+
+        It uses the stiffness at each angle, not the mean stiffness.
+        """
         system, compliance = self.scene.system, self.scene.compliance
         assert isinstance(system, OneContact)
         assert isinstance(compliance, WaveStiffness)
@@ -50,8 +52,11 @@ class Reduction(eqx.Module):
         return -(system.gaps[0].at(phase) + pressed) / system.lever
 
     def error(self, torque: ArrayLike) -> Scalar:
-        """By how much its static TE under a positive torque [N m] differs at most from that of the whole scene [rad]:
-        at its own torque what the harmonics leave out, at others also what the number of contacts changes."""
+        """Largest difference of the static TE from that of the whole scene, under a positive torque [N m] [rad].
+
+        At the torque of the reduction it is the effect of the harmonics that are left out; at other torques also that
+        of another number of contacts.
+        """
         torque = jnp.asarray(torque, self.theta.dtype)
         return jnp.abs(self.static(torque) - _rest(self.whole, _with_end(self.theta), torque)[0][:-1]).max()
 
@@ -65,30 +70,32 @@ def one_contact(
     samples: int = 128,
     harmonics: int = 16,
 ) -> Reduction:
-    """A scene with one contact in place of all, as the loaded analysis at a torque shows them: a reduction.
+    """Reduce a scene to one contact in place of all, by its loaded analysis at one torque.
 
-    Its stiffness is the tangent stiffness of the whole scene at each angle, ``k = (dT/dq) / r^2``, and its gap is such
-    that it holds the same position under the torque, ``gap = -r q - T / (r k)``. Motion under torques about that one
-    follows, also where a matrix couples the springs of the whole scene, which `gearjax.simulate` refuses. What it
-    leaves out: contacts that come and go with the torque (`Reduction.error` measures that at other torques), and the
-    masses of bodies on supports, which follow at once. [damping] is that of as many pairs as carry on average. The back
-    flank, where [backlash] is listed, is that under the torque reversed, with the stiffness of the driving one. Statics
-    of the reduction's scene use its mean stiffness, as those of every gear set; `Reduction.static` that of each angle.
+    The stiffness of the contact is the tangent stiffness of the whole scene at each angle, ``k = (dT/dq) / r^2``. Its
+    gap is ``gap = -r q - T / (r k)``, so that it has the same position under the torque. The reduction describes motion
+    under torques near this one, also for scenes with coupled springs, which `gearjax.simulate` refuses.
+
+    It neglects contacts that open or close with the torque (`Reduction.error` gives the error at other torques), and
+    the masses of bodies on supports, which move without delay. [damping] counts as many pairs as carry on average. If
+    [backlash] is listed, the back flank has the position under the reversed torque and the stiffness of the driving
+    flank. Static analyses of the reduced scene use the mean stiffness, as for every gear set; `Reduction.static` uses
+    the stiffness at each angle.
 
     Args:
         scene: the scene, with a compliance.
-        torque: about which it moves, positive [N m].
-        period: input angle after which the static TE repeats [rad]; without, one mesh period, as without errors.
-        samples: angles of the period that are looked at.
-        harmonics: of the period that stiffness and gap keep; samples are more than twice as many.
+        torque: load torque about which the scene moves, positive [N m].
+        period: input angle after which the static TE repeats [rad]; by default one mesh period, right without errors.
+        samples: number of input angles per period at which the scene is analysed.
+        harmonics: number of harmonics of the period that stiffness and gap keep; less than half of ``samples``.
 
     Returns:
-        The reduction. Differentiable in the numbers of the scene and in the torque.
+        The reduction. It is differentiable in the numbers of the scene and in the torque.
 
     Raises:
-        SceneError: the scene lacks a compliance, or its output turns unevenly, or the torque finds no equilibrium, or
-            the TE does not repeat.
-        ParameterError: the torque is not positive, or samples are too few.
+        SceneError: the scene lacks a compliance, its output turns unevenly, there is no equilibrium under the torque,
+            or the TE does not repeat.
+        ParameterError: the torque is not positive, or there are too few samples.
 
     Example:
         >>> import gearjax as gj
@@ -126,14 +133,14 @@ def one_contact(
     parts = {name: getattr(scene, name) for name in ("load", "contact", "inertia", "run")}
     if whole.has_back:
         parts["backlash"] = InitialBacklash(jnp.zeros((), scene.dtype))
-    if scene.damping is not None:  # of each pair, whose stiffness is a part of the whole
+    if scene.damping is not None:  # the ratio is that of one pair, whose stiffness is a part of the whole
         each = dataclasses.replace(scene.damping, ratio=scene.damping.ratio * jnp.sqrt(pairs.mean()))
         parts["damping"] = each
     return Reduction(Scene(reduced, compliance=compliance, **parts), whole, torque, theta)
 
 
 def _with_end(theta: Float[Array, " n"]) -> Float[Array, " m"]:
-    """Angles of a period with its end, which tells whether it repeats: all that looks at it is one program."""
+    """Angles of a period with its end, which shows whether the TE repeats; all callers then share one program."""
     return jnp.append(theta, theta[-1] + theta[1])
 
 

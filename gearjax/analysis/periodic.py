@@ -1,7 +1,7 @@
-"""Periodic response of a scene whose excitation has one period: shooting, and sweeps over speed.
+"""Periodic response of a scene whose excitation has one period: shooting method, and sweeps over speed.
 
-Shooting solves for a root, by Newton's method of optimistix, and is differentiated by the implicit function theorem:
-the iterations leave no trace in a gradient. So is `gearjax.analysis.harmonic_balance`.
+The shooting method solves for the initial state by Newton's method of optimistix. The implicit function theorem gives
+its derivatives, so that the iterations do not enter a gradient. `gearjax.analysis.harmonic_balance` does the same.
 """
 
 import dataclasses
@@ -26,15 +26,16 @@ class Periodic(eqx.Module):
     Args:
         ts: times, shape (n,) [s]; the end of the period is left out.
         te: transmission error, shape (n,) [rad].
-        velocity: its rate, shape (n,) [rad/s].
-        multipliers: Floquet multipliers, complex, two for each coordinate, shape (2 coordinate,): the motion is stable
-            where all are within the unit circle. Without derivatives, and not a number from harmonic balance.
-        residual: what is left of the equation, relative to the motion.
-        result: 0 converged, 1 not; of `periodic_motion` 2 where it never repeats.
-        start: what ``guess`` of `shooting` is, where the period begins: shape (2,), with supports (2, coordinate).
-        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any.
-        coordinates: names of what moves: the output, then those displacements.
-        periods: after how many periods of what drives it the motion repeats.
+        velocity: rate of the transmission error, shape (n,) [rad/s].
+        multipliers: Floquet multipliers, complex, two for each coordinate, shape (2 coordinate,); the motion is stable
+            if all are inside the unit circle. They have no derivatives; harmonic balance gives nan.
+        residual: residual of the equation, relative to the motion.
+        result: 0 converged, 1 not converged; from `periodic_motion` 2 if the motion does not repeat.
+        start: state at the start of the period, in the form of ``guess`` of `shooting`: shape (2,), with supports
+            (2, coordinate).
+        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` if there are none.
+        coordinates: names of the coordinates: the output, then the others.
+        periods: number of periods of the excitation after which the motion repeats.
     """
 
     ts: Float[Array, " n"]
@@ -50,23 +51,23 @@ class Periodic(eqx.Module):
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
-        """Displacements from the ideal motion in each of the coordinates, the output's first [rad, m]."""
+        """Displacement from the ideal motion in each coordinate, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
     @property
     def stable(self) -> Array:
-        """Whether a disturbance dies out."""
+        """Whether a small disturbance of the motion dies out."""
         return (jnp.abs(self.multipliers) < 1).all()
 
     @property
     def peak_to_peak(self) -> Scalar:
-        """Highest minus lowest sample [rad]."""
+        """Highest minus lowest sample of the transmission error [rad]."""
         return self.te[jnp.argmax(self.te)] - self.te[jnp.argmin(self.te)]
 
     @property
     def std(self) -> Scalar:
-        """Root mean square of the alternating part [rad]."""
+        """Root mean square of the alternating part of the transmission error [rad]."""
         alternating = self.te - self.te.mean()
         return jnp.sqrt((alternating * alternating).mean())
 
@@ -82,21 +83,21 @@ def shooting(
     settle: int = 0,
     max_steps: int = 40,
 ) -> Periodic:
-    """The motion that repeats after a period, by Newton's method on its start.
+    """Motion that repeats after a period, by the shooting method: Newton's method on the initial state.
 
     Args:
         scene: the scene, with compliance, load and inertia.
         torque: size of the load torque [N m].
-        period: common period of everything that drives it [s].
-        steps: per period, of the exponentially fitted scheme, or of constant modes for bodies on supports; a multiple
-            of 8.
-        guess: transmission error [rad] and its rate [rad/s] to start from, shape (2,); of bodies on supports all
-            coordinates [rad, m] and their rates, shape (2, coordinate). The equilibrium without.
-        settle: periods to integrate from there before Newton's method, which a motion with impacts may need.
-        max_steps: of Newton's method.
+        period: common period of the whole excitation [s].
+        steps: steps per period, of the exponentially fitted scheme, or of constant modes for bodies on supports; a
+            multiple of 8.
+        guess: transmission error [rad] and its rate [rad/s] as initial guess, shape (2,); for bodies on supports all
+            coordinates [rad, m] and their rates, shape (2, coordinate). By default the static equilibrium.
+        settle: number of periods to integrate from the guess before Newton's method; motions with impacts may need it.
+        max_steps: largest number of steps of Newton's method.
 
     Raises:
-        SceneError: the scene lacks a part, or steps is no multiple of 8.
+        SceneError: the scene lacks a part, or ``steps`` is not a multiple of 8.
     """
     if steps < 8 or steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
@@ -114,8 +115,10 @@ def shooting(
 
 @eqx.filter_jit
 def shoot(problem: Problem, steps: int, guess: Array | None, settle: int, max_steps: int) -> Periodic:
-    """Newton's method on the start of a period; arguments as for `shooting`, the guess of shape (2, coordinate).
-    Without steps the motion is as it is from there."""
+    """Newton's method on the initial state; arguments as for `shooting`, with a guess of shape (2, coordinate).
+
+    With ``max_steps`` zero, the motion over one period from the guess is returned.
+    """
     motion = return_map(problem, steps)
     start = motion.resting() if guess is None else guess / motion.scale
     if settle:
@@ -148,14 +151,14 @@ def shoot(problem: Problem, steps: int, guess: Array | None, settle: int, max_st
 
 
 class Sweep(eqx.Module):
-    """Settled motion over a sweep of speeds, each starting where the one before ended.
+    """Settled motion over a sweep of speeds; each speed starts from the final state of the speed before.
 
     Args:
         speeds: input speeds in the order of the sweep, shape (n,) [rad/s].
-        std: root mean square of the alternating part over the last period, shape (n,) [rad].
-        peak_to_peak: of the last period, shape (n,) [rad].
-        ends: transmission error [rad] and its rate [rad/s] after it, shape (n, 2); of bodies on supports all
-            coordinates [rad, m] and their rates, shape (n, 2, coordinate).
+        std: root mean square of the alternating part of the TE over the last period, shape (n,) [rad].
+        peak_to_peak: peak-to-peak value of the TE over the last period, shape (n,) [rad].
+        ends: transmission error [rad] and its rate [rad/s] after the last period, shape (n, 2); for bodies on supports
+            all coordinates [rad, m] and their rates, shape (n, 2, coordinate).
     """
 
     speeds: Float[Array, " n"]
@@ -165,11 +168,11 @@ class Sweep(eqx.Module):
 
 
 def at_speeds(scene: Scene, speeds: ArrayLike, order: str) -> Float[Array, " n"]:
-    """Input speeds of motions that repeat with an order, checked [rad/s].
+    """Checked input speeds of motions that repeat with an order [rad/s].
 
     Raises:
         SceneError: the scene lacks a part.
-        ParameterError: no such order, or no speeds.
+        ParameterError: there is no such order, or there are no speeds.
     """
     require(scene, "dynamic", "compliance", "load", "inertia")
     speeds = jnp.asarray(speeds, scene.dtype)
@@ -184,20 +187,21 @@ def at_speeds(scene: Scene, speeds: ArrayLike, order: str) -> Float[Array, " n"]
 def speed_sweep(
     scene: Scene, torque: ArrayLike, speeds: ArrayLike, *, periods: int = 100, steps: int = 128, order: str = "mesh"
 ) -> Sweep:
-    """Settled motion at one input speed after the other: with jumps where a branch ends, and hysteresis between an
-    upward and a downward sweep.
+    """Settled motion at one input speed after the other.
+
+    The sweep shows jumps where a branch of motions ends, and hysteresis between upward and downward sweeps.
 
     Args:
-        scene: the scene, with compliance, load and inertia; everything that drives it repeats with the order.
+        scene: the scene, with compliance, load and inertia; its whole excitation must repeat with the order.
         torque: size of the load torque [N m].
         speeds: input speeds in the order of the sweep, shape (n,) [rad/s].
-        periods: computed at each speed.
-        steps: per period, as in `shooting`, a multiple of 8.
-        order: name of the order whose period counts.
+        periods: number of periods computed at each speed.
+        steps: steps per period, as in `shooting`, a multiple of 8.
+        order: name of the order that gives the period.
 
     Raises:
-        SceneError: the scene lacks a part, or steps is no multiple of 8.
-        ParameterError: no such order, or speeds that are not positive.
+        SceneError: the scene lacks a part, or ``steps`` is not a multiple of 8.
+        ParameterError: there is no such order, or a speed is not positive.
     """
     speeds = at_speeds(scene, speeds, order)
     if steps % 8:
@@ -209,7 +213,7 @@ def speed_sweep(
 
 
 def at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Problem:
-    """A period of an order at an input speed."""
+    """Problem of a periodic motion with the period of an order, at an input speed."""
     turning = eqx.tree_at(lambda s: s.system.input_speed, scene, speed)
     return Problem(turning, torque, 2 * jnp.pi / (turns * speed))
 

@@ -32,26 +32,29 @@ EXTREMES = ("between", "samples")
 class TransmissionError(eqx.Module):
     """Transmission error over input angles: output position minus ideal position, positive when the output leads.
 
-    Of a batch (`jax.vmap`) every array has the batch's axes in front, and so have the metrics.
+    In a batch (`jax.vmap`) every array has the axes of the batch first, and so have the metrics.
 
     Args:
         theta: input angles, shape (n,) [rad].
         te: transmission error, shape (n,) [rad].
-        forces: compression of each contact in the order of the layout, shape (n, contact) [N]; ``None`` without torque.
+        forces: contact force of each contact in the order of the layout, shape (n, contact) [N]; ``None`` without
+            torque.
         result: 0 found, 1 no flank can carry the torque, 2 rigid bodies interfere (`interference`), 3 the search for
-            the equilibrium did not end, shape (n,).
-        extremes: highest and lowest value over the span of theta, between samples too unless told otherwise [rad].
+            the equilibrium did not converge, shape (n,).
+        extremes: highest and lowest value over the span of theta, also between samples unless ``extremes="samples"``
+            was asked for [rad].
         layout: sides and pairs of the contacts.
-        fastest_order: turns of what the curve follows fastest per turn of the input.
+        fastest_order: order of the fastest rotation that the curve follows, in turns per turn of the input.
         carriers: number of pairs that could carry the torque, those with a flank on the loaded side, shape (n,);
             ``None`` without torque.
-        interference: of rigid bodies, where each contact touches both flanks or the gear set knows the room between
-            them, back flanks modelled or not. ``None`` under a torque that modelled back flanks carry in spite of it
-            (`gearjax.interference` tells it for every scene).
-        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without any, or torque.
-        coordinates: names of what moves: the output, then those displacements.
-        crowded: whether a candidate carries beside which others are left out, shape (n,): more would carry. ``None``
-            where all teeth are candidates, or without torque.
+        interference: overlap of the rigid bodies, if each contact touches both flanks, or if the gear set knows its
+            own clearance, whether or not back flanks are modelled. ``None`` otherwise, and under a torque if back
+            flanks are modelled; `gearjax.interference` computes it for every scene.
+        moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` without torque, or if
+            there are no other coordinates.
+        coordinates: names of the coordinates: the output, then the others.
+        crowded: whether an outermost candidate contact carries load, shape (n,); then teeth beside it, which are not
+            modelled, would carry load too. ``None`` without torque, or if all teeth are candidates.
     """
 
     theta: Float[Array, " n"]
@@ -69,7 +72,7 @@ class TransmissionError(eqx.Module):
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
-        """Displacements from the ideal motion in each of the coordinates, the output's first [rad, m]."""
+        """Displacement from the ideal motion in each coordinate, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
 
@@ -104,11 +107,11 @@ class TransmissionError(eqx.Module):
 
     @property
     def pair_forces(self) -> Float[Array, "... n pair"]:
-        """Load of each pair, the forces of its contacts added, shape (n, pair) [N].
+        """Load of each pair, the sum of the forces of its contacts, shape (n, pair) [N].
 
-        Pairs stand in the order of ``layout.pair``: of an `InvoluteRV` those of the driving flanks, of each external
-        gear after the other, then those of the back ones (`contact_name` of the system tells a contact's); of an
-        `RVCycloidal` the pins of each disc; of a `TwoKV` the planet wheels, both flanks together.
+        The pairs are in the order of ``layout.pair``. In an `InvoluteRV` these are the driving flanks of one external
+        gear after the other, then the back flanks (`contact_name` of the system names a contact). In an `RVCycloidal`
+        they are the pins of each disc, in a `TwoKV` the planet wheels with both flanks together.
         """
         if self.forces is None:
             raise SceneError("loads of pairs need a torque: transmission_error(scene, theta, torque=...)")
@@ -121,23 +124,26 @@ class TransmissionError(eqx.Module):
 
     @property
     def load_sharing(self) -> Float[Array, "... n"]:
-        """Load of the most loaded pair over the mean load of those that could carry, which have a flank on the loaded
-        side, shape (n,) [-]: 1 where they share evenly, their number where one carries all."""
+        """Load of the most loaded pair over the mean load of the pairs that could carry, shape (n,) [-].
+
+        The pairs that could carry have a flank on the loaded side. The value is 1 if they share the load evenly, and
+        their number if one pair carries all.
+        """
         if self.forces is None or self.carriers is None:
             raise SceneError("load sharing needs a torque: transmission_error(scene, theta, torque=...)")
         return load_sharing(self.layout, self.forces, self.carriers)
 
 
 class Backlash(eqx.Module):
-    """Backlash over input angles: travel of the output between its driving and its back flanks.
+    """Backlash over input angles: travel of the output between the driving and the back flanks.
 
     Args:
         theta: input angles, shape (n,) [rad].
         lower: output position at which the first driving flank touches (the no-load TE), shape (n,) [rad].
         upper: output position at which the first back flank touches, shape (n,) [rad].
-        extremes: largest and smallest backlash over the span of theta, between samples too [rad].
-        interference: of rigid bodies.
-        fastest_order: turns of what the curve follows fastest per turn of the input.
+        extremes: largest and smallest backlash over the span of theta, also between samples [rad].
+        interference: overlap of the rigid bodies.
+        fastest_order: order of the fastest rotation that the curve follows, in turns per turn of the input.
     """
 
     theta: Float[Array, " n"]
@@ -149,12 +155,12 @@ class Backlash(eqx.Module):
 
     @property
     def result(self) -> Int[Array, "... n"]:
-        """0 clear, 2 rigid bodies interfere, shape (n,)."""
+        """0 no interference, 2 rigid bodies interfere, shape (n,)."""
         return self.interference.result
 
     @property
     def backlash(self) -> Float[Array, "... n"]:
-        """Upper minus lower edge, shape (n,) [rad]; negative where both flanks are jammed."""
+        """Backlash, upper minus lower edge, shape (n,) [rad]; negative if both flanks are jammed."""
         return self.upper - self.lower
 
     @property
@@ -188,24 +194,24 @@ def transmission_error(
 ) -> TransmissionError:
     """Transmission error without load, or under a static torque.
 
-    Without torque it is the first contact to close, ``max_i(gap_i / J_i)`` over the driving flanks
-    (Wang et al. 2020, eqs. 1-8). Under torque it is the exact equilibrium of the one-sided springs with their mean
-    stiffness (eqs. 10-18).
+    Without torque the first contact to close decides: ``max_i(gap_i / J_i)`` over the driving flanks (Wang et al. 2020,
+    eqs. 1-8). Under torque it is the exact equilibrium of the one-sided springs with their mean stiffness
+    (eqs. 10-18).
 
     Args:
         scene: the scene; with ``torque`` it needs a compliance.
         theta: input angles, increasing, shape (n,) [rad].
-        torque: load torque on the output, a number or shape (n,) [N m]; positive loads the driving flanks.
-        extremes: where the highest and lowest value are looked for: ``"between"`` the samples too, or at the
-            ``"samples"`` alone, which is several times quicker where bodies give way. Without, between them, but under
-            torque at the samples where a matrix couples the springs: their derivatives take long to compile.
+        torque: load torque on the output, a number or shape (n,) [N m]; a positive torque loads the driving flanks.
+        extremes: where to search for the highest and lowest value: ``"between"`` also between samples, ``"samples"``
+            only at the samples, which is several times faster if bodies are on supports. By default between samples;
+            for coupled springs and slices under torque at the samples, as their derivatives take long to compile.
 
     Returns:
         The error at each angle and its metrics [rad].
 
     Raises:
-        SceneError: the scene lacks what the torque needs.
-        ParameterError: extremes are looked for at no such places.
+        SceneError: the scene lacks a part that the torque needs.
+        ParameterError: ``extremes`` has another value.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -228,7 +234,7 @@ def transmission_error(
 
 
 def _with_interference(scene: Scene, te: TransmissionError) -> TransmissionError:
-    """The same with what both flanks of a gear set that knows the room between them tell, by a program of its own."""
+    """The result with the interference added, if the gear set knows its clearance; this is a separate program."""
     if not (scene.system.has_clearance and scene.has_clearance):
         return te
     found = _interference(scene.physics("backlash"), te.theta)
@@ -236,18 +242,21 @@ def _with_interference(scene: Scene, te: TransmissionError) -> TransmissionError
 
 
 def _each_is_dear(scene: Scene) -> bool:
-    """Whether each equilibrium, or what it is of, takes so long that extremes are looked for at the angles alone."""
+    """Whether an equilibrium takes so long that by default extremes are searched only at the samples."""
     return isinstance(scene.compliance, AbstractSliceCompliance) or couples(scene.compliance)
 
 
 def _warn_of_few_candidates(scene: Scene, te: TransmissionError) -> None:
-    """Warn where candidates carry that others are left out beside; inside a trace nothing is known."""
+    """Warn if outermost candidates carry load, so that teeth beside them, which are left out, would too.
+
+    Inside a trace the forces are not known, and there is no warning.
+    """
     if te.crowded is None or not is_concrete(te.crowded) or not bool(te.crowded.any()):
         return
     worst = int(np.argmax(np.asarray(te.crowded)))
     ends = scene.system.outermost(te.theta[worst], Request(scene.has_back))
     assert te.forces is not None
-    assert ends is not None  # some of them carry
+    assert ends is not None  # since some of them carry load
     name = scene.system.contact_name(int(jnp.argmax(jnp.where(ends, te.forces[worst], 0.0))))
     words = f"the outermost candidates carry load at {100 * float(te.crowded.mean()):.3g} % of the angles"
     words = f"{words} ({name}, input angle {float(te.theta[worst]) / deg:.5g} deg): teeth beside them would too"
@@ -263,7 +272,7 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
         theta: input angles, increasing, shape (n,) [rad].
 
     Raises:
-        SceneError: the scene has no backlash.
+        SceneError: the scene lists no backlash.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -278,18 +287,18 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
 
 @arguments.checked()
 def interference(scene: Scene, theta: ArrayLike) -> Interference:
-    """How far rigid bodies overlap at each input angle wherever the output is: jammed teeth, pins that a disc cannot
-    clear.
+    """Least overlap of rigid bodies over all positions of the output, at each input angle.
 
-    Elastic bodies give way by that much when they are assembled, and are under preload. Without load there is no
-    position that is free of it: the no-load TE and the backlash have ``result`` 2 there.
+    A positive overlap means jammed teeth, or pins for which a disc leaves no room. Elastic bodies must deflect by the
+    overlap when they are assembled, and are then preloaded. Rigid bodies have no position free of overlap: no-load TE
+    and backlash have ``result`` 2 at such angles.
 
     Args:
-        scene: the scene, with back flanks or a gear set that knows the room between its own.
+        scene: the scene, with back flanks, or with a gear set that knows its own clearance.
         theta: input angles, increasing, shape (n,) [rad].
 
     Raises:
-        SceneError: the room between both flanks is not known.
+        SceneError: the clearance between driving and back flanks is not known.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -303,7 +312,7 @@ def interference(scene: Scene, theta: ArrayLike) -> Interference:
 
 
 def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
-    """Input angles of an analysis, checked, shape (n,) [rad]."""
+    """Checked input angles of an analysis, shape (n,) [rad]."""
     theta = jnp.asarray(theta, dtype=scene.dtype)
     if theta.ndim != 1 or theta.shape[0] == 0:
         raise SceneError(f"theta has shape {theta.shape}: give input angles of shape (n,)")
@@ -313,10 +322,10 @@ def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:
 
 
 def torque_on(scene: Scene, theta: Float[Array, " n"], torque: ArrayLike) -> Array:
-    """Load torque of an analysis, checked, a number or shape (n,) [N m].
+    """Checked load torque of an analysis, a number or shape (n,) [N m].
 
     Raises:
-        SceneError: its shape suits no angles, or it loads flanks that the scene lacks.
+        SceneError: the shape of the torque does not match the angles, or it loads flanks that the scene lacks.
     """
     torque = jnp.asarray(torque, dtype=theta.dtype)
     if torque.ndim and torque.shape != theta.shape:
@@ -329,7 +338,7 @@ def torque_on(scene: Scene, theta: Float[Array, " n"], torque: ArrayLike) -> Arr
 
 
 def no_load(scene: Scene, angle: Scalar | Pose) -> Scalar:
-    """No-load TE at one input angle or pose [rad]: the lower edge of the play."""
+    """No-load TE at one input angle or pose [rad], the lower edge of the backlash."""
     return edge(scene, angle)
 
 
@@ -357,7 +366,7 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
         return TransmissionError(theta, te, None, result, peaks, layout, fastest, None, overlap)
 
     def at(angle: Scalar, torque: Array) -> Scalar:
-        """Torque at an angle, between its samples too."""
+        """Torque at an angle; a torque over angles is interpolated between its samples."""
         return torque if torque.ndim == 0 else jnp.interp(angle, theta, torque)
 
     def under(physics: tuple[Scene, Array], angle: Scalar) -> Scalar:

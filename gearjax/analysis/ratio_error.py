@@ -1,4 +1,4 @@
-"""Errors of the ratio of a gear set, and the speed from which the inertia of an uneven output unloads its teeth."""
+"""Error of the ratio of a gear set, and the input speed above which an uneven output lifts its teeth off."""
 
 import equinox as eqx
 import jax
@@ -13,17 +13,17 @@ from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-PLACES = 2049  # over a cycle, where the ideal output slows down most is looked for, and then between them
+PLACES = 2049  # angles of a cycle at which the largest deceleration is searched, then also between them
 
 
 class RatioError(eqx.Module):
-    """Ratio of a gear set without load, speed of the output over that of the input.
+    """Ratio of a gear set without load: speed of the output over speed of the input.
 
     Args:
         theta: input angles, shape (n,) [rad].
-        ideal: of ideal bodies, shape (n,) [-].
-        error: of the actual ratio, shape (n,) [-]: the change of the transmission error with the input angle; jumps
-            where another contact takes over.
+        ideal: ratio of ideal bodies, shape (n,) [-].
+        error: actual ratio minus ideal ratio, shape (n,) [-]: the change of the transmission error with the input
+            angle. It jumps where another contact begins to carry.
     """
 
     theta: Float[Array, " n"]
@@ -37,14 +37,15 @@ class RatioError(eqx.Module):
 
     @property
     def mean(self) -> Float[Array, "..."]:
-        """Mean error of the samples [-]; zero over a whole cycle whose end is left out."""
+        """Mean error of the samples [-]; zero over a whole cycle without its last angle."""
         return self.error.mean(axis=-1)
 
 
 @arguments.checked()
 def ratio_error(scene: Scene, theta: ArrayLike) -> RatioError:
-    """Error of the ratio without load, ``i' - i`` (Dong et al. 2020, eqs. 17 and 24): the derivative of the no-load
-    transmission error by the input angle.
+    """Error of the ratio without load, ``i' - i`` (Dong et al. 2020, eqs. 17 and 24).
+
+    It is the derivative of the no-load transmission error with respect to the input angle.
 
     Args:
         scene: the scene.
@@ -77,15 +78,17 @@ def _ratio_error(scene: Scene, theta: Float[Array, " n"]) -> RatioError:
 
 @arguments.checked()
 def separation_speed(scene: Scene, torque: float | Scalar) -> Scalar:
-    """Speed of the input from which the inertia of an output that turns unevenly lifts its teeth off: there the ideal
-    motion slows down by more than the load does, ``T + I phi'' = 0``, teeth being rigid.
+    """Input speed above which the inertia of an output that turns unevenly separates its teeth.
+
+    At this speed the largest deceleration of the ideal output equals that by the load, ``T + I phi'' = 0``, for rigid
+    teeth.
 
     Args:
-        scene: with inertia, of a gear set whose ideal output turns unevenly.
-        torque: constant load torque on the output [N m]; positive presses on the driving flanks.
+        scene: scene with inertia, of a gear set whose ideal output turns unevenly.
+        torque: constant load torque on the output [N m]; a positive torque loads the driving flanks.
 
     Returns:
-        The speed [rad/s], infinite where nothing slows down; differentiable.
+        The input speed [rad/s], differentiable; infinite if the ideal output never decelerates.
 
     Raises:
         SceneError: the output turns evenly, the scene has no inertia, or the torque loads flanks that it lacks.
@@ -122,5 +125,5 @@ def _separation_speed(scene: Scene, torque: Scalar) -> Scalar:
 
     found = extremes(bend, scene, theta, jax.vmap(bend, in_axes=(None, 0))(scene, theta))
     lifts = jnp.where(torque > 0, -found.minimum, found.maximum)
-    lifting = lifts > 0  # pitch circles never do
+    lifting = lifts > 0  # never true for pitch circles, which turn evenly
     return jnp.where(lifting, jnp.sqrt(jnp.abs(torque) / (moment * jnp.where(lifting, lifts, 1.0))), jnp.inf)

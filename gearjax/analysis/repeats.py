@@ -1,7 +1,7 @@
-"""The motion that a scene settles to, after how many periods it repeats, or that it does not.
+"""The motion that a scene settles to, and the number of periods after which it repeats, if it does.
 
-Integration never has an inconsistent contact, where Newton's method from afar would: so the motion is integrated until
-it comes back to where it was, a period before or some, and Newton's method makes exact what it came back to.
+From a distant guess Newton's method may assume wrong contact states; integration never does. Therefore the motion is
+integrated until it returns to its state of one or several periods before. Newton's method then makes it exact.
 """
 
 import dataclasses
@@ -18,10 +18,10 @@ from gearjax.checks import SceneError, is_concrete
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike
 
-ROUND = 12  # periods that are integrated before the returns are looked at
-RETURNED = 1e-3  # of the motion, distance of a return from which Newton's method goes on
-NEUTRAL = 1e-6  # of multipliers beyond the unit circle
-SAME = 1e-4  # of the motion, how far Newton's method may go on from there
+ROUND = 12  # periods that are integrated before each check for a return
+RETURNED = 1e-3  # distance of a return, over the size of the motion, below which Newton's method starts
+NEUTRAL = 1e-6  # distance of multipliers outside the unit circle that counts as neutral
+SAME = 1e-4  # largest way of Newton's method from the return, over the size of the motion
 
 
 @arguments.checked(steps=arguments.whole(8), longest=arguments.whole(1), settle=arguments.whole(1))
@@ -34,26 +34,27 @@ def periodic_motion(
     longest: int = 4,
     settle: int = 240,
 ) -> Periodic:
-    """The periodic motion that a scene settles to from its equilibrium, over one period or several.
+    """Periodic motion that a scene settles to from its equilibrium, over one period or several.
 
-    A motion with impacts may repeat after two or three periods of what drives it only, or never. It is integrated from
-    where a linear structure would be periodic, until it returns; `shooting` then finds it exactly, with multipliers and
-    implicit derivatives. Unstable motions, which `shooting` may end at, are not returned.
+    A motion with impacts may repeat only after two or three periods of the excitation, or never. The motion starts from
+    the state at which a linear structure would be periodic, and is integrated until it returns. The shooting method
+    then finds it exactly, with multipliers and implicit derivatives. Unstable motions, which `shooting` may find, are
+    not returned.
 
     Args:
         scene: the scene, with compliance, load and inertia; not under `jax.jit` or `jax.vmap`.
         torque: size of the load torque [N m].
-        period: common period of everything that drives it [s].
-        steps: per period, as for `shooting`, a multiple of 8.
-        longest: periods after which it may repeat, at most.
-        settle: periods that are integrated at most, in rounds of twelve, or of ``longest`` and one more.
+        period: common period of the whole excitation [s].
+        steps: steps per period, as for `shooting`, a multiple of 8.
+        longest: largest number of periods after which the motion may repeat.
+        settle: largest number of periods to integrate, in rounds of twelve, or of ``longest`` plus one.
 
     Returns:
-        The motion over ``periods`` periods; with ``result`` 2, over the last ones, where it did not return to itself:
-        `growth_rate` tells whether it is chaotic.
+        The motion over ``periods`` periods. If the motion does not return to itself, ``result`` is 2 and the motion
+        covers the last periods; `growth_rate` then shows whether it is chaotic.
 
     Raises:
-        SceneError: the scene lacks a part, steps is no multiple of 8, the numbers are traced, or there is no
+        SceneError: the scene lacks a part, ``steps`` is not a multiple of 8, numbers are traced, or there is no
             equilibrium to start from.
 
     Example:
@@ -90,13 +91,13 @@ def periodic_motion(
 
 
 def _distance(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest distance of two scaled states, of the size of the motion."""
+    """Largest distance of two scaled states, relative to the size of the motion."""
     far, size = float(np.abs(one - other).max()), float(np.abs(one[0]).max())
     return far / size if size > 0 and np.isfinite(far) else (0.0 if far == 0 else np.inf)
 
 
 def _shot(problem: Problem, steps: int, state: Array, periods: int, search: int = 40) -> Periodic:
-    """Newton's method from a state, over some periods."""
+    """Shooting from a state over several periods; with ``search`` 0 the motion is integrated only."""
     several = problem._replace(period=problem.period * periods)
     guess = state * _scale(problem, steps)
     motion = shoot(several, periods * steps, guess, 0, search)
@@ -110,7 +111,7 @@ def _scale(problem: Problem, steps: int) -> Array:
 
 @eqx.filter_jit
 def _linear_start(problem: Problem, steps: int) -> Array:
-    """Where the motion would be periodic if what is closed at the start stayed so: one step of Newton's method."""
+    """Initial state of the motion that would be periodic if the contacts kept their initial state: one Newton step."""
     motion = return_map(problem, steps)
     begin = motion.resting()
 
@@ -126,7 +127,7 @@ def _linear_start(problem: Problem, steps: int) -> Array:
 
 @eqx.filter_jit
 def _some(problem: Problem, steps: int, state: Array, number: int) -> tuple[Array, Array]:
-    """The state after some periods, and after each of them, the first one too."""
+    """The state after a number of periods, and the states at the start and after each period."""
     motion = return_map(problem, steps)
 
     def once(state: Array, _: None) -> tuple[Array, Array]:

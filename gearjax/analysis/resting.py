@@ -1,8 +1,8 @@
-"""Where the output of a scene is held: edges of its play, equilibrium under a torque, interference.
+"""Static positions of the output: edges of its backlash, equilibrium under a torque, interference.
 
-To first order the contacts of an angle are one set of straight lines. Where a system's geometry is exact their gaps
-bend with the output's position, so that the lines are laid anew at the position found: twice, as the error of each
-round is about the square of that of the one before (0.3 um, 0.05 nm, nothing).
+To first order, the overlaps at one input angle are linear in the position of the output. With exact geometry the gaps
+are curved, so that they are linearised again at the position found. Two rounds are enough, because the error of a round
+is about the square of the error before (0.3 um, 0.05 nm, nothing).
 """
 
 from collections.abc import Callable
@@ -19,23 +19,23 @@ from gearjax.typing import Array, Float, Int, Scalar
 from gearjax.units import deg, um
 
 ROUNDS = 2
-TOUCHING = 1e-12  # m, overlap up to which bodies just touch
+TOUCHING = 1e-12  # m, largest overlap of bodies that just touch
 
 
 def tolerated(dtype: jnp.dtype) -> float:
-    """Overlap that is no more than rounding, of machines of some metres [m]: 0.5 um in float32."""
+    """Largest overlap that may be due to rounding, for machines of some metres [m]; 0.5 um in float32."""
     return max(TOUCHING, 4 * float(jnp.finfo(dtype).eps))
 
 
 class Interference(eqx.Module):
-    """Rigid bodies that overlap wherever the output is.
+    """Interference: overlap of rigid bodies that no position of the output avoids.
 
     Args:
         theta: input angles, shape (n,) [rad].
-        overlap: the least that the deepest contact overlaps by, whatever the output's position: how far the bodies
-            must give way to be assembled; negative where all are clear, shape (n,) [m].
-        contact: of the two contacts that overlap most, or are closest to it, the one of the shorter lever, shape (n,).
-        position: of the output there [rad].
+        overlap: overlap of the deepest contact, at the position of the output where it is least, shape (n,) [m]. The
+            bodies must deflect by this amount to be assembled; it is negative if all contacts can be clear.
+        contact: the contact with the shorter lever of the two that overlap most, or come closest to it, shape (n,).
+        position: position of the output with that least overlap, shape (n,) [rad].
     """
 
     theta: Float[Array, " n"]
@@ -45,12 +45,12 @@ class Interference(eqx.Module):
 
     @property
     def interferes(self) -> Array:
-        """Whether bodies overlap, beyond rounding, shape (n,)."""
+        """Whether bodies overlap by more than rounding, shape (n,)."""
         return self.overlap > tolerated(self.overlap.dtype)
 
     @property
     def result(self) -> Int[Array, "... n"]:
-        """0 clear, 2 interference, shape (n,)."""
+        """0 no interference, 2 interference, shape (n,)."""
         return jnp.where(self.interferes, 2, 0)
 
     @property
@@ -59,7 +59,7 @@ class Interference(eqx.Module):
         return jnp.argmax(self.overlap, axis=-1)
 
     def told(self, scene: Scene) -> str | None:
-        """The worst of it in words, ``None`` where all are clear."""
+        """Description of the largest overlap in words; ``None`` if there is no interference."""
         if not bool(self.interferes.any()):
             return None
         worst = int(self.worst)
@@ -71,7 +71,7 @@ class Interference(eqx.Module):
         )
 
     def as_json(self, scene: Scene) -> dict[str, Any] | None:
-        """The worst of it by name, ``None`` where all are clear."""
+        """The largest overlap as a JSON object; ``None`` if there is no interference."""
         if not bool(self.interferes.any()):
             return None
         worst = int(self.worst)
@@ -84,22 +84,22 @@ class Interference(eqx.Module):
 
 
 def edge(scene: Scene, angle: Scalar | Pose, *, derivatives: int = 1) -> Scalar:
-    """Lower edge of the play at an angle: output position at which the first driving flank touches [rad].
+    """Lower edge of the backlash at an angle: position of the output at which the first driving flank touches [rad].
 
     Args:
         scene: the scene.
-        angle: of the input [rad], or the pose there.
-        derivatives: up to which order they hold where geometry is exact; of other scenes all do.
+        angle: input angle [rad], or the pose at that angle.
+        derivatives: order up to which derivatives are right if the geometry is exact; otherwise all are right.
     """
     place = _about(_lower, scene, angle)
-    for _ in range(derivatives if scene.system.exact else 1):  # each round carries one order more
+    for _ in range(derivatives if scene.system.exact else 1):  # each round adds one order of right derivatives
         place = _lower(place, scene, angle)
-    assert place is not None  # it was worked out at least once
+    assert place is not None  # the loop runs at least once
     return place
 
 
 def edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:
-    """Both edges of the play [rad], of a scene with back flanks."""
+    """Both edges of the backlash [rad], for a scene with back flanks."""
     if scene.system.exact:
         return edge(scene, angle), _upper(_about(_upper, scene, angle), scene, angle)
     lower, upper = first_contact(scene.contacts(angle), scene.contact)
@@ -108,13 +108,13 @@ def edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:
 
 
 def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int = 1) -> Equilibrium:
-    """Equilibrium under a load torque [N m] at an angle, with the mean stiffness, by the scene's contact law.
+    """Equilibrium under a load torque at an angle, with the mean stiffness and the scene's contact law.
 
     Args:
-        scene: with a compliance.
-        angle: of the input [rad], or the pose there.
-        torque: [N m].
-        derivatives: up to which order they hold where geometry is exact; of other scenes the second ones do too.
+        scene: the scene, with a compliance.
+        angle: input angle [rad], or the pose at that angle.
+        torque: load torque [N m].
+        derivatives: order up to which derivatives are right if the geometry is exact; otherwise also second ones are.
     """
     if not scene.system.exact:
         return equilibrium(scene.contacts(angle, "mean"), -torque, scene.contact)
@@ -133,7 +133,7 @@ def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int
         forces = spring_forces(contacts, scene.contact)(contacts.lever * at - contacts.gap)
         return (contacts.lever * forces).sum(), contacts
 
-    # more steps of Newton's method, along which the levers turn too, carry the derivatives, one order each
+    # each further Newton step, in which the levers change too, adds one order of right derivatives
     position = place
     for _ in range(derivatives):
         total, slope, contacts = jax.jvp(moment, (position,), (jnp.ones_like(place),), has_aux=True)
@@ -147,8 +147,10 @@ def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int
 
 
 def resistance(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> tuple[Equilibrium, Scalar]:
-    """Equilibrium under a load torque [N m] at an angle, and the tangent torsional stiffness there, ``dT / dq`` of the
-    output against the load while the input is held [N m/rad]; nan where there is no equilibrium."""
+    """Equilibrium under a load torque [N m] at an angle, and the tangent torsional stiffness [N m/rad].
+
+    The tangent stiffness is ``dT / dq`` of the output while the input is held; nan if there is no equilibrium.
+    """
 
     def position(load: Scalar) -> tuple[Scalar, Equilibrium]:
         balanced = rest(scene, angle, load, derivatives=2)
@@ -165,7 +167,7 @@ def carriers(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Int[Array, "
 
 
 def clash(scene: Scene, angle: Scalar | Pose) -> Overlap:
-    """Least overlap of the rigid bodies at an angle, of a scene with back flanks."""
+    """Least overlap of the rigid bodies at an angle, for a scene with back flanks."""
     return least_overlap(scene.contacts(angle, position=_about(_deepest, scene, angle)))
 
 
@@ -187,8 +189,10 @@ def _deepest(at: Place, scene: Scene, angle: Scalar | Pose) -> Scalar:
 
 
 def _about(position: Callable[..., Scalar], scene: Scene, *rest: Any) -> Place:
-    """The position about which straight contacts give that position, ``None`` where they are straight anyway; it takes
-    no part in derivatives."""
+    """Position at which contacts linearised there give the same position; ``None`` if the contacts are linear anyway.
+
+    It has no derivatives.
+    """
     if not scene.system.exact:
         return None
     frozen = jax.lax.stop_gradient((scene, *rest))

@@ -1,8 +1,8 @@
-"""Where a motion is after a period: of an output that moves alone, and of bodies on supports, by their own steps.
+"""Return maps (Poincare maps) over one period: for an output that moves alone, and for bodies on supports.
 
-Both maps take the scaled state at the start of a period, shape (2, coordinate), to that at its end. ``scale`` are the
-coordinates [rad, m] and velocities [rad/s, m/s] per scaled ones; ``resting`` is the state at the static equilibrium,
-moving as the gaps move it, nan where there is none; ``course`` tells the motion in between.
+Both maps take the scaled state at the start of a period, shape (2, coordinate), to the state at its end. ``scale`` are
+the coordinates [rad, m] and velocities [rad/s, m/s] per scaled one. ``resting`` is the state of the static equilibrium,
+with the velocity at which it moves with the gaps, or nan if there is none. ``course`` is the motion over the period.
 """
 
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 
 class Problem(NamedTuple):
-    """What a periodic motion depends on: a scene, the size of its load torque [N m], the period [s]."""
+    """Data of a periodic motion: a scene, the size of its load torque [N m], the period [s]."""
 
     scene: Scene
     torque: Scalar
@@ -35,7 +35,7 @@ class Problem(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, torque: ArrayLike, period: ArrayLike) -> "Problem":
-        """The arguments of a user, checked."""
+        """The problem, from checked arguments of a user."""
         require(scene, "dynamic", "compliance", "load", "inertia")
         physics, dtype = scene.physics(*MODELLED), scene.dtype
         return cls(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
@@ -45,7 +45,7 @@ class Course(NamedTuple):
     """A motion over a period.
 
     Args:
-        states: scaled coordinates and velocities at the ends of the steps, the start first, shape
+        states: scaled coordinates and velocities at the start and at the end of each step, shape
             (step + 1, 2, coordinate).
         highest, lowest: extremes of the scaled output over the steps, shape (n,).
     """
@@ -56,12 +56,12 @@ class Course(NamedTuple):
 
 
 class OfOutput(eqx.Module):
-    """By the exponentially fitted scheme; velocities are per step.
+    """Return map of an output that moves alone, by the exponentially fitted scheme; velocities are per step.
 
     Args:
-        forcing: what drives the steps.
-        nodes: what changes of it in the period.
-        spacing: of the steps.
+        forcing: signals that drive the steps.
+        nodes: values of the slow signals at the nodes of the period.
+        spacing: spacing of the steps.
     """
 
     forcing: Forcing
@@ -70,7 +70,7 @@ class OfOutput(eqx.Module):
 
     @classmethod
     def of(cls, problem: Problem, steps: int) -> "OfOutput":
-        """Of a period that is cut into some steps."""
+        """The map over a period with a number of steps."""
         equation, start = Equation.of(problem.scene, problem.torque), jnp.zeros_like(problem.period)
         forcing = Forcing.of(Oscillator(equation, problem.period / steps), start)
         block = march.Block(max(steps // 8, 8), MOST_NODES)
@@ -103,11 +103,11 @@ class OfOutput(eqx.Module):
 
 
 class OfStructure(eqx.Module):
-    """By steps of constant modes.
+    """Return map of bodies on supports, by steps of constant modes.
 
     Args:
-        even: those of a period.
-        table: what drives the motion at the end of each.
+        even: steps of a period.
+        table: excitation at the end of each step.
     """
 
     even: Steps
@@ -115,7 +115,7 @@ class OfStructure(eqx.Module):
 
     @classmethod
     def of(cls, problem: Problem, steps: int) -> "OfStructure":
-        """Of a period that is cut into some steps."""
+        """The map over a period with a number of steps."""
         equation = StructureEquation.of(problem.scene, problem.torque)
         even = Steps.of(equation, jnp.zeros_like(problem.period), problem.period / steps)
         ends = jnp.arange(1, steps + 1).astype(even.step.dtype) * even.step
@@ -148,12 +148,12 @@ class OfStructure(eqx.Module):
 
 
 def return_map(problem: Problem, steps: int) -> OfOutput | OfStructure:
-    """The map that suits a scene, worked out once: it is part of a program several times."""
+    """The map that suits a scene; its tables are computed once, although a program uses the map several times."""
     return (OfOutput if problem.scene.springs_apart else OfStructure).of(problem, steps)
 
 
 def eigenvalues(matrix: Float[Array, "state state"]) -> Array:
-    """Complex, shape (state,). Of two by two matrices in closed form, on any device."""
+    """Complex eigenvalues, shape (state,); those of a 2 x 2 matrix in closed form, which works on any device."""
     if len(matrix) > 2:
         return jnp.linalg.eigvals(matrix)
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])

@@ -1,8 +1,8 @@
 """Time steppers for the equation of motion.
 
-`FixedStep` is the default: it batches without waiting and its gradients are exact in both modes. It runs a solver's
-step under ``lax.scan``, because the adjoints of ``diffeqsolve`` cost hundreds of primal solves on these long records.
-`AdaptiveStep` is diffrax's own adaptive loop: the yardstick for accuracy, for single scenes.
+`FixedStep` is the default: in a batch no scene waits for another, and its gradients are exact in both modes. It runs
+the step of a solver under ``lax.scan``, because the adjoints of ``diffeqsolve`` cost hundreds of primal solutions on
+these long records. `AdaptiveStep` is the adaptive loop of diffrax: the reference for accuracy, for single scenes.
 """
 
 import itertools
@@ -20,12 +20,12 @@ from gearjax.analysis.fast.march import QUICK
 from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 
-LONGEST_STEP = 1.0  # rad of the fastest motion; Runge-Kutta is stable to 2.8
-LONG = QUICK[0].steps  # of a block; where there are more between samples, blocks have at least half of it
+LONGEST_STEP = 1.0  # rad of the fastest motion per step; Runge-Kutta is stable up to 2.8
+LONG = QUICK[0].steps  # steps of a long block; if samples are further apart, blocks have at least half as many
 
 
 class RungeKutta4(diffrax.AbstractSolver):
-    """The classical Runge-Kutta method, written out: five times leaner per step than a general tableau."""
+    """The classical Runge-Kutta method, written out; a step costs a fifth of that of a general tableau."""
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., diffrax.LocalLinearInterpolation]] = diffrax.LocalLinearInterpolation
@@ -52,11 +52,13 @@ class RungeKutta4(diffrax.AbstractSolver):
 
 
 class Windows(NamedTuple):
-    """A record cut into windows of time that run side by side, each warmed up from the quasi-static solution.
+    """Windows of time into which a record is cut, to be computed in parallel.
+
+    Each window starts from the quasi-static solution and has a warm-up, in which the start is forgotten.
 
     Args:
-        number: of windows.
-        warm_up: time before each window that is computed and thrown away [s].
+        number: number of windows.
+        warm_up: time before each window that is computed and discarded [s].
     """
 
     number: int
@@ -67,13 +69,13 @@ class FixedStep(eqx.Module):
     """Even steps between samples.
 
     Args:
-        step: longest step [s]. Each interval between samples is divided evenly, so that a step ends on each sample, and
-            by a few more than needed where many steps could not be cut into long blocks (168, not 167).
-        per_sample: number of steps between samples, in place of ``step``; needed where the sample times are traced.
-            Above 96, numbers with small factors only (128, not 127) are many times as fast where speeds are traced.
+        step: longest step [s]. Each interval between samples is divided evenly, so that a step ends on each sample. A
+            large number of steps is raised a little if it has no divisor for long blocks (168 instead of 167).
+        per_sample: number of steps between samples, in place of ``step``; needed if the sample times are traced.
+            Above 96, numbers with only small factors (128, not 127) are many times faster if speeds are traced.
         solver: `ExponentialFit` (second order, exact between changes of contact), or any solver of diffrax such as
             `RungeKutta4`.
-        windows: for `ExponentialFit`: how the record is cut; ``None`` for one go.
+        windows: windows into which the record is cut, for `ExponentialFit` only; ``None`` to compute it in one go.
     """
 
     step: float = eqx.field(static=True, default=4e-5)
@@ -98,13 +100,13 @@ class FixedStep(eqx.Module):
 
 
 class AdaptiveStep(eqx.Module):
-    """Steps of adaptive length, for single scenes. Extremes of the motion are then those of its samples.
+    """Steps of adaptive length, for single scenes. Extremes of the motion are those of its samples.
 
     Args:
         rtol, atol: tolerances of the scaled variables (position in 10 um, velocity in 10 um per natural period / 2 pi).
         solver: a diffrax solver with an error estimate.
-        max_steps: most steps to take.
-        adjoint: how diffrax differentiates; the default serves reverse mode, ``diffrax.ForwardMode()`` forward mode.
+        max_steps: largest number of steps.
+        adjoint: how diffrax differentiates: the default in reverse mode, ``diffrax.ForwardMode()`` in forward mode.
     """
 
     rtol: float = 1e-8
@@ -118,7 +120,7 @@ Stepper = FixedStep | AdaptiveStep
 
 
 def highest_between(before: Array, after: Array, slope_before: Array, slope_after: Array, step: Array) -> Array:
-    """Highest value on a step from the values and slopes at its ends: the vertex of the parabola where it turns."""
+    """Highest value on a step, from values and slopes at its ends; the vertex of a parabola if the curve turns down."""
     turning = (slope_before > 0) & (slope_after < 0)
     bend = jnp.where(turning, slope_before - slope_after, 1.0)
     vertex = before + 0.5 * step * slope_before * slope_before / bend

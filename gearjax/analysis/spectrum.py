@@ -30,19 +30,19 @@ def order_spectrum(
 ) -> Spectrum:
     """Order spectrum of a record sampled evenly over the angle, by FFT.
 
-    On whole cycles use ``window="none"``: each order is exact. On any other span ``window="hann"`` keeps leakage away;
-    a line is then two spacings wide, and read at its peak up to 15 % low.
+    On whole cycles use ``window="none"``: each order is exact. On any other span ``window="hann"`` reduces leakage. A
+    line is then two spacings wide, and its peak may be up to 15 % too low.
 
     Args:
         values: record, shape (n,).
         theta: input angles, evenly spaced, shape (n,) [rad]. With ``window="none"`` the last sample is one spacing
-            short of the whole span.
-        turn: input angle of the turn that orders count, ``2 pi`` for the input, ``2 pi / orders["output"]`` for the
-            output [rad].
+            before the end of the whole span.
+        turn: input angle of the turn to which the orders refer [rad]: ``2 pi`` for a turn of the input,
+            ``2 pi / orders["output"]`` for a turn of the output.
         window: ``"none"`` or ``"hann"``.
 
     Raises:
-        SceneError: unknown window, too short a record, or uneven angles.
+        SceneError: the window is unknown, the record is too short, or the angles are uneven.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -75,7 +75,7 @@ def _spectrum(values: Array, theta: Array, turn: Scalar, window: str) -> Spectru
     centred = values - (weights * values).sum() / weights.sum()
     amplitude = 2 * jnp.abs(jnp.fft.rfft(weights * centred)) / weights.sum()
     if size % 2 == 0:
-        amplitude = amplitude.at[-1].divide(2.0)  # the line at half the sampling rate stands for itself alone
+        amplitude = amplitude.at[-1].divide(2.0)  # the line at half the sampling rate has no mirror line
     spacing = (theta[-1] - theta[0]) / (size - 1)
     order = jnp.arange(amplitude.shape[0], dtype=values.dtype) * (turn / (size * spacing))
     return Spectrum(order, amplitude)
@@ -84,7 +84,7 @@ def _spectrum(values: Array, theta: Array, turn: Scalar, window: str) -> Spectru
 def order_amplitude(
     values: Float[Array, " n"], theta: Float[Array, " n"], order: float, *, first: ArrayLike | None = None
 ) -> Scalar:
-    """Amplitude of one order, which need not lie on a line of the spectrum; differentiable, with gradient 0 at 0.
+    """Amplitude of one order, which need not be a line of the spectrum; differentiable, with gradient 0 at 0.
 
     Arguments as for `order_phasor`.
     """
@@ -97,14 +97,14 @@ def order_phasor(
 ) -> tuple[Scalar, Scalar]:
     """Amplitudes of the cosine and of the sine of one order.
 
-    Whole turns of the order count evenly, so that other whole orders leave nothing; any other span is weighted by a
-    Hann window.
+    If the span is a whole number of cycles of the order, all samples have equal weights, so that other whole orders
+    have no effect. Any other span is weighted by a Hann window.
 
     Args:
         values: record, shape (n,).
-        theta: input angles, increasing, both ends of the span included, shape (n,) [rad].
+        theta: input angles, increasing, including both ends of the span, shape (n,) [rad].
         order: cycles per turn of the input.
-        first: input angle at which the span begins, without it the first [rad].
+        first: input angle at which the span begins [rad]; by default the first of theta.
     """
     first = theta[0] if first is None else jnp.asarray(first, theta.dtype)
     span = theta[-1] - first
@@ -112,7 +112,7 @@ def order_phasor(
     whole = (jnp.abs(turns - jnp.round(turns)) < 1e-6 * jnp.maximum(turns, 1.0)) & (turns > 0.5)
     hann = jnp.sin(math.pi * (theta - first) / span) ** 2
     width = jnp.asarray(jnp.gradient(theta))
-    width = width.at[jnp.array([0, -1])].multiply(0.5)  # half a spacing at both ends: the trapezoidal rule
+    width = width.at[jnp.array([0, -1])].multiply(0.5)  # trapezoidal rule: half a spacing at both ends
     weights = width * jnp.where(whole, 1.0, hann) * jnp.where(theta >= first, 1.0, 0.0)
     weights = weights / weights.sum()
     centred = values - (weights * values).sum()

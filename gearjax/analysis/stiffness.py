@@ -12,23 +12,23 @@ from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
-SLIGHTEST = 1e-9  # N m, torque in place of none: under none at all nothing touches firmly enough to have a slope
+SLIGHTEST = 1e-9  # N m, used in place of zero torque, under which no contact is closed and there is no slope
 
 
 class MeshStiffness(eqx.Module):
-    """Torsional stiffness of the output over input angles, the input held.
+    """Torsional stiffness of the output over input angles, while the input is held.
 
     ``stiffness.tangent.mean() * gj.units.arcmin`` is in N m/arcmin, ``stiffness.tangent / r_b**2`` in N/m along the
-    line of action of a base radius ``r_b``. Of a batch (`jax.vmap`) every array has the batch's axes in front.
+    line of action for a base radius ``r_b``. In a batch (`jax.vmap`) every array has the axes of the batch first.
 
     Args:
         theta: input angles, shape (n,) [rad].
         torque: load torque, shape (n,) [N m].
-        secant: torque over the lag against the unloaded position, shape (n,) [N m/rad].
-        tangent: change of torque per further turn, ``dT / dq``, shape (n,) [N m/rad].
-        lag: by how far the torque turns the output, shape (n,) [rad]; it has the sign of the torque.
-        result: 0 found, 1 no flank can carry the torque, 3 the search for the equilibrium did not end, shape (n,); nan
-            there.
+        secant: secant stiffness, torque over lag, shape (n,) [N m/rad].
+        tangent: tangent stiffness, change of torque per further rotation, ``dT / dq``, shape (n,) [N m/rad].
+        lag: rotation of the output from its unloaded position, shape (n,) [rad]; it has the sign of the torque.
+        result: 0 found, 1 no flank can carry the torque, 3 the search for the equilibrium did not converge, shape
+            (n,); if it is not 0, the other results are nan.
     """
 
     theta: Float[Array, " n"]
@@ -40,7 +40,7 @@ class MeshStiffness(eqx.Module):
 
     @property
     def ripple(self) -> Float[Array, "..."]:
-        """Highest minus lowest tangent stiffness of the samples over their mean [-]: what excites motion."""
+        """Highest minus lowest tangent stiffness of the samples, over their mean [-]; it excites vibration."""
         high, low = self.tangent.max(axis=-1), self.tangent.min(axis=-1)
         return (high - low) / self.tangent.mean(axis=-1)
 
@@ -49,28 +49,28 @@ class MeshStiffness(eqx.Module):
 def mesh_stiffness(scene: Scene, theta: ArrayLike, torque: ArrayLike) -> MeshStiffness:
     """Secant and tangent torsional stiffness of a gear set under a static torque, at each input angle.
 
-    With the position ``q(T)`` of the output that contacts, supports and shafts balance the torque in,
+    Let ``q(T)`` be the position of the output at which contacts, supports and shafts balance the torque. Then
 
         secant = T / (q(0) - q(T)),   tangent = -1 / (dq / dT)
 
-    (the mesh stiffness c_gamma of ISO 6336-1, which is taken along the path of contact there, as a torsional one).
-    The secant tells how far the output lags, the tangent how it moves about that position. More torque closes more
-    contacts, so that the tangent lies above the secant where nothing is jammed. Under a torque of zero both are those
-    of the slightest one, 1e-9 N m, which the first contact alone carries. The unloaded position is where the flanks
-    just touch that the torque loads, or where elastic bodies rest that are jammed in each other.
+    This is the mesh stiffness c_gamma of ISO 6336-1 as a torsional stiffness; the standard defines it along the path of
+    contact. The secant gives the lag of the output, the tangent its motion about the loaded
+    position. More torque closes more contacts, so that the tangent is above the secant if nothing is jammed. For a
+    torque of zero both are those at 1e-9 N m, which the first contact alone carries. At the unloaded position the
+    flanks that the torque loads just touch; if elastic bodies are jammed, it is their rest position.
 
     Args:
-        scene: the scene, with a compliance; trains, and bodies on supports too.
+        scene: the scene, with a compliance; trains and bodies on supports are allowed.
         theta: input angles, increasing, shape (n,) [rad].
-        torque: load torque on the output, a number or shape (n,) [N m]; a negative one loads the back flanks.
+        torque: load torque on the output, a number or shape (n,) [N m]; a negative torque loads the back flanks.
 
     Returns:
-        The stiffness at each angle [N m/rad]. Differentiable in all numbers of the scene and in the torque, from
-        either side of where contacts come and go.
+        The stiffness at each angle [N m/rad]. It is differentiable in all numbers of the scene and in the torque, with
+        one-sided derivatives where contacts open or close.
 
     Raises:
-        SceneError: the scene lacks a compliance, or the flanks that the torque loads, or shapes do not suit.
-        ParameterError: an argument is not what it should be.
+        SceneError: the scene lacks a compliance or the flanks that the torque loads, or shapes do not match.
+        ParameterError: an argument is not allowed.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -100,10 +100,13 @@ def _mesh_stiffness(scene: Scene, theta: Array, torque: Array) -> MeshStiffness:
 
 
 def _both(scene: Scene, angle: Scalar, torque: Scalar, load: Scalar) -> tuple[Scalar, Equilibrium, Scalar]:
-    """Position of the output before a torque [N m] begins to act [rad], equilibrium and tangent under a load [N m]."""
+    """Unloaded position of the output [rad], and equilibrium and tangent stiffness under a load [N m].
+
+    The sign of ``torque`` [N m] decides which flanks touch at the unloaded position.
+    """
     if not scene.has_back:
         return edge(scene, angle), *resistance(scene, angle, load)
-    # one program of both, which takes long to compile where a matrix couples the springs
+    # both loads in one batch: the solver for coupled springs takes long to compile
     loads = jnp.stack([jnp.zeros_like(load), load])
     rests, tangents = jax.vmap(lambda load: resistance(scene, angle, load))(loads)
     rest, tangent = jax.tree.map(lambda part: part[1], (rests, tangents))

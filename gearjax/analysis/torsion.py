@@ -1,4 +1,4 @@
-"""How the output gives way under torque: torsion curve, stiffness, lost motion, and pressure in the contacts."""
+"""Deflection of the output under torque: torsion curve, torsional stiffness, lost motion, and contact pressure."""
 
 import equinox as eqx
 import jax
@@ -15,15 +15,15 @@ from gearjax.scene_checks import require
 from gearjax.systems.base import pose_of
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
-LOST_MOTION_SHARE = 0.03  # of the rated torque, as in catalogues of precision reducers
+LOST_MOTION_SHARE = 0.03  # share of the rated torque, as in catalogues of precision reducers
 
 
 class Torsion(eqx.Module):
-    """Positions of the output under torques, the input held; without friction there is no hysteresis.
+    """Positions of the output under torques while the input is held. There is no friction, hence no hysteresis.
 
     Args:
         theta: input angles, shape (n,) [rad].
-        torque: shape (m,) [N m].
+        torque: load torques on the output, shape (m,) [N m].
         te: transmission error under each torque, shape (m, n) [rad].
     """
 
@@ -42,8 +42,8 @@ class LostMotion(eqx.Module):
 
     Args:
         theta: input angles, shape (n,) [rad].
-        lost_motion: travel of the output between a small torque in either direction, shape (n,) [rad].
-        backlash: the part that needs no torque, shape (n,) [rad].
+        lost_motion: travel of the output between the same small torque in both directions, shape (n,) [rad].
+        backlash: the part of the lost motion that needs no torque, shape (n,) [rad].
     """
 
     theta: Float[Array, " n"]
@@ -52,22 +52,22 @@ class LostMotion(eqx.Module):
 
     @property
     def wind_up(self) -> Float[Array, " n"]:
-        """The part that is elastic, shape (n,) [rad]."""
+        """Elastic part of the lost motion, shape (n,) [rad]."""
         return self.lost_motion - self.backlash
 
 
 @arguments.checked()
 def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
-    """Torsion curve: position of the output under torques in either direction, the input held.
+    """Torsion curve: position of the output under torques in both directions while the input is held.
 
     Args:
-        scene: the scene, with a compliance; a negative torque needs back flanks.
+        scene: the scene, with a compliance; negative torques also need back flanks.
         theta: input angles, increasing, shape (n,) [rad].
         torques: load torques, increasing, shape (m,) [N m].
 
     Raises:
-        SceneError: the scene lacks what a torque needs.
-        ParameterError: torques do not increase.
+        SceneError: the scene lacks a compliance, or the back flanks that a negative torque needs.
+        ParameterError: the torques do not increase.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -88,15 +88,15 @@ def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
 
 @arguments.checked()
 def lost_motion(scene: Scene, theta: ArrayLike, rated_torque: ArrayLike) -> LostMotion:
-    """Lost motion as catalogues give it: backlash and wind-up at 3 % of the rated torque in either direction.
+    """Lost motion as in catalogues: backlash plus elastic wind-up at 3 % of the rated torque in both directions.
 
     Args:
         scene: the scene, with a compliance and back flanks.
         theta: input angles, increasing, shape (n,) [rad].
-        rated_torque: [N m].
+        rated_torque: rated torque of the output [N m].
 
     Raises:
-        SceneError: the scene lacks what a torque needs.
+        SceneError: the scene lacks a compliance or a backlash.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -123,18 +123,19 @@ def contact_pressure(
 ) -> Float[Array, "n contact"]:
     """Highest pressure in each contact, shape (n, contact) [Pa].
 
-    Of pins on discs it is that of Hertz. Of involute flanks in each other it is the larger one of Hertz' with their
-    relative curvature and of the even one on the part of the flank that the contact stands for
-    (`AbstractLineContact.flank_pressure`), which is coarse where few candidates stand along the profile: 9 of them and
-    14 across the face tell more than the 5 and 1 that the forces need.
+    For pins on discs and for slices of contact lines it is the Hertzian pressure. For involute flanks of an external in
+    an internal gear (`InvoluteRV`) it is the larger of two pressures (`AbstractLineContact.flank_pressure`): the
+    Hertzian one from the relative curvature, and the force spread evenly over the part of the flank that the contact
+    represents. The second is coarse with few candidates along the profile: 9 along the profile and 14 across the face
+    resolve more than the 5 and 1 that are enough for the forces.
 
     Args:
         scene: the scene.
         te: its transmission error under a torque.
-        law: material and face width, where the scene's compliance does not have them.
+        law: material and face width, needed if the scene's compliance does not have them.
 
     Raises:
-        SceneError: there are no forces, radii or material to work with.
+        SceneError: forces, radii of curvature or the material are not known.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -152,7 +153,7 @@ def contact_pressure(
 def pressures(
     scene: Scene, law: AbstractLineContact | None, theta: Float[Array, " n"], forces: Float[Array, "n contact"]
 ) -> Float[Array, "n contact"]:
-    """Pressure in each contact under given forces [Pa], as `contact_pressure`."""
+    """Pressure in each contact under given forces [Pa], see `contact_pressure`."""
     if law is None:
         own = scene.compliance
         law = own if isinstance(own, AbstractLineContact) else getattr(own, "line_contact", None)

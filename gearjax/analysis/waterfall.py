@@ -1,4 +1,4 @@
-"""Periodic motions over speeds side by side: a waterfall of their orders, and dynamic factors."""
+"""Periodic motions at many speeds: waterfall diagram of their orders, and dynamic factors."""
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ from gearjax.checks import SceneError
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
 
-AT_ONCE = 50  # speeds side by side: their tables of what drives them take memory
+AT_ONCE = 50  # speeds in one batch; more would take more memory for the tables of their excitation
 
 
 class Waterfall(eqx.Module):
@@ -20,11 +20,11 @@ class Waterfall(eqx.Module):
     Args:
         speeds: input speeds, shape (n,) [rad/s].
         orders: multiples of the order, shape (harmonic,) [cycles per turn of the input].
-        amplitudes: of the TE at each speed and order, shape (n, harmonic) [rad].
-        peak_to_peak: of the TE, shape (n,) [rad].
+        amplitudes: amplitude of the TE at each speed and order, shape (n, harmonic) [rad].
+        peak_to_peak: peak-to-peak value of the TE at each speed, shape (n,) [rad].
         dynamic_factor: highest torque of the contacts on the output over the load torque, shape (n,) [-].
         stable: whether a disturbance of the motion dies out, shape (n,).
-        result: 0 where a motion was found, 1 where not, shape (n,).
+        result: 0 if a motion was found, 1 if not, shape (n,).
     """
 
     speeds: Float[Array, " n"]
@@ -47,23 +47,23 @@ def waterfall(
     settle: int = 0,
     order: str = "mesh",
 ) -> Waterfall:
-    """The motion that repeats with an order, at many input speeds in one batch, by shooting (`shooting`).
+    """Motion that repeats with an order, at many input speeds in one batch, by the shooting method (`shooting`).
 
-    Each speed begins from its own equilibrium: where several motions are possible, which `speed_sweep` goes through up
-    and down, it is the one that leads to, or after some periods of settling the one that is settled to.
+    Each speed starts from its own equilibrium. If several motions are possible at a speed, the result is the one to
+    which this start leads, or the one reached after ``settle`` periods. `speed_sweep` follows the branches instead.
 
     Args:
-        scene: the scene, with compliance, load and inertia; everything that drives it repeats with the order.
+        scene: the scene, with compliance, load and inertia; its whole excitation must repeat with the order.
         torque: size of the load torque [N m].
         speeds: input speeds, shape (n,) [rad/s].
-        harmonics: multiples of the order that are told.
-        steps: per period, a multiple of 8; four times the harmonics or more.
-        settle: periods before shooting.
-        order: name of the order whose period counts.
+        harmonics: number of multiples of the order that are reported.
+        steps: steps per period, a multiple of 8 and at least four times ``harmonics``.
+        settle: number of periods to integrate before shooting.
+        order: name of the order that gives the period.
 
     Raises:
-        SceneError: the scene lacks a part, or steps do not suit.
-        ParameterError: no such order, or speeds that are not positive.
+        SceneError: the scene lacks a part, or the number of steps is not allowed.
+        ParameterError: there is no such order, or a speed is not positive.
     """
     speeds = at_speeds(scene, speeds, order)
     if steps % 8 or steps < 4 * harmonics:
@@ -86,7 +86,7 @@ def _waterfall(
         rate = jax.lax.complex(jnp.zeros_like(rates), rates)[:, None]
         pace, acceleration = (jnp.fft.irfft(waves * times, steps, axis=0) for times in (rate, rate * rate))
         held = motion.q @ parts.stiffness[0] + pace @ parts.damping[0] + acceleration @ parts.mass[0]
-        if not problem.scene.system.turns_evenly:  # what the ideal output takes to accelerate
+        if not problem.scene.system.turns_evenly:  # torque that accelerates the ideal output
             held = held + parts.mass[0, 0] * jax.vmap(problem.scene.system.output_acceleration)(motion.ts)
         factor = jnp.max((torque + held - parts.push[0]) / torque)
         return lines, motion.peak_to_peak, factor, motion.stable, motion.result

@@ -1,4 +1,4 @@
-"""Command line. Tables and JSON go to stdout, progress and one-line errors to stderr; a mistake ends with code 2."""
+"""Command line. Tables and JSON go to stdout, progress and one-line errors to stderr; a user's mistake gives code 2."""
 
 import atexit
 import gc
@@ -20,9 +20,9 @@ __all__ = ["app", "main"]
 
 
 def _collect_seldom() -> None:
-    """Have the garbage collector look at new objects alone, and less often: tracing makes many that stay.
+    """Let the garbage collector run less often and look only at new objects: tracing makes many objects that stay.
 
-    It took a third of a short command's time, half of that when the process ended.
+    Garbage collection took a third of the time of a short command, half of that at the end of the process.
     """
     gc.freeze()
     gc.set_threshold(100_000, 20, 20)
@@ -30,7 +30,7 @@ def _collect_seldom() -> None:
 
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
-    """A warning as one line, without the code that it came from."""
+    """Print a warning as one line, without the line of code that raised it."""
     print(f"gearjax: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
@@ -49,11 +49,11 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         code = app(given or ["--help"], prog_name="gearjax", standalone_mode=False)
         if not given and not code:
-            code = 2  # nothing was asked for; the help tells what could be
-    except (KeyboardInterrupt, typer.Abort):  # where Ctrl-C is not listened for; some versions of typer abort,
-        code = stopping.CODE  # others return this code
+            code = 2  # no command was given; only the help was printed
+    except (KeyboardInterrupt, typer.Abort):  # if `stopping` does not handle Ctrl-C, some versions of typer
+        code = stopping.CODE  # abort, and others return this code
     except Exception as fault:
-        message = getattr(fault, "format_message", None)  # how typer's own errors print themselves
+        message = getattr(fault, "format_message", None)  # typer's own errors have this method
         if not isinstance(fault, GearjaxError) and message is None:
             raise
         words = " ".join(str(message() if message else fault).split())

@@ -1,4 +1,4 @@
-"""``gearjax compare`` and ``gearjax identify``: recordings of a test bench beside what is computed."""
+"""``gearjax compare`` and ``gearjax identify``: recordings of a test bench next to computed curves."""
 
 import dataclasses
 import json
@@ -48,7 +48,7 @@ def compare(
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
-    """Recordings of a test bench beside what the configuration computes: curves, orders, metrics.
+    """Compare recordings of a test bench with what the configuration computes: curves, orders, metrics.
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
@@ -84,10 +84,10 @@ def identify(
     json_: JsonOption = False,
     report: ReportOption = False,
 ) -> None:
-    """Which errors explain recordings of a test bench, what they cannot tell, and how to assemble the unit anew.
+    """Find the errors that explain recordings of a test bench, what stays hidden, and how to reassemble the unit.
 
-    An [identify] section may say what is looked for, what is known before and what can be turned. Without --out the
-    results go to out/NAME; with --json and no --out nothing is written.
+    An [identify] section may state the unknowns, what is known about them before, and which bodies can be turned.
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     from gearjax.results.identification import identified, save_identified
 
@@ -117,17 +117,17 @@ def identify(
 
 
 def _by_option(section: IdentifySection, dynamic: bool | None) -> IdentifySection:
-    """The section with what the command line says of the analysis."""
+    """The section with the analysis that the command line asks for."""
     return section if dynamic is None else dataclasses.replace(section, analysis="dynamic" if dynamic else "static")
 
 
 def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> list[Measurement]:
-    """The recordings of a command; those of the configuration where none are given."""
+    """The recordings given on the command line or, if there are none, the recordings of the configuration."""
     files = list(given or listed)
     if not files:
         raise GearjaxError("no recording: give --measured FILE.csv, or measured = [...] in [identify]")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RepairedData)  # told again with the results
+        warnings.simplefilter("ignore", RepairedData)  # the results report the repairs again
         return [read_measurement(file) for file in files]
 
 

@@ -1,4 +1,4 @@
-"""Chunks of a study over the workers of a Dask cluster: lost ones are worked out again, none counts twice."""
+"""Chunks of a study on the workers of a Dask cluster: lost chunks are computed again, and none counts twice."""
 
 import functools
 import os
@@ -24,7 +24,7 @@ def _work(text: str) -> Work:
 
 
 def evaluate(text: str, chunk: tuple[int, int]) -> Evaluated:
-    """One chunk of the study of a configuration; runs in a worker, which keeps the compiled program."""
+    """Compute one chunk of the study of a configuration, in a worker that keeps the compiled program."""
     jax.config.update("jax_enable_x64", True)
     work = _work(text)
     return work.evaluate(work.inputs(*chunk))
@@ -37,14 +37,14 @@ def each_on_cluster(
     workers: int | None,
     say: Progress,
 ) -> Iterator[tuple[tuple[int, int], Evaluated]]:
-    """Chunks with their results, as they come.
+    """Compute chunks on a Dask cluster, and yield each chunk with its result as soon as it is done.
 
     Args:
-        text: the configuration, measured values inside.
-        chunks: what to work out.
+        text: the configuration, with measured values written out in the text.
+        chunks: the chunks to compute.
         scheduler: address of a running scheduler; ``None`` or ``"local"`` for a local cluster.
-        workers: processes of the local cluster.
-        say: for lines of progress.
+        workers: number of processes of the local cluster.
+        say: function that is called with lines of progress.
 
     Raises:
         GearjaxError: dask is missing, the scheduler cannot be reached, or a chunk failed on every worker.
@@ -56,7 +56,7 @@ def each_on_cluster(
         raise GearjaxError('--scheduler and --workers need dask: pip install "gearjax[dask]"') from fault
     cluster: Any = None
     if scheduler is None or scheduler == LOCAL:
-        # a process that Ctrl-C ends leaves semaphores, which are tidied up after it without a word
+        # a process ended by Ctrl-C leaves semaphores; Python removes them, and its warning is not shown
         os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
         cluster = LocalCluster(
             n_workers=workers or os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=""

@@ -49,7 +49,7 @@ _progress = Console(stderr=True, markup=False, emoji=False)
 
 
 def _writable(out: Path | None) -> Path | None:
-    """The folder of --out, of whatever command; refused before anything is computed for it."""
+    """The folder of --out; it is refused before anything is computed if it cannot be written."""
     return None if out is None else writable(out)
 
 
@@ -86,12 +86,12 @@ def run(
     ] = None,
     report: ReportOption = False,
 ) -> None:
-    """Every analysis that the configuration lists: table, figures and results file.
+    """Run every analysis that the configuration lists: table, figures and results file.
 
-    Without --out they go to out/NAME; with --json and no --out nothing is written.
+    Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FewAngles)  # the remarks tell it once, and what to change
+        warnings.simplefilter("ignore", FewAngles)  # `remarks` reports it once, with what to change
         text, scene = _read(config)
         folder = folder_for(out, json_, config)
         page = Report(report, folder)
@@ -127,7 +127,7 @@ def _run(
     if graded:
         told["accuracy"] = [gear.as_json() for gear in graded]
     if folder is not None:
-        from gearjax.plot import save_figures  # matplotlib takes a second that a run with --json need not wait
+        from gearjax.plot import save_figures  # matplotlib takes a second to import; a run with --json need not wait
 
         written = save(scene, cases, self_contained(text, config.parent), folder)
         with page.drawing():
@@ -142,7 +142,7 @@ def _run(
 
 
 def noted(page: Report, words: str, kind: str = "note") -> None:
-    """Something that a reader of the results should know, now and on the page of a report."""
+    """Report something that a reader of the results should know, now and on the page of a report."""
     page.note(words)
     _progress.print(f"{kind}: {words}", soft_wrap=True)
 
@@ -152,7 +152,7 @@ def told_written(folder: Path, files: list[Path]) -> None:
 
 
 def _graded(scene: Scene) -> list[GradedGear]:
-    """Gears that were measured, with their grades; none, and a note, where the standard does not cover their sizes."""
+    """Measured gears with their grades; none, and a note, if their sizes are outside the range of the standard."""
     try:
         return graded_gears(scene)
     except ParameterError as fault:
@@ -161,7 +161,7 @@ def _graded(scene: Scene) -> list[GradedGear]:
 
 
 def _papers(incomplete: str) -> list[str]:
-    """What a shell completes the name of a paper to."""
+    """Names of papers with which a shell can complete an argument."""
     return [name for name in PAPERS if name.startswith(incomplete)]
 
 
@@ -180,10 +180,10 @@ def reproduce(
     json_: JsonOption = False,
     all_: AllOption = False,
 ) -> None:
-    """Published values of a paper next to ours.
+    """Compare the published values of a paper with ours.
 
-    With --out a table of them and figures. With --all every paper as one page in Markdown, to standard output or to
-    validation.md in --out.
+    With --out a table of the values and figures are written. With --all every paper is written as one page in Markdown,
+    to standard output or to validation.md in --out.
     """
     if name is not None and name not in PAPERS:
         raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
@@ -220,7 +220,7 @@ def reproduce(
 def optimise(
     config: ConfigArgument, out: OutOption = None, json_: JsonOption = False, report: ReportOption = False
 ) -> None:
-    """Assembly phases, or any other numbers: grid search and gradients side by side, before and after.
+    """Optimise assembly phases, or any other numbers, by grid search and by gradients; show before and after.
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
@@ -251,9 +251,9 @@ def tradeoff(
     out: OutOption = None,
     json_: JsonOption = False,
 ) -> None:
-    """Speed against accuracy of the dynamic TE for this scene, measured: solvers, steps, contact laws, precision.
+    """Measure speed against accuracy of the dynamic TE for this scene: solvers, steps, contact laws, precision.
 
-    With a tolerance section also how far float32 shifts the quantiles of its measures.
+    With a tolerance section the command also measures how far float32 shifts the quantiles of its measures.
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
@@ -301,7 +301,7 @@ def tolerance(
     ] = None,
     report: ReportOption = False,
 ) -> None:
-    """Monte Carlo: distributions and yields, sensitivities, allocation, matched assembly. Resumes where it was killed.
+    """Monte Carlo study: distributions, yields, sensitivities, allocation, assembly. A killed study can be resumed.
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written, and nothing can be resumed.
     """
@@ -328,12 +328,12 @@ def tolerance(
 
 
 def folder_for(out: Path | None, json_: bool, config: Path) -> Path | None:
-    """Where results go: as told, nowhere with --json, else out/NAME, if that can be written."""
+    """Folder for the results: --out if given, none with --json, else out/NAME if that can be written."""
     return out if out is not None else None if json_ else writable(Path("out") / config.stem)
 
 
 def _positive(option: str, given: float) -> float:
-    """A positive number of arcmin, in rad."""
+    """Check that a number of arcmin is positive, and convert it to rad."""
     if not (math.isfinite(given) and given > 0):
         raise ParameterError(option, given, "must be above 0 arcmin")
     return given * arcmin
@@ -344,13 +344,13 @@ def say(words: str) -> None:
 
 
 def text_of(config: Path) -> str:
-    """Text of a configuration, or of the one inside a results file."""
+    """Text of a configuration file, or of the configuration inside a results file."""
     check_path("CONFIG", config)
     return stored_config(config) if config.suffix == ".nc" else read_file(config)
 
 
 def _read(config: Path) -> tuple[str, Scene]:
-    """Text and scene of a configuration, or of a results file's own configuration."""
+    """Text and scene of a configuration file, or of the configuration inside a results file."""
     text = text_of(config)
     return text, loads(text, config.parent)
 

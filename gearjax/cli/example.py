@@ -1,4 +1,4 @@
-"""``gearjax example``: a shipped example to begin with."""
+"""``gearjax example``: copies a shipped example as a starting point."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +19,7 @@ def example(
 ) -> None:
     """Copy the configurations of an example, with the files that they name: gearjax example two_kv
 
-    Without --out they go to a folder of that name.
+    Without --out they go to a folder with the name of the example.
     """
     if name is None:
         raise ParameterError("example", MISSING, f"needs a name: {', '.join(examples())}")

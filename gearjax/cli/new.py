@@ -1,4 +1,4 @@
-"""``gearjax new``: a commented configuration to begin with."""
+"""``gearjax new``: prints a commented configuration as a starting point."""
 
 from typing import Annotated
 
@@ -20,9 +20,9 @@ def new(
         str | None, typer.Argument(metavar="KIND", help="of gear set, such as two_kv", autocompletion=_kinds)
     ] = None,
 ) -> None:
-    """A configuration of a kind of gear set, with every key, its unit, its bounds and what it means.
+    """Print a configuration of a kind of gear set, with every key, its unit, its bounds and its meaning.
 
-    It goes to stdout: gearjax new two_kv > mine.toml
+    The text goes to stdout: gearjax new two_kv > mine.toml
     """
     if kind is None:
         raise ParameterError("new", MISSING, f"needs a kind of gear set: {', '.join(_kinds())}")

@@ -1,4 +1,4 @@
-"""How programs are compiled for the command line, and where they are kept."""
+"""Compilation of programs for the command line, and the folder in which they are kept."""
 
 import contextlib
 import hashlib
@@ -17,16 +17,16 @@ WHERE_FROM = "jax_include_full_tracebacks_in_locations"
 
 
 def leave_out_where_from() -> None:
-    """Programs do not tell, for each operation, the lines of Python that it came from: a tenth of making them."""
+    """Leave the lines of Python behind each operation out of programs; this saves a tenth of the time to make them."""
     if WHERE_FROM in jax.config.values:
         jax.config.update(WHERE_FROM, False)
 
 
 def kept_in() -> Path | None:
-    """Keep compiled programs between runs, unless JAX was told where to or not to.
+    """Keep compiled programs between runs, unless the user has set a folder for JAX's cache or disabled the cache.
 
     Returns:
-        The folder, one for each kind of processor; ``None`` where nothing of ours is kept.
+        The folder, one for each kind of processor; ``None`` if gearjax does not keep programs.
     """
     told = jax.config.values
     if told["jax_compilation_cache_dir"] is not None or not told["jax_enable_compilation_cache"]:
@@ -50,11 +50,11 @@ def _processor() -> str:
 
 
 def set_options(folder: Path | None, *, runs_long: bool) -> None:
-    """Set XLA's options before it starts, unless the user did, or the shell only asks how a word goes on.
+    """Set XLA's options before XLA starts, unless the user has set them or the shell only completes a word.
 
     Args:
-        folder: where to keep what this version of XLA knows: to find it out takes a second or two.
-        runs_long: whether the command runs longer than it compiles.
+        folder: folder to keep the list of options that this version of XLA knows: to find them takes a second or two.
+        runs_long: whether the command computes longer than it compiles.
     """
     if "XLA_FLAGS" in os.environ or "_GEARJAX_COMPLETE" in os.environ:
         return

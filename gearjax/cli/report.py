@@ -1,4 +1,4 @@
-"""``--report``: one self-contained page of what a command found."""
+"""``--report``: one self-contained page with the results of a command."""
 
 import contextlib
 import warnings
@@ -19,14 +19,14 @@ ReportOption = Annotated[bool, typer.Option("--report", help=f"write {NAME} too:
 
 
 class Report:
-    """What one command keeps for its page, or nothing where none is asked for.
+    """Notes and figures that one command keeps for its page; no page is written if none is asked for.
 
     Args:
-        wanted: whether there will be a page.
-        folder: where it goes.
+        wanted: whether a page is asked for.
+        folder: folder of the page.
 
     Raises:
-        ParameterError: a page is wanted and there is no folder.
+        ParameterError: a page is asked for, but there is no folder.
     """
 
     def __init__(self, wanted: bool, folder: Path | None):
@@ -37,12 +37,12 @@ class Report:
         self.figures: Mapping[str, Figure] = {}
 
     def note(self, words: str) -> None:
-        """Something that a reader of the page should know."""
+        """Add something that a reader of the page should know."""
         self.notes.append(words)
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Keep warnings meanwhile; they are told as ever."""
+        """Keep the warnings raised in the block; they are shown as usual too."""
         tell = warnings.showwarning
 
         def told(message: Warning | str, *where: Any, **further: Any) -> None:
@@ -57,14 +57,14 @@ class Report:
 
     @contextlib.contextmanager
     def drawing(self) -> Iterator[None]:
-        """Keep the figures that are saved meanwhile."""
+        """Keep the figures that are saved in the block."""
         from gearjax.plot import figures_kept
 
         with figures_kept() as self.figures:
             yield
 
     def write(self, title: str, told: Mapping[str, Any], config: str) -> list[Path]:
-        """The page: a title, the results, the text of the configuration; no file where none is asked for."""
+        """Write the page with title, results and text of the configuration; no file if no page is asked for."""
         if self.folder is None:
             return []
         from gearjax.plot import report_page

@@ -18,7 +18,7 @@ FIGURES = (".png", ".svg", ".pdf", ".gif", ".mp4")
 def show(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="folder of results, such as out/wang_2020")],
 ) -> None:
-    """Open the report of a folder of results, or else its figures; without a display, say where they are."""
+    """Open the report in a folder of results or, if there is none, its figures; without a display, only list them."""
     check_path("DIR", folder)
     if not folder.is_dir():
         raise GearjaxError(f"{folder}: no folder; gearjax show takes the one that a command has written, out/NAME")

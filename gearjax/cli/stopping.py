@@ -1,8 +1,8 @@
-"""Ctrl-C: one line that says what was kept and how to go on, at once, whatever is being compiled or computed.
+"""Ctrl-C ends a command at once, during compilation too, with one line on what was kept and how to go on.
 
-Python itself looks for a signal between two steps of its main thread alone, and one program of XLA may take half a
-minute: a thread of its own is told by `signal.set_wakeup_fd`. It ends the process between two writes of files
-(`gearjax.files`), so that none is half done.
+Python handles a signal only between two steps of its main thread, and one program of XLA may take half a minute.
+Therefore a separate thread receives the signal through `signal.set_wakeup_fd`. This thread ends the process between two
+writes of files (`gearjax.files`), so that no file is half written.
 """
 
 import atexit
@@ -15,30 +15,30 @@ from collections.abc import Callable
 
 from gearjax.files import unbroken
 
-CODE = 130  # of a process that SIGINT ended, as shells count
-_PATIENCE = 5.0  # that a file may take to be written [s]
-_ERASE_LINE = "\r\x1b[2K\x1b[?25h"  # of a progress bar, whose cursor was hidden
+CODE = 130  # exit code of a process ended by SIGINT, as in shells
+_PATIENCE = 5.0  # longest wait until a file is written [s]
+_ERASE_LINE = "\r\x1b[2K\x1b[?25h"  # erases a progress bar and shows its hidden cursor again
 _kept: list[Callable[[], str]] = []
 _listening: list[bool] = []
 
 
 def nothing_kept() -> str:
-    """What a command has to say that writes its results at its end."""
+    """The message of a command that writes its results only at its end."""
     return "nothing of this run was kept; the same command begins again"
 
 
 def say_when_stopped(words: Callable[[], str]) -> None:
-    """What Ctrl-C shall say from now on: what was kept, and how to go on."""
+    """Set the message of Ctrl-C from now on: what was kept, and how to go on."""
     _kept[:] = [words]
 
 
 def message() -> str:
-    """The line that Ctrl-C leaves."""
+    """The line that Ctrl-C prints."""
     return f"gearjax: stopped: {_kept[0]() if _kept else nothing_kept()}"
 
 
 def listen() -> None:
-    """Have Ctrl-C end this process, unless whoever started it had it ignore that."""
+    """Let Ctrl-C end this process, unless the caller of the process made it ignore Ctrl-C."""
     if _listening or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
     told, telling = socket.socketpair()
@@ -52,7 +52,7 @@ def listen() -> None:
 
 
 def _deaf(telling: socket.socket, watching: threading.Thread) -> None:
-    """Nothing is left to stop at the end of the process: close what is open."""
+    """Stop listening at the end of the process, and close the socket and the thread."""
     signal.set_wakeup_fd(-1)
     telling.close()
     watching.join(_PATIENCE)

@@ -45,7 +45,7 @@ def print_tradeoff(comparison: Tradeoff) -> None:
 
 
 def print_accuracy(gears: list[GradedGear]) -> None:
-    """Deviations and grades of gears that were measured; nothing without such."""
+    """Print deviations and grades of measured gears; nothing if there are none."""
     if not gears:
         return
     table = Table(title="Measured deviations in um, grades of ISO 1328-1:2013")
@@ -119,7 +119,7 @@ def _print_stages(console: Console, optimisation: Optimisation) -> None:
 
 
 def print_cases(cases: list[Case], told: str | None = None) -> None:
-    """Metrics of the cases, and what a reader of their contact forces should know."""
+    """Print the metrics of the cases, and a note for readers of their contact forces."""
     compared = any(case.published for case in cases)
     table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
     for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
@@ -144,7 +144,7 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
 
 
 def output() -> Console:
-    """Standard output; wide enough for every table where it is not a terminal. Square brackets are text."""
+    """Console on standard output, wide enough for every table if it is not a terminal. Square brackets are text."""
     return Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False, emoji=False)
 
 
@@ -169,7 +169,7 @@ def print_rows(paper: str, rows: list[Row]) -> None:
 
 
 def print_shifts(shifts: list[PrecisionShift]) -> None:
-    """Quantiles of a tolerance study in both precisions."""
+    """Print quantiles of a tolerance study in both precisions."""
     table = Table(title="Quantiles of the tolerance study, the same gear sets; in arcmin")
     for column in ("measure", "quantile", "float64", "float32", "shift [%]"):
         table.add_column(column, justify="left" if column == "measure" else "right")

@@ -1,4 +1,4 @@
-"""``gearjax tolerance``: a Monte Carlo study that resumes, on the local devices or over machines, and its tables."""
+"""``gearjax tolerance``: a Monte Carlo study that can be resumed, on local devices or a cluster, and its tables."""
 
 import contextlib
 import os
@@ -30,7 +30,7 @@ from gearjax.units import arcmin
 
 
 def use_all_cores() -> None:
-    """One device for each core, which share the samples; nothing where devices are known already."""
+    """Make one device of each core, so that the cores share the samples; no effect if JAX has its devices already."""
     with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 
@@ -42,12 +42,12 @@ def study(
 
     Args:
         text: the configuration.
-        base: folder that files named in it are relative to.
-        folder: where the samples are kept; ``None`` for nowhere.
+        base: folder to which file names in the configuration are relative.
+        folder: folder in which the samples are stored; ``None`` if they are not stored.
         scheduler: address of a Dask scheduler, ``"local"`` for one on this machine, or ``None``.
-        workers: of a local Dask cluster, or ``None``.
-        console: for the progress bar.
-        say: for lines of progress.
+        workers: number of workers of a local Dask cluster, or ``None``.
+        console: console of the progress bar.
+        say: function that is called with lines of progress.
 
     Raises:
         GearjaxError: a mistake in the configuration or in the options.
@@ -92,13 +92,13 @@ def study(
 
 
 def _stored(store: Store, folder: Path) -> str:
-    """What a stopped study leaves."""
+    """The message on what a stopped study has stored."""
     there = f"{store.samples_done} of {store.work.number} samples are kept in {folder}"
     return f"{there}; the same command goes on from there"
 
 
 class Kept:
-    """Samples in memory, with the face of a `Store`."""
+    """Samples in memory, with the interface of a `Store`."""
 
     def __init__(self, work: Work):
         self.work, self.samples_done = work, 0
@@ -120,14 +120,14 @@ class Kept:
 
 
 def _good(work: Work, evaluated: Evaluated) -> int:
-    """How many samples of a chunk are within all limits, -1 where there are none."""
+    """Number of samples of a chunk that are within all limits; -1 if there are no limits."""
     within = [measure.holds(evaluated[0][:, i]) for i, measure in enumerate(work.measures) if measure.is_limited]
     return int(np.all(within, axis=0).sum()) if within else -1
 
 
 @contextlib.contextmanager
 def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar with samples per second, share within all limits and time left; nothing where nobody looks."""
+    """A progress bar with samples per second, share within all limits and time left; none if not on a terminal."""
     if not console.is_terminal:
         yield lambda *_: None
         return
@@ -146,7 +146,7 @@ def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int, int
 
 
 def print_tolerance(results: ToleranceResults) -> None:
-    """Tables of all that was studied."""
+    """Print the tables of all studies that were made."""
     console, study_ = output(), results.study
     title = f"{study_.samples} gear sets, {results.section.sampler}, seed {results.section.seed}; in arcmin"
     table = Table(title=title)

@@ -1,4 +1,4 @@
-"""Compliance of the teeth: stiffness of each pair, or the law of its line contact."""
+"""Compliance of the teeth: stiffness of each pair of teeth, law of a line contact, or influence of coupled contacts."""
 
 from gearjax.compliance.base import (
     COUPLED,
@@ -23,7 +23,7 @@ AnyCompliance = (
     | AbstractToothCompliance
     | AbstractSliceCompliance
 )
-"""What a scene may have as its compliance."""
+"""Types that a scene accepts as its compliance."""
 COMPLIANCES: tuple[type[AnyCompliance], ...] = (
     HarmonicStiffness,
     *LINE_CONTACTS,

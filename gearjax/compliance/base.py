@@ -1,4 +1,4 @@
-"""What every compliance offers to a scene."""
+"""The interface between a compliance and a scene."""
 
 import abc
 from typing import ClassVar
@@ -18,7 +18,7 @@ class AbstractCompliance(eqx.Module):
 
     @abc.abstractmethod
     def mean_stiffness(self, pairs: int) -> Float[Array, " pair"]:
-        """Stiffness of each pair averaged over a mesh period, shape (pair,) [N/m]: what the static TE uses."""
+        """Stiffness of each pair averaged over a mesh period, shape (pair,) [N/m]; the static TE uses this mean."""
 
     @abc.abstractmethod
     def stiffness(self, mesh_angle: Float[Array, " pair"]) -> Float[Array, " pair"]:
@@ -27,72 +27,82 @@ class AbstractCompliance(eqx.Module):
     @property
     @abc.abstractmethod
     def harmonics(self) -> int:
-        """Highest harmonic of the mesh frequency."""
+        """Number of the highest harmonic of the mesh frequency in the stiffness."""
 
     @abc.abstractmethod
     def peak_stiffness(self) -> Scalar:
-        """A bound from above on the stiffness of a pair [N/m]."""
+        """Upper bound of the stiffness of a pair [N/m]."""
 
 
 class AbstractCoupledCompliance(eqx.Module):
-    """Compliance of contacts that move each other: teeth of one body. ``kind`` is its name in a configuration."""
+    """Compliance of coupled contacts, such as the teeth of one body. ``kind`` is its name in a configuration.
+
+    Contacts are coupled if a force on one of them moves the others too.
+    """
 
     kind: eqx.AbstractClassVar[str]
 
     @abc.abstractmethod
     def influence(self, layout: Layout) -> Float[Array, "contact contact"]:
-        """Approach of each contact per force on each, symmetric and positive definite, shape (contact, contact) [m/N].
+        """Influence matrix: approach of each contact per force on each, symmetric and positive definite [m/N].
+
+        Its shape is (contact, contact).
 
         Args:
-            layout: of the contacts.
+            layout: sides and pairs of the contacts.
         """
 
 
 class AbstractToothCompliance(eqx.Module):
-    """Compliance of contacts that move each other, by where on their teeth they are. ``kind`` is its name in a
+    """Compliance of coupled contacts that depends on their places on the teeth. ``kind`` is its name in a
     configuration."""
 
     kind: eqx.AbstractClassVar[str]
     prepares: ClassVar[bool] = False
-    """Whether it has something to work out beforehand for a gear set (`made_for`)."""
+    """Whether it has to be prepared for a gear set before use (`made_for`)."""
 
     @abc.abstractmethod
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
-        """Approach of each contact per force on each, symmetric and positive definite, shape (contact, contact) [m/N].
+        """Influence matrix: approach of each contact per force on each, symmetric and positive definite [m/N].
+
+        Its shape is (contact, contact).
 
         Args:
-            places: of the contacts on their teeth.
+            places: places of the contacts on their teeth.
         """
 
     def blocks(self, places: Places) -> Float[Array, "block own own"]:
-        """The same in blocks of contacts, in their order, that do not move those of others, shape (block, own, own)
-        [m/N]: small ones, of a few contacts each, are quick."""
+        """The influence matrix as diagonal blocks, shape (block, own, own) [m/N].
+
+        The blocks are in the order of the contacts; contacts of different blocks are not coupled. Small blocks of a few
+        contacts each are fast to solve.
+        """
         return self.influence(places)[None]
 
     def made_for(
         self, gears: tuple[InvoluteGear, InvoluteGear], radii: tuple[Array, Array]
     ) -> "AbstractToothCompliance":
-        """The same with what it has to work out beforehand for a gear set, if there is something.
+        """The compliance prepared for a gear set; the same compliance if it needs no preparation.
 
         Args:
-            gears: whose teeth the contacts are on.
-            radii: of the contacts on each over a mesh period, shape (angle, block, pair, point) [m].
+            gears: both gears of the gear set.
+            radii: radii of the contacts on each gear over a mesh period, shape (angle, block, pair, point) [m].
         """
         return self
 
     def check(self, places: Places) -> None:
-        """Refuse teeth that it was not made for.
+        """Refuse teeth that the compliance was not made for.
 
         Args:
-            places: of the contacts on them, numbers that are known.
+            places: places of the contacts on the teeth, as concrete (not traced) numbers.
 
         Raises:
-            GearjaxError: naming what is wrong.
+            GearjaxError: the compliance does not suit the teeth; the message names the reason.
         """
 
     @property
     def line_contact(self) -> AbstractLineContact | None:
-        """Material and face width of the contacts, for the pressure in them; ``None`` where it has none."""
+        """Material and face width of the contacts, for their contact pressure; ``None`` if these are not known."""
         return None
 
 
@@ -103,42 +113,42 @@ class AbstractSliceCompliance(eqx.Module):
 
     @property
     def couples(self) -> bool:
-        """Whether its slices move each other."""
+        """Whether the slices are coupled."""
         return False
 
     @property
     def linear(self) -> bool:
-        """Whether their forces are in proportion to their overlaps, one by one: so they are in motion."""
+        """Whether the force of each slice is proportional to its own overlap, as simulations of motion need."""
         return not self.couples
 
     @abc.abstractmethod
     def springs(self, slices: Slices) -> Springs:
-        """Springs of the contacts, along the normals of the flanks.
+        """Springs of the contacts along the normals of the flanks.
 
         Args:
-            slices: which of the contact lines they are.
+            slices: the slices of contact lines that the contacts represent.
         """
 
     def check(self, slices: Slices) -> None:
-        """Refuse gears that it is not for.
+        """Refuse gears that the compliance does not suit.
 
         Args:
-            slices: of the contacts, numbers that are known.
+            slices: slices of the contacts, as concrete (not traced) numbers.
 
         Raises:
-            GearjaxError: naming what is wrong.
+            GearjaxError: the compliance does not suit the gears; the message names the reason.
         """
 
     @property
     def line_contact(self) -> AbstractLineContact | None:
-        """Material and face width of the contacts, for the pressure in them; ``None`` where it has none."""
+        """Material and face width of the contacts, for their contact pressure; ``None`` if these are not known."""
         return None
 
 
 COUPLED = (AbstractCoupledCompliance, AbstractToothCompliance)
-"""Those whose contacts move each other, as `isinstance` takes them."""
+"""Compliances whose contacts are coupled, as a tuple for `isinstance`."""
 
 
 def couples(compliance: object) -> bool:
-    """Whether contacts with this compliance move each other."""
+    """Whether contacts with this compliance are coupled: a force on one of them moves the others too."""
     return isinstance(compliance, COUPLED) or (isinstance(compliance, AbstractSliceCompliance) and compliance.couples)

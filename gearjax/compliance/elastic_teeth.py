@@ -1,31 +1,35 @@
-"""Analytic compliance of involute teeth: beam, foundation and contact, of points along their profile and face.
+"""Analytic compliance of involute teeth at points along profile and face: beam, foundation and contact.
 
-Of each gear, for a force at one place of the profile and the approach at another:
+For each gear, the approach at one place of the profile under a force at another place is the sum of:
 
-- beam: bending, shear and compression from where the fillet begins, 0.2 modules from the root circle, over the sections
-  that both forces see, ``M_a M_b / (E' I) + N_a N_b / (E' A)`` (Weber and Banaschek 1953). Of a tooth whose thickness t
-  grows towards the root, slanting stresses of bending bear a part of the shear. With ``q = Q / t``, ``m = M t' / t^2``
-  and ``n = nu / (1 - nu)`` equilibrium gives the shear stress ``1.5 q (1 - y^2) + m (4.5 y^2 - 1.5)``, and with the
-  stress across, ``t (1.2 q_a q_b / G - (0.6 / G + 1.2 n / E') (q_a m_b + q_b m_a) + (1.8 / G - 1.2 n / E') m_a m_b)``:
-  1.2 q^2 of a straight beam, and of a wedge loaded at its point what Carothers' solution gives;
-- the fibres beside a force are pressed and bulge, which bends the tooth: ``1.2 n |x| / (E' t)`` at a place that is x
-  nearer to the tip or the root, the term by which an endless strip under pressure is more than a beam with 1.2 Q^2;
+- beam: bending, shear and compression of the tooth from the beginning of its fillet, 0.2 modules from the root circle,
+  over the sections that both forces load, ``M_a M_b / (E' I) + N_a N_b / (E' A)`` (Weber and Banaschek 1953). If the
+  thickness t grows towards the root, inclined bending stresses carry a part of the shear force. With ``q = Q / t``,
+  ``m = M t' / t^2`` and ``n = nu / (1 - nu)`` equilibrium gives the shear stress ``1.5 q (1 - y^2) + m (4.5 y^2 -
+  1.5)``. With the transverse stress the energy is ``t (1.2 q_a q_b / G - (0.6 / G + 1.2 n / E') (q_a m_b + q_b m_a) +
+  (1.8 / G - 1.2 n / E') m_a m_b)``. For a straight beam this is 1.2 q^2, for a wedge loaded at its apex it agrees with
+  Carothers' solution;
+- bulging: a force compresses the fibres beside it, which bulge and bend the tooth. At a distance x towards the tip or
+  the root this adds ``1.2 n |x| / (E' t)``, the term by which the deflection of an infinite strip under pressure
+  exceeds the deflection of a beam with 1.2 Q^2;
 - foundation: an elastic layer on rigid ground (`layer_compliance`), as deep as the rim, which also couples
-  neighbouring teeth. Bent around a gear it counts as deep as one that an even shear shifts as far. Without a rim it is
-  a half-plane, ``cos b_a cos b_b / E' (18 / pi u_a u_b / s^2 + (1 - 2 nu) / (1 - nu) (u_a + u_b) / s + 4.8 / pi
-  (1 + (1 - nu) / 2.4 tan b_a tan b_b))`` with the lever u of each force, its slant b and the root's thickness s (Weber
-  and Banaschek 1953);
-- contact: an endless strip as thick as the tooth, pressed on one side, less what it does as a beam. By Fourier's
-  integrals that is ``2 / (pi E')`` times 0.60, 0.28, 0.13 and 0.03 at 0.3, 0.5, 0.7 and 1 of h, half of the thickness,
-  and its integral over all places is ``0.366 t / E'``. ``1 / (pi E') exp(-(x / (0.8 h))^2) ln(1 + (a h / x)^2)`` has
-  the same integral and those values within 0.05; near the force it is Weber and Banaschek's
-  ``2 / (pi E') (ln(h / x) - 1 / (2 (1 - nu)))``, which says a. At the tip it is mirrored, as at a free end.
+  neighbouring teeth. The rim is bent around the gear; the depth of the layer is chosen so that a uniform shear shifts
+  it as far as the rim. Without a rim the foundation is a half-plane, ``cos b_a cos b_b / E' (18 / pi u_a u_b / s^2 +
+  (1 - 2 nu) / (1 - nu) (u_a + u_b) / s + 4.8 / pi (1 + (1 - nu) / 2.4 tan b_a tan b_b))`` with the lever u of each
+  force, its inclination b and the thickness s of the tooth at its root (Weber and Banaschek 1953);
+- contact: an infinite strip as thick as the tooth, pressed on one side, minus its deflection as a beam. Fourier
+  integrals give ``2 / (pi E')`` times 0.60, 0.28, 0.13 and 0.03 at distances of 0.3, 0.5, 0.7 and 1 times h, half of
+  the thickness; the integral over all places is ``0.366 t / E'``. The function ``1 / (pi E') exp(-(x / (0.8 h))^2)
+  ln(1 + (a h / x)^2)`` has the same integral and these values within 0.05. Near the force it becomes Weber and
+  Banaschek's ``2 / (pi E') (ln(h / x) - 1 / (2 (1 - nu)))``, which determines a. At the tip, as at a free end, the
+  function is mirrored.
 
-No stiffness is fitted. Flanks of gears of few teeth difference lie on each other over all of the profile that
-they share: a single candidate of a pair presses evenly there, of several each its own part. Across the face forces
-deflect beam and foundation as an elastic layer does that forgets over a length l (``v - l^2 v''``, free ends), and
-press each its own slice. Of beams l is the coupling length, of neighbours the rim if that is more, of the foundation
-under a tooth itself the geometric mean of both: a choice, after finite elements of one ring under a rim of 2 mm.
+No stiffness is fitted. In gears with few teeth difference, the flanks lie on each other over all of the profile that
+they share. A single candidate of a pair has a uniform pressure there; several candidates have one part of the profile
+each. Across the face, beam and foundation deflect as an elastic layer whose deflection v decays over a length l
+(``v - l^2 v''``, free ends), and each contact compresses its own slice only. For beams l is the coupling length. For
+neighbouring teeth l is the rim depth if that is larger, and for the foundation under the loaded tooth the geometric
+mean of both. This choice follows finite elements of one ring with a rim of 2 mm.
 """
 
 import math
@@ -46,37 +50,40 @@ from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import check_parameters, count, length, number
 from gearjax.typing import Array, Float, Number, Scalar
 
-NODES = 8  # of Gauss' quadrature from the root to a load
-SHEAR = 1.2  # of a rectangular section
-FILLET = 0.2  # modules
-SHORTEST = 1e-9  # m, of a strip that presses
-FADING = 0.8  # of half of the thickness: within it a strip gives way beside a force
-ITSELF, MIRRORED = math.exp(-1.5), 4 * math.exp(-1.5)  # of a strip: the mean of ln |x - x'| and of ln (x + x')
-DEEPEST = 0.9  # of the root circle's radius, that an external gear's rim counts
+NODES = 8  # nodes of Gauss' quadrature from the root to a load
+SHEAR = 1.2  # shear correction factor of a rectangular section
+FILLET = 0.2  # height of the fillet, in modules
+SHORTEST = 1e-9  # m, shortest strip of contact
+FADING = 0.8  # distance, in half thicknesses, over which the contact deflection beside a force decays
+# distances, in lengths of a strip, whose logarithm is the mean of ln |x - x'| and of ln (x + x') over the strip
+ITSELF, MIRRORED = math.exp(-1.5), 4 * math.exp(-1.5)
+DEEPEST = 0.9  # greatest depth of an external gear's rim, as a share of its root radius
 
 
 class ElasticTeeth(AbstractToothCompliance):
-    """Involute teeth as beams on an elastic foundation, with the contact between them.
+    """Involute teeth as beams on an elastic foundation, with the contact between their flanks.
 
-    The candidates of a pair move each other; those of teeth beside it do with ``neighbours``. By finite elements an
-    even load moves the next pair by 3 % of its own under a rim of 1.4 modules, by 5 % under one of 3.4 modules,
-    the one after it by 0.6 % and 3.4 %. Without them the candidates of a pair are a small block of their own, which is
-    solved several times as quickly. A single candidate of a pair presses evenly over the profile that both teeth share.
+    The candidates of a pair are coupled; with ``neighbours``, candidates of neighbouring pairs are coupled too. By
+    finite elements, a uniform load moves the next pair by 3 % (rim of 1.4 modules) or 5 % (rim of 3.4 modules) of the
+    deflection of the loaded pair, and the pair after that by 0.6 % or 3.4 %. Without neighbours, the candidates of each
+    pair are a small block of their own, which is solved several times as fast. A single candidate of a pair has a
+    uniform pressure over the profile that both teeth share.
 
-    With two neighbours and nine candidates along the profile, loads above an eighth of the largest one are within 5 %
-    of what the finite elements of `InfluenceMatrix` give, all within 1.4 % of the largest: of the pair of Yang, Tang
-    and Liang (2019) with a rim of 0.8 mm and of 2 mm, and of 60 teeth in 64 of 2 mm module with one of 6 mm. With five
-    candidates small loads at the ends of contact are off by up to 10 % of their own; finite elements lose as much by
-    five. Without neighbours loads about a quarter of the largest are up to 13 % too small, smaller ones by more, all
-    within 4 % of the largest.
+    Accuracy, with two neighbours and nine candidates along the profile: loads above an eighth of the largest load are
+    within 5 % of the finite elements of `InfluenceMatrix`, and all loads within 1.4 % of the largest. This was checked
+    on the pair of Yang, Tang and Liang (2019) with a rim of 0.8 mm and of 2 mm, and on 60 teeth in 64 of 2 mm module
+    with a rim of 6 mm. With five candidates, small loads at the ends of contact have an error of up to 10 % of their
+    own value; finite elements with five candidates lose as much. Without neighbours, loads of about a quarter of the
+    largest are up to 13 % too small and smaller loads by more, all within 4 % of the largest.
 
     Args:
-        youngs_modulus: E, of both gears [Pa].
-        poissons_ratio: nu [-].
-        external_width, internal_width: of the teeth [m]; contacts run over the narrower one.
-        coupling_length: l across the face, in modules [-].
-        rim: depth under the root circle at which the gears are held [m]; without, a half-plane is under the teeth.
-        neighbours: how many teeth to each side a tooth moves through the rim.
+        youngs_modulus: Young's modulus E of both gears [Pa].
+        poissons_ratio: Poisson's ratio nu of both gears [-].
+        external_width: face width of the external gear [m]; contacts extend over the narrower gear.
+        internal_width: face width of the internal gear [m]; contacts extend over the narrower gear.
+        coupling_length: length l over which deflections decay across the face, in modules [-].
+        rim: depth under the root circle at which the gears are held [m]; without it, the teeth are on a half-plane.
+        neighbours: number of teeth to each side that a loaded tooth moves through the rim.
     """
 
     kind: ClassVar[str] = "elastic_teeth"
@@ -106,13 +113,13 @@ class ElasticTeeth(AbstractToothCompliance):
             beside = jax.vmap(lambda radii, pair: self._beside(places, radii, pair))(places.radius, places.pair)
             blocks = jax.vmap(block_diagonal)(own) + beside
         else:
-            blocks = own.reshape(-1, *own.shape[2:])  # each pair of teeth is one
-        return 0.5 * (blocks + jnp.swapaxes(blocks, 1, 2))  # symmetric to the last digit of single precision too
+            blocks = own.reshape(-1, *own.shape[2:])  # each pair of teeth is one block
+        return 0.5 * (blocks + jnp.swapaxes(blocks, 1, 2))  # exactly symmetric, also in single precision
 
     def _pair(
         self, places: Places, radii: tuple[Float[Array, " point"], Float[Array, " point"]], shared: Scalar
     ) -> Float[Array, "contact contact"]:
-        """Approach per force of the contacts of one pair, by point, then by place across the face."""
+        """Approach per force of the contacts of one pair [m/N]; contacts in the order point, place across the face."""
         points, face = radii[0].shape[0], places.face.shape[0]
         width = jnp.minimum(self.external_width, self.internal_width)
         slices = jnp.diag(1 / (width * even_parts(face, width.dtype)))
@@ -130,7 +137,7 @@ class ElasticTeeth(AbstractToothCompliance):
     def _beside(
         self, places: Places, radii: tuple[Float[Array, "pair point"], Float[Array, "pair point"]], pair: Array
     ) -> Float[Array, "contact contact"]:
-        """Approach per force of contacts on teeth beside each other, by pair, point and place across the face."""
+        """Approach per force of contacts on neighbouring teeth [m/N], in the order pair, point, place on the face."""
         pairs, points = radii[0].shape
         face, size = places.face.shape[0], pairs * points
         width = jnp.minimum(self.external_width, self.internal_width)
@@ -148,21 +155,21 @@ class ElasticTeeth(AbstractToothCompliance):
         return whole.reshape(size * face, size * face)
 
     def _reach(self, gear: InvoluteGear) -> tuple[Scalar, Scalar]:
-        """How far a force is felt across the face, of a tooth and of the rim [m]."""
+        """Lengths over which a deflection decays across the face, of a tooth and of the rim [m]."""
         short = self.coupling_length * gear.module
         return short, short if self.rim is None else jnp.maximum(short, self.rim)
 
     def _beam(self, gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point point"]:
-        """Beam: approach per force on the unit of width [m2/N]."""
+        """Beam: approach per force for a unit of width [m2/N]."""
         height, half, slant = gear.section(radius)
         foot = gear.section(root_of(gear))[0]
         across, along = jnp.cos(slant), jnp.sin(slant)
         sign = -1.0 if gear.internal else 1.0  # the root of an internal gear is outside
-        arm = sign * (height - foot)  # of each load above the root
-        # sections from the root to the lower of both loads
+        arm = sign * (height - foot)  # height of each load above the root
+        # both loads act in the sections from the root to the lower load
         nodes, weights = (jnp.asarray(part, radius.dtype) for part in np.polynomial.legendre.leggauss(NODES))
         level, step = 0.5 * (1 + nodes)[None] * arm[:, None], 0.5 * weights[None] * arm[:, None]
-        # worked out once for each point, not for each pair of them
+        # the thickness is calculated for each point, which is cheaper than for each pair of points
         at, inward = foot + sign * level, jnp.full_like(level, -sign)
         half_thick, grows = jax.jvp(gear.half_thickness, (at,), (inward,))
         lower = (arm[:, None] <= arm[None, :])[..., None]
@@ -172,7 +179,7 @@ class ElasticTeeth(AbstractToothCompliance):
         sides = (lambda each: each[:, None, None]), (lambda each: each[None, :, None])
         moment = [side(across) * (side(arm) - level) - side(along * half) for side in sides]
         shear = [side(across) / thick for side in sides]
-        borne = [each * grows / thick**2 for each in moment]  # by slanting stresses
+        borne = [each * grows / thick**2 for each in moment]  # part of the shear that inclined stresses carry
         modulus, rigidity = self.line_contact.plane_modulus, self.youngs_modulus / (2 * (1 + self.poissons_ratio))
         bulge = SHEAR * self.poissons_ratio / (1 - self.poissons_ratio) / modulus
         mixed = shear[0] * borne[1] + shear[1] * borne[0]
@@ -184,18 +191,19 @@ class ElasticTeeth(AbstractToothCompliance):
         return ((bent + sheared + press) * step).sum(axis=-1) + 0.5 * across[:, None] * across[None, :] * beside
 
     def _layer(self, gear: InvoluteGear, held: Scalar) -> Float[Array, "distance 3 3"]:
-        """Compliance of a rim of some depth between the roots of a tooth and of those ahead (`layer_compliance`)."""
+        """Compliance of the rim between the root of a tooth and the roots of the teeth ahead (`layer_compliance`)."""
         sign, root = (-1.0 if gear.internal else 1.0), gear.root_radius
         rim = held if gear.internal else jnp.minimum(held, DEEPEST * root)
         depth = 0.5 * sign * root * ((root / (root - sign * rim)) ** 2 - 1)
-        # forces on driving teeth of the external gear are towards decreasing angles, on those of the ring increasing
+        # forces on driving teeth act towards decreasing angles on the external gear, towards increasing ones on the
+        # ring
         pitch = -sign * 2 * math.pi / gear.teeth * root
         apart = pitch * jnp.arange(self.neighbours + 1, dtype=pitch.dtype)
         thick = 2 * gear.section(root_of(gear))[1]
         return layer_compliance(apart, thick, depth, self.line_contact.plane_modulus, self.poissons_ratio)
 
     def _foundation(self, gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point point"]:
-        """Foundation under a tooth itself: approach per force on the unit of width [m2/N]."""
+        """Foundation under the loaded tooth: approach per force for a unit of width [m2/N]."""
         at_root = _at_root(gear, radius)
         if self.rim is not None:
             return at_root @ self._layer(gear, jnp.asarray(self.rim))[0] @ at_root.T
@@ -211,9 +219,9 @@ class ElasticTeeth(AbstractToothCompliance):
     def _contact(
         self, gear: InvoluteGear, radius: Float[Array, " point"], shared: Scalar
     ) -> Float[Array, "point point"]:
-        """Contact: approach per force on the unit of width [m2/N]."""
+        """Contact: approach per force for a unit of width [m2/N]."""
         half, points = gear.section(radius)[1], radius.shape[0]
-        # places count in lengths that the tooth's thickness measures, so that the matrix is positive definite
+        # places are scaled by the thickness of the tooth, which keeps the matrix positive definite
         along, tip = (0.5 * gear.base_radius * gear.roll_at(at) ** 2 for at in (radius, gear.tip_radius))
         strip = shared if points == 1 else jnp.abs(along[-1] - along[0])
         strip = jnp.maximum(strip * even_parts(points, strip.dtype), SHORTEST) / half
@@ -223,13 +231,13 @@ class ElasticTeeth(AbstractToothCompliance):
         apart = jnp.where(own, ITSELF * strip[:, None], jnp.maximum(apart, SHORTEST / half[:, None]))
         mirrored = jnp.where(own, jnp.maximum(mirrored, MIRRORED * strip[:, None]), mirrored)
         near = jnp.exp(-1 / (1 - self.poissons_ratio))
-        # products of two functions whose matrices are positive definite
+        # both factors have positive definite matrices, so that their product has one too
         one, other = (jnp.exp(-((at / FADING) ** 2)) * jnp.log1p(near / (at * at)) for at in (apart, mirrored))
         return (one + other) / (math.pi * self.line_contact.plane_modulus)
 
 
 def _at_root(gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point 3"]:
-    """Shear, moment and pressure at the root per force at each point [-], [m], [-]."""
+    """Shear force, moment and normal force at the root per force at each point [-], [m], [-]."""
     (height, half, slant), foot = gear.section(radius), gear.section(root_of(gear))[0]
     across, along = jnp.cos(slant), jnp.sin(slant)
     arm = jnp.abs(height - foot)
@@ -237,33 +245,38 @@ def _at_root(gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array,
 
 
 def _across(place: Float[Array, " face"], loaded: Scalar, width: Scalar, reach: Scalar) -> Float[Array, "face face"]:
+    """Deflection across the face: `even_across` for a single place, `deflection_across` for several [1/m]."""
     if place.shape[0] == 1:
         return even_across(loaded, width, reach)[None, None]
     return deflection_across(place, width, reach)
 
 
 def deflection_across(place: Float[Array, " face"], width: Scalar, reach: Scalar) -> Float[Array, "face face"]:
-    """Deflection at places across a face per force at others, over that of the unit of width under an even load [1/m].
+    """Deflection at each place across a face per force at each other place, as a factor per unit of width [1/m].
 
-    Of an elastic layer that forgets over a length l: ``cosh(low / l) cosh(high / l) / (l sinh(w / l))`` with the
-    distances from the lower place to its end and from the higher one to the other end.
+    The factor multiplies the deflection of a unit of width under a uniform load. It is that of an elastic layer whose
+    deflection decays over a length l: ``cosh(low / l) cosh(high / l) / (l sinh(w / l))``. Here ``low`` is the distance
+    from the lower place to the lower end of the face, ``high`` the distance from the higher place to the higher end.
 
     Args:
-        place: from the middle of the face [m].
-        width: of the tooth [m].
-        reach: l [m].
+        place: places across the face, counted from its middle [m].
+        width: face width w of the tooth [m].
+        reach: length l [m].
     """
     low = 0.5 * width + jnp.minimum(place[:, None], place[None, :])
     high = 0.5 * width - jnp.maximum(place[:, None], place[None, :])
-    # by exponentials that do not overflow
+    # these exponentials do not overflow, unlike cosh and sinh
     decay = jnp.exp(-(width - low - high) / reach)
     grown = decay * (1 + jnp.exp(-2 * low / reach)) * (1 + jnp.exp(-2 * high / reach))
     return 0.5 * grown / (reach * -jnp.expm1(-2 * width / reach))
 
 
 def even_across(loaded: Scalar, width: Scalar, reach: Scalar) -> Scalar:
-    """The same on the mean of an even load over the middle part of a tooth [1/m]: one over the width where all of it is
-    loaded, less where it is wider."""
+    """Mean deflection under a uniform load on the middle part of a tooth, as a factor per unit of width [1/m].
+
+    It is the counterpart of `deflection_across` for one force that is spread over the loaded part. It is one over the
+    width if the whole tooth is loaded, and smaller if the tooth is wider than the loaded part.
+    """
     half, beside = 0.5 * loaded / reach, 0.5 * (width - loaded) / reach
     # 1 - (2 l / w) sinh(half) sinh(beside) / sinh(half + beside)
     spread = -jnp.expm1(-2 * half) * jnp.expm1(-2 * beside) / jnp.expm1(-2 * (half + beside))

@@ -15,11 +15,12 @@ from gearjax.typing import Array, Float, Number, Scalar
 class HarmonicStiffness(AbstractCompliance):
     """Stiffness of one pair, ``k = mean (1 + sum_n a_n cos(n psi + phase_n))`` (Wang et al. 2020, eq. 20).
 
-    Contacts across the face of a pair, such as slices of it, share its stiffness evenly.
+    The contacts across the face of a pair, such as its slices, share the stiffness of the pair evenly.
 
     Args:
         mean: mean stiffness of one pair along the line of action [N/m].
-        relative_amplitudes: a_n of the harmonics of the mesh frequency, shape (harmonic,); empty for constant.
+        relative_amplitudes: amplitudes a_n of the harmonics of the mesh frequency, as shares of the mean, shape
+            (harmonic,) [-]; empty for a constant stiffness.
         phases: phase of each harmonic, shape (harmonic,) [rad].
 
     Raises:
@@ -47,7 +48,7 @@ class HarmonicStiffness(AbstractCompliance):
             )
 
     def _lowest(self) -> float:
-        """Lowest stiffness over the mean: 64 samples per period of the highest harmonic, by FFT."""
+        """Lowest stiffness divided by the mean, from an FFT with 64 samples per period of the highest harmonic."""
         amplitudes = np.asarray(self.relative_amplitudes, float).ravel()
         size = 64 * (amplitudes.size + 1)
         lines = np.zeros(size // 2 + 1, complex)
@@ -56,6 +57,7 @@ class HarmonicStiffness(AbstractCompliance):
         return float(np.fft.irfft(lines, size).min())
 
     def _shape(self, psi: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Stiffness divided by the mean, at mesh phases [rad]."""
         harmonic = jnp.arange(1, self.phases.size + 1, dtype=self.phases.dtype)
         angle = psi[:, None] * harmonic[None, :] + self.phases[None, :]
         return 1.0 + (self.relative_amplitudes[None, :] * jnp.cos(angle)).sum(axis=-1)

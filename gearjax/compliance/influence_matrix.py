@@ -1,4 +1,4 @@
-"""Compliance of teeth by finite elements: tables of both gears, between whose nodes the contacts stand."""
+"""Compliance of teeth by finite elements, from an influence table of each gear."""
 
 import warnings
 from typing import ClassVar
@@ -21,33 +21,39 @@ from gearjax.parameters import check_parameters, count, file_name, length, numbe
 from gearjax.typing import Array, Float, Number
 from gearjax.units import mm
 
-APART = 0.05  # of a span of nodes, that contacts may stand beyond
-FEWEST_POINTS = 3  # along the profile: single nodal forces would tell of the elements, not of the teeth
-MARGIN = 1e-6  # of a radius, that nodes stand beyond the contacts
+APART = 0.05  # share of the span of nodes by which contacts may lie beyond the nodes
+FEWEST_POINTS = 3  # along the profile: a single nodal force would show the size of the elements, not the teeth
+MARGIN = 1e-6  # share of a radius by which nodes are placed beyond the contacts
 
 
 class InfluenceMatrix(AbstractToothCompliance):
     """Teeth of both gears by finite elements, condensed once to the nodes of their flanks (Yang, Tang, Liang 2019).
 
-    Each gear has its `InfluenceTable`: of the package's own run (`tooth_influence`, which needs the extra ``fem``),
-    kept in a folder and taken from there the next time, or of a file that another program wrote. Contacts stand between
-    its nodes, by cubic splines along the profile, without snapping as the gears turn. It needs candidates along the
-    profile, ``profile_points`` of the gear set about as many as there are elements; with a single one across the face
-    the force of each spreads over it evenly.
+    Each gear has an `InfluenceTable`. It comes from the package's own finite elements (`tooth_influence`, which needs
+    the extra ``fem``), whose result can be kept in a folder for the next time, or from a file of another program.
+    Between the nodes of the table the influence is interpolated, by cubic splines along the profile, so that it changes
+    smoothly as the gears turn. The gear set needs several candidates along the profile: its ``profile_points`` should
+    be about the number of elements. With a single candidate across the face, the force of each candidate is uniform
+    over the face.
 
-    `made_for` finds the tables for a gear set: configurations do so as they are read. They stay what they are while
-    numbers of the gear set are varied by a study; a scene of other gears refuses them. Where candidates along the
-    profile are fewer than elements, it warns (`gearjax.FewCandidates`): loads of single pairs are then off by some per
-    cent.
+    `made_for` provides the tables for a gear set; a configuration calls it when it is read. The tables do not change
+    while a study varies numbers of the gear set, and a scene with other gears refuses them. If there are fewer
+    candidates along the profile than elements, `made_for` warns (`gearjax.FewCandidates`), because loads of single
+    pairs then have errors of some per cent.
 
     Args:
-        youngs_modulus, poissons_ratio: of both gears [Pa], [-].
-        external_width, internal_width: of the teeth [m]; the narrower one meets the middle of the other.
-        rim: depth under the root circle at which a gear is held [m]: as decisive as where the teeth stand.
-        profile_elements, layers: elements along the part of the profile that may touch, and across the face.
-        external_file, internal_file: tables of another program (`save_influence`); both or none.
-        cache: folder where tables of the own run are kept; not kept without. In a configuration these three are looked
-            for from its folder on.
+        youngs_modulus: Young's modulus of both gears [Pa].
+        poissons_ratio: Poisson's ratio of both gears [-].
+        external_width: face width of the external gear [m]; the narrower gear is in the middle of the wider gear.
+        internal_width: face width of the internal gear [m]; the narrower gear is in the middle of the wider gear.
+        rim: depth under the root circle at which a gear is held [m]; it has a decisive influence.
+        profile_elements: number of elements along the part of the profile that may touch.
+        layers: number of elements across the part of the face where both gears meet.
+        external_file: file with the table of the external gear from another program (`save_influence`); give both files
+            or none. In a configuration the path starts at the folder of the configuration.
+        internal_file: file with the table of the internal gear from another program; give both files or none.
+        cache: folder where tables of the package's own finite elements are kept; without it, they are not kept. In a
+            configuration the path starts at the folder of the configuration.
     """
 
     kind: ClassVar[str] = "influence_matrix"
@@ -115,7 +121,7 @@ class InfluenceMatrix(AbstractToothCompliance):
             raise ParameterError("system.profile_points", points, words)
 
     def _check_reach(self, tables: tuple[InfluenceTable, ...], radii: tuple[Array, Array]) -> None:
-        """Refuse nodes that are not where the contacts are: points beyond them would count as on their edge."""
+        """Refuse tables whose nodes do not reach to all contacts: contacts beyond them would count as at the edge."""
         shared = min(float(self.external_width), float(self.internal_width))
         for side, table, own in zip(("external", "internal"), tables, radii, strict=True):
             low, high, face = float(own.min()), float(own.max()), float(table.face[-1] - table.face[0])
@@ -157,8 +163,8 @@ class InfluenceMatrix(AbstractToothCompliance):
         each = places.radius[0][0].size * places.face.shape[0]
         whole = jnp.zeros((places.pair.shape[0], each, each), places.pair.dtype)
         for table, radius, gear in zip(tables, places.radius, places.gears, strict=True):
-            # driving flanks of the external gear face increasing angles, those of the ring that they press decreasing
-            # ones; back flanks come as their mirror image
+            # driving flanks of the external gear face increasing angles, the flanks of the ring under them face
+            # decreasing angles; back flanks are given as their mirror image
             facing = table.mirrored if gear.internal else table
             whole = whole + jax.vmap(_between, (None, 0, 0, None))(facing, radius, places.pair, places.face)
         return block_diagonal(whole)
@@ -167,7 +173,7 @@ class InfluenceMatrix(AbstractToothCompliance):
 def _between(
     table: InfluenceTable, radius: Float[Array, "pair point"], tooth: Float[Array, " pair"], face: Float[Array, " face"]
 ) -> Float[Array, "contact contact"]:
-    """Influence of the contacts of one gear, by pair, point and place across the face."""
+    """Influence of the contacts of one gear [m/N], in the order pair, point, place across the face."""
     rows = along_radius(table, radius.ravel())
     if face.shape[0] == 1:
         parts = jnp.diff(table.face)

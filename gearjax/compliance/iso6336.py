@@ -1,4 +1,4 @@
-"""Stiffness of the teeth of a pair by ISO 6336-1, method B."""
+"""Tooth and mesh stiffness of a pair of gears by ISO 6336-1, method B."""
 
 import math
 from collections.abc import Sequence
@@ -16,31 +16,32 @@ from gearjax.typing import Array, Bool, Float, Scalar
 from gearjax.units import deg, mm
 
 PLAIN = (0.04723, 0.15551, 0.25791)
-"""C1 to C3 of ISO 6336-1, table 9 [mm um/N]: constant, over the virtual tooth numbers of pinion and wheel."""
+"""C1 to C3 of ISO 6336-1, table 9 [mm um/N]: the constant, and the factors of 1/z_n1 and 1/z_n2."""
 SHIFTED = (-0.00635, -0.11654, -0.00193, -0.24188, 0.00529, 0.00182)
-"""C4 to C9: of the shift of the pinion, and over its tooth number; of the wheel; squares of both."""
+"""C4 to C9 of the same table: factors of x_1, x_1/z_n1, x_2, x_2/z_n2, x_1^2 and x_2^2."""
 PER_MM_UM = 1e9  # N/m^2 in one N/(mm um)
-SOLID = 0.8  # C_M: teeth measured over teeth calculated
+SOLID = 0.8  # C_M: measured over calculated stiffness
 FULL = 1e5  # N/m, load per face width from which on the stiffness is constant
-LEAST = 1e3  # N/m, below which a load is rather one in N/mm
-HIGHEST = 1.6e6  # N/m, to which ISO compared its formula with measurements
-LOW_LOAD = 0.25
+LEAST = 1e3  # N/m; a smaller load was probably given in N/mm
+HIGHEST = 1.6e6  # N/m, highest load for which ISO compared its formula with measurements
+LOW_LOAD = 0.25  # exponent of loads below FULL
 
 
 class Iso6336Stiffness(eqx.Module):
-    """Stiffness of the teeth of a pair by ISO 6336-1, in the transverse section, per face width.
+    """Tooth and mesh stiffness of a pair of gears by ISO 6336-1, in the transverse section, per face width.
 
-    Times the face width they are stiffnesses along the line of action [N/m]; divided by 1e9 they are in N/(mm um), as
-    ISO has them.
+    Multiplied by the face width, the values are stiffnesses along the line of action [N/m]. Divided by 1e9, they are in
+    N/(mm um), the unit of ISO.
 
     Args:
-        theoretical: ``c'_th``, of one pair of teeth, of the rack of 1.2 modules of dedendum [N/m per m].
-        single: ``c'``, the highest of one pair of teeth [N/m per m].
-        mesh_alpha: ``c_gamma_alpha``, mean of the mesh, for vibration and load sharing [N/m per m].
-        mesh_beta: ``c_gamma_beta``, mean of the mesh, for load distribution across the face [N/m per m].
-        transverse_contact_ratio: ``eps_alpha`` [-].
-        overlap_ratio: ``eps_beta`` [-].
-        within_limits: whether the pair is one that ISO states its formulas for (`iso6336_stiffness`).
+        theoretical: theoretical single stiffness ``c'_th`` of one pair of teeth, for the rack with a dedendum of 1.2
+            modules [N/m per m].
+        single: single stiffness ``c'``, the highest stiffness of one pair of teeth [N/m per m].
+        mesh_alpha: mean mesh stiffness ``c_gamma_alpha``, for vibration and load sharing [N/m per m].
+        mesh_beta: mean mesh stiffness ``c_gamma_beta``, for the load distribution across the face [N/m per m].
+        transverse_contact_ratio: transverse contact ratio ``eps_alpha`` [-].
+        overlap_ratio: overlap ratio ``eps_beta`` [-].
+        within_limits: whether the pair is within the limits of ISO's formulas (`iso6336_stiffness`).
     """
 
     theoretical: Float[Array, ""]
@@ -68,50 +69,52 @@ def iso6336_stiffness(
     load_per_width: Any = None,
     low_load_exponent: Any = LOW_LOAD,
 ) -> Iso6336Stiffness:
-    """Single and mesh stiffness of a pair of steel gears, ISO 6336-1:2006 and :2019, 9.3, method B.
+    """Single and mesh stiffness of a pair of steel gears by ISO 6336-1:2006 and :2019, 9.3, method B.
 
         q' = C1 + C2/z_n1 + C3/z_n2 + C4 x_1 + C5 x_1/z_n1 + C6 x_2 + C7 x_2/z_n2 + C8 x_1^2 + C9 x_2^2
         z_n = z / (cos^2 beta_b cos beta),   c'_th = 1 / q'
         c' = c'_th C_M C_R C_B cos beta,   C_M = 0.8,   C_R = blank_factor
-        C_B = (1 + 0.5 (1.2 - h_fP / m_n)) (1 - 0.02 (20 deg - alpha_Pn)), the mean of both gears' racks
+        C_B = (1 + 0.5 (1.2 - h_fP / m_n)) (1 - 0.02 (20 deg - alpha_Pn)), with the mean h_fP of both gears' racks
         c_gamma_alpha = c' (0.75 eps_alpha + 0.25),   c_gamma_beta = 0.85 c_gamma_alpha
 
-    Below 100 N/mm of load, ``c'`` is multiplied by ``(load_per_width / 100 N/mm)^0.25``. Both editions have these
-    formulas; :2019 counts the mesh load factor K_gamma to the load, :2006 does not. Some calculations reduce in
-    proportion to the load instead: `low_load_exponent` = 1. Of an internal pair ``z_n2`` is infinite; its ``x_2``
-    stays, in ISO's sign. Where eps_alpha is below 1.2 ISO lets c_gamma_alpha be up to 10 % lower; it is not lowered
-    here.
+    Below a load of 100 N/mm, ``c'`` is multiplied by ``(load_per_width / 100 N/mm)^0.25``. Both editions have these
+    formulas; :2019 includes the mesh load factor K_gamma in the load, :2006 does not. Some calculations reduce ``c'``
+    in proportion to the load instead: `low_load_exponent` = 1. For an internal pair ``z_n2`` is infinite, and ``x_2``
+    is counted with ISO's sign. If eps_alpha is below 1.2, ISO allows for a c_gamma_alpha that is up to 10 % lower; it
+    is not lowered here.
 
-    ISO states the formulas for ``x_1 >= x_2`` and ``-0.5 <= x_1 + x_2 <= 2`` (in its signs), helix angles to 45 deg,
-    eps_alpha from 1.2 to 2.5 and loads of 100 to 1600 N/mm. Pairs outside are calculated all the same, as ISO's users
-    do, and `within_limits` is false: a number of the result, so that it tells of each pair of a batch, where a warning
-    could not.
+    ISO states the formulas for ``x_1 >= x_2`` and ``-0.5 <= x_1 + x_2 <= 2`` (in its signs), helix angles up to
+    45 deg, eps_alpha from 1.2 to 2.5 and loads of 100 to 1600 N/mm. Pairs outside these limits are calculated all the
+    same, as is common practice, and `within_limits` is false. It is a part of the result and not a warning, so that a
+    batch has one value per pair.
 
     Args:
-        teeth: of the pinion and of the wheel.
-        normal_module: [m].
-        normal_pressure_angle: of the basic rack [rad].
-        helix_angle: at the reference circle, of either sign [rad].
-        profile_shifts: of both gears, in normal modules; a positive one takes teeth outwards, of an internal gear too:
-            its ``x_2`` of ISO is the negative one [-].
-        face_width: common to both [m].
-        centre_distance: [m].
-        tip_diameters: of both gears [m]; without them as rack and shifts make them, not shortened.
-        rack: ``"ISO 53 A"`` to ``"ISO 53 D"``, a `BasicRack`, or one for each gear.
-        blank_factor: ``C_R``, 1 for solid discs, for rims on webs ``1 + ln(b_s / b) / (5 exp(s_R / (5 m_n)))`` [-].
+        teeth: tooth numbers of the pinion and of the wheel.
+        normal_module: normal module [m].
+        normal_pressure_angle: normal pressure angle of the basic rack [rad].
+        helix_angle: helix angle at the reference circle, of either sign [rad].
+        profile_shifts: profile shifts of both gears, in normal modules; a positive shift moves the teeth outwards, also
+            on an internal gear, whose ``x_2`` in ISO has the opposite sign [-].
+        face_width: common face width of both gears [m].
+        centre_distance: centre distance [m].
+        tip_diameters: tip diameters of both gears [m]; without them, they follow from rack and profile shifts, without
+            tip shortening.
+        rack: ``"ISO 53 A"`` to ``"ISO 53 D"``, a `BasicRack`, or one of these for each gear.
+        blank_factor: gear blank factor ``C_R``: 1 for solid discs, ``1 + ln(b_s / b) / (5 exp(s_R / (5 m_n)))`` for
+            rims on webs [-].
         internal: whether the wheel is an internal gear.
-        load_per_width: ``F_t K_A / b`` [N/m]; without it full load, 100 N/mm or more.
-        low_load_exponent: of the load below 100 N/mm [-].
+        load_per_width: load per face width ``F_t K_A / b`` [N/m]; without it, a load of 100 N/mm or more is assumed.
+        low_load_exponent: exponent of the load below 100 N/mm [-].
 
     Returns:
-        The stiffness. Differentiable in every number that is not a count; all numbers are single ones, of batches by
-        `jax.vmap`. What is traced is not checked.
+        The stiffness, differentiable in every number that is not a count. All numbers are scalars; use `jax.vmap` for
+        batches. Traced numbers are not checked.
 
     Raises:
-        ParameterError: an argument is not what it should be, or the gears do not fit into each other.
+        ParameterError: an argument is outside its range, or the gears do not fit into each other.
 
     Example:
-        Example 1 of ISO/TR 6336-30:2017 (there 17.46 N/(mm um)):
+        Example 1 of ISO/TR 6336-30:2017 (17.46 N/(mm um) there):
 
         >>> import gearjax as gj
         >>> from gearjax.units import deg, mm
@@ -142,11 +145,11 @@ def iso6336_stiffness(
 
 @eqx.filter_jit
 def stiffness_of(pair: InvolutePair, blank: Any, load: Any, exponent: Any) -> Iso6336Stiffness:
-    """The same of a pair that is known to fit.
+    """Stiffness of a pair that is known to fit, without checks of the arguments.
 
     Args:
         pair: the gears.
-        blank, load, exponent: ``blank_factor``, ``load_per_width`` and ``low_load_exponent``.
+        blank, load, exponent: ``blank_factor``, ``load_per_width`` and ``low_load_exponent`` of `iso6336_stiffness`.
     """
     theoretical = PER_MM_UM / _compliance(pair)
     single = theoretical * SOLID * blank * _rack_factor(pair) * jnp.cos(pair.helix_angle)
@@ -159,7 +162,7 @@ def stiffness_of(pair: InvolutePair, blank: Any, load: Any, exponent: Any) -> Is
 
 
 def _compliance(pair: InvolutePair) -> Scalar:
-    """``q'`` [mm um/N]."""
+    """Minimum compliance ``q'`` of a pair of teeth [mm um/N]."""
     first, second = _iso_shifts(pair)
     scale = jnp.cos(pair.base_helix_angle) ** 2 * jnp.cos(pair.helix_angle)
     own = scale / pair.teeth[0]
@@ -170,13 +173,13 @@ def _compliance(pair: InvolutePair) -> Scalar:
 
 
 def _iso_shifts(pair: InvolutePair) -> tuple[Scalar, Scalar]:
-    """In ISO's signs."""
+    """Profile shifts with ISO's signs, in normal modules."""
     first, second = pair.profile_shifts
     return first, -second if pair.internal else second
 
 
 def _rack_factor(pair: InvolutePair) -> Scalar:
-    """``C_B``."""
+    """Basic rack factor ``C_B``."""
     dedendum = 0.5 * (pair.racks[0].dedendum + pair.racks[1].dedendum)
     return (1 + 0.5 * (1.2 - dedendum)) * (1 - 0.02 * (20 - pair.normal_pressure_angle / deg))
 
@@ -213,14 +216,14 @@ def _check_numbers(module: Any, pressure_angle: Any, helix_angle: Any, width: An
 
 
 def _check_number(key: str, value: Any, low: float, high: float, words: str) -> None:
-    """Refuse what is known and not one number within bounds."""
+    """Refuse a concrete value that is not a single number within its bounds; traced values pass."""
     if not is_concrete(value):
         return
     if value is None or not is_numeric(value):
         raise ParameterError(key, value, words)
     if np.ndim(value):
         raise ParameterError(key, np.shape(value), "is a shape: must be one number; batches are made by jax.vmap")
-    rounding = 1e-6 * abs(high)  # of bounds in degrees, in float32
+    rounding = 1e-6 * abs(high)  # bounds in degrees are rounded in float32
     if not low - min(rounding, 0.5 * abs(low)) <= float(value) <= high + rounding:
         raise ParameterError(key, value, words)
 
@@ -228,7 +231,7 @@ def _check_number(key: str, value: Any, low: float, high: float, words: str) -> 
 def _check_pair_of(key: str, values: Any, low: float, high: float, words: str) -> None:
     try:
         two = len(values) == 2 and not isinstance(values, str)
-    except TypeError:  # one number
+    except TypeError:  # a single number has no length
         two = False
     if not two:
         raise ParameterError(key, values, words + ", of the pinion and of the wheel")
@@ -237,7 +240,7 @@ def _check_pair_of(key: str, values: Any, low: float, high: float, words: str) -
 
 
 def _check_fit(pair: InvolutePair) -> None:
-    """Refuse gears that cannot be, or that do not fit into each other."""
+    """Refuse gears that are impossible or do not fit into each other."""
     module, width = float(pair.normal_module), float(pair.face_width)
     if width > 1000 * module:
         raise ParameterError("face_width", width, f"is in metres: more than 1000 modules of {module / mm:g} mm")

@@ -1,4 +1,4 @@
-"""Contact lines as even rows of springs: by a stiffness per length, or by that of ISO 6336."""
+"""Contact lines as uniform rows of springs, with a given stiffness per length or the mesh stiffness of ISO 6336."""
 
 from typing import ClassVar
 
@@ -15,10 +15,10 @@ from gearjax.typing import Number
 
 
 class LineStiffness(AbstractSliceCompliance):
-    """One stiffness per length of the contact lines, along the normal of the flanks.
+    """Constant stiffness per length of the contact lines, along the normal of the flanks.
 
     Args:
-        per_length: [N/m per m].
+        per_length: stiffness per length of contact line, along the normal of the flanks [N/m per m].
     """
 
     kind: ClassVar[str] = "line_stiffness"
@@ -32,13 +32,16 @@ class LineStiffness(AbstractSliceCompliance):
 
 
 class Iso6336Teeth(AbstractSliceCompliance):
-    """Mesh stiffness by ISO 6336-1, method B (`iso6336_stiffness`), even along the contact lines: their mean length
-    ``b eps_alpha / cos beta_b`` has ``c_gamma_alpha b / cos^2 beta_b`` along the normal of the flanks.
+    """Mesh stiffness by ISO 6336-1, method B (`iso6336_stiffness`), distributed uniformly along the contact lines.
+
+    The mean length of the contact lines, ``b eps_alpha / cos beta_b``, has the stiffness
+    ``c_gamma_alpha b / cos^2 beta_b`` along the normal of the flanks.
 
     Args:
-        blank_factor: ``C_R``, 1 for solid discs [-].
-        load_per_width: ``F_t K_A / b`` [N/m]; without it full load, 100 N/mm or more.
-        low_load_exponent: of the load below 100 N/mm [-].
+        blank_factor: gear blank factor ``C_R``, 1 for solid discs [-].
+        load_per_width: load per face width ``F_t K_A / b`` [N/m]; without it, a load of 100 N/mm or more is assumed,
+            where the stiffness does not depend on the load.
+        low_load_exponent: exponent of the load below 100 N/mm [-].
     """
 
     kind: ClassVar[str] = "iso_6336"

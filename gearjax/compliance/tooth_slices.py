@@ -1,20 +1,20 @@
-"""Teeth of a helical or spur pair as slices: analytic compliance of each, apart or coupled along the face.
+"""Analytic compliance of the teeth of a helical or spur pair, in slices that are independent or coupled along the face.
 
-A slice is a spur tooth of the transverse section. Under a force per width at a point of its profile it gives way by
+A slice is a spur tooth in the transverse section. Under a force per width at a point of its profile it deflects by
 
-- bending, shear and compression of the tooth from its root circle on, by energy (Weber and Banaschek 1953; Yang and
+- bending, shear and compression of the tooth above its root circle, by energy (Weber and Banaschek 1953; Yang and
   Lin 1987);
 - the foundation: on an external gear the ring under the tooth, ``cos^2 a (L (u/s)^2 + M u/s + P (1 + Q tan^2 a))`` with
   the polynomials of Sainsot, Velex and Duverger (2004); on an internal gear a half-plane (Weber and Banaschek);
-- contact: ``4 (1 - nu^2) / (pi E)``, constant (Yang and Sun 1985), or by Hertz between the flanks and the middles of
-  the teeth, which is stiffer the higher the force (Weber and Banaschek).
+- contact: a constant ``4 (1 - nu^2) / (pi E)`` (Yang and Sun 1985), or Hertzian contact between the flanks and the
+  middles of the teeth, whose stiffness grows with the force (Weber and Banaschek).
 
-The sum is a compliance in the transverse section; along the normal of the flanks it is ``cos^2 beta_b`` times that. The
-root section is that of straight flanks, without its fillet: of 33 teeth and more the foundation gives way 1.1 to 1.4
-times as much as the elastic layer of `ElasticTeeth` under a rim of the same depth, of 19 teeth twice as much.
+The sum is the compliance in the transverse section; along the normal of the flanks it is ``cos^2 beta_b`` times the
+sum. The root section is that of straight flanks, without a fillet. With 33 teeth and more, the foundation deflects 1.1
+to 1.4 times as much as the elastic layer of `ElasticTeeth` on a rim of the same depth; with 19 teeth, twice as much.
 
-Coupled along the face, what is not contact deflects as an elastic layer does that forgets over a length l
-(``v - l^2 v''`` with free ends).
+If the slices are coupled along the face, tooth and foundation deflect as an elastic layer whose deflection v decays
+over a length l (``v - l^2 v''`` with free ends).
 """
 
 import math
@@ -34,16 +34,16 @@ from gearjax.parameters import check_parameters, length, name, number
 from gearjax.typing import Array, Float, Number, Scalar
 
 PLACES_ALONG = 20
-NODES = 12  # of Gauss' quadrature in each part of a tooth
+NODES = 12  # nodes of Gauss' quadrature in each part of a tooth
 PLACES = np.cos(np.pi * (np.arange(PLACES_ALONG) + 0.5) / PLACES_ALONG)
-"""Along the path of contact, from -1 to 1, where teeth are calculated: Chebyshev's."""
+"""Chebyshev points along the path of contact, from -1 to 1, at which the teeth are calculated."""
 TO_SERIES = np.cos(np.arange(PLACES_ALONG)[:, None] * np.arccos(PLACES)) * 2 / PLACES_ALONG
 TO_SERIES[0] *= 0.5
-"""Factors of Chebyshev's polynomials, of the values there."""
-SHEAR = 1.2  # of a rectangular section
-LEAST_SHARE = 1e-6  # of a slice that is on the path of contact
-UNTOLD = 3.0  # root diameter over bore where none is given: a foundation of middle stiffness
-MOST_SOLID = 7.0  # the highest that the polynomials of the foundation are for
+"""Matrix from the values at these points to the coefficients of the Chebyshev polynomials."""
+SHEAR = 1.2  # shear correction factor of a rectangular section
+LEAST_SHARE = 1e-6  # smallest share of a slice on the path of contact that is divided by
+UNTOLD = 3.0  # root diameter over bore if no bore is given: a foundation of medium stiffness
+MOST_SOLID = 7.0  # highest root diameter over bore for which the polynomials of the foundation are valid
 SAINSOT = np.array(
     [
         [-5.574e-5, -1.9986e-3, -2.3015e-4, 4.7702e-3, 0.0271, 6.8045],
@@ -52,21 +52,25 @@ SAINSOT = np.array(
         [-6.2042e-5, 9.0889e-3, -4.0964e-4, 7.8297e-3, -0.1472, 0.6904],
     ]
 )
-"""``A / theta^2 + B h^2 + C h / theta + D / theta + E h + F`` of L, M, P and Q (Sainsot et al. 2004, table 1), with the
-half angle theta of the tooth at its root and h, root radius over bore radius."""
+"""Coefficients A to F of L, M, P and Q, ``A / theta^2 + B h^2 + C h / theta + D / theta + E h + F`` (Sainsot et al.
+2004, table 1). Here theta is the half angle of the tooth at its root, and h is root radius over bore radius."""
 
 
 class ToothSlices(AbstractSliceCompliance):
-    """Analytic teeth, cut into slices across the face.
+    """Analytic compliance of teeth that are cut into slices across the face.
+
+    A smaller bore makes the foundation softer: for the pair of Guo and Fang (2018) 1.6 times, from bores of the root
+    diameter over 1.5 to bores of the root diameter over 4. The bore of an internal gear has no influence.
 
     Args:
-        youngs_modulus: E, of both gears [Pa].
-        poissons_ratio: nu [-].
-        contact: ``"constant"``, or ``"hertz"`` whose stiffness grows with the force.
-        coupling_length: l along the face, in normal modules [-]; without, slices do not move each other.
-        pinion_bore, wheel_bore: diameters at which the gears are held [m]; without, a third of the root diameter. The
-            smaller the bore, the softer the foundation (1.6 times from bores of a root diameter over 1.5 to one over 4,
-            of the pair of Guo and Fang 2018); of an internal gear it does not count.
+        youngs_modulus: Young's modulus E of both gears [Pa].
+        poissons_ratio: Poisson's ratio nu of both gears [-].
+        contact: contact stiffness of the flanks: ``"constant"``, or ``"hertz"``, which grows with the force.
+        coupling_length: length l over which deflections decay along the face, in normal modules [-]; without it, the
+            slices are independent.
+        pinion_bore: diameter at which the pinion is held [m]; without it, a third of its root diameter.
+        wheel_bore: diameter at which the wheel is held [m]; without it, a third of its root diameter. An internal gear
+            needs none.
 
     Raises:
         ParameterError: a value is not physical, or coupled slices have Hertz' contact.
@@ -117,8 +121,11 @@ class ToothSlices(AbstractSliceCompliance):
         return self._hertz(slices, body, normal, width)
 
     def _bodies(self, slices: Slices) -> Float[Array, "block pair slice"]:
-        """Tooth and foundation of both gears. They follow the roll smoothly, so that a polynomial does, by their values
-        at a few places of the path: those do not go by the input angle, and are worked out once for all."""
+        """Compliance of tooth and foundation of both gears in the transverse section, per slice [m2/N].
+
+        It is a smooth function of the length of roll, interpolated by a polynomial through its values at some points of
+        the path of contact. These values do not depend on the input angle and are therefore calculated only once.
+        """
         path = slices.pair.contact_path
         middle, half = 0.5 * (path.begin + path.end), 0.5 * (path.end - path.begin)
         first = middle + half * jnp.asarray(PLACES, middle.dtype)
@@ -130,12 +137,13 @@ class ToothSlices(AbstractSliceCompliance):
         return _series(jnp.asarray(TO_SERIES, middle.dtype) @ (values[0] + values[1]), (slices.roll[0] - middle) / half)
 
     def body(self, gear: InvoluteGear, roll: Array, bore: Scalar | None) -> Array:
-        """Tooth and foundation: deflection in the transverse section per force per width there [m2/N].
+        """Compliance of tooth and foundation of one gear: deflection in the transverse section per force per width
+        [m2/N].
 
         Args:
-            gear: in the transverse section.
-            roll: angles where forces act, any shape [rad].
-            bore: diameter of its bore [m].
+            gear: the gear in the transverse section.
+            roll: roll angles at which forces act, any shape [rad].
+            bore: diameter of the bore [m].
         """
         return (self._tooth(gear, roll) + self._foundation(gear, roll, bore)) / self.line_contact.plane_modulus
 
@@ -143,7 +151,7 @@ class ToothSlices(AbstractSliceCompliance):
         height, half, slant = gear.section(gear.radius_at(roll))
         foot, sign = _foot(gear), -1.0 if gear.internal else 1.0
         arm = sign * (height - foot)
-        # below the base circle flanks are straight: the integral has two parts, each of a smooth function
+        # flanks are straight below the base circle: each of the two parts of the integral has a smooth integrand
         middle = jnp.clip(sign * (gear.base_radius * jnp.cos(gear.half_angle(gear.first_radius)) - foot), 0.0, arm)
         rigidity = 2 / (1 - self.poissons_ratio)
         parts = (0.0 * arm, middle), (middle, arm)
@@ -169,8 +177,8 @@ class ToothSlices(AbstractSliceCompliance):
         return jnp.cos(slant) ** 2 * bent
 
     def _coupled(self, slices: Slices, body: Array, pressed: Scalar) -> Float[Array, "block own own"]:
-        """Influence of the slices of each pair of teeth on each other."""
-        assert self.coupling_length is not None  # it couples
+        """Influence of the slices of each pair of teeth on each other [m/N]."""
+        assert self.coupling_length is not None  # only coupled slices come here
         width, reach = slices.pair.face_width, self.coupling_length * slices.pair.normal_module
 
         together = _together(slices.share.shape[-1], width, reach)
@@ -184,14 +192,17 @@ class ToothSlices(AbstractSliceCompliance):
         return blocks.reshape(-1, *blocks.shape[2:])
 
     def _hertz(self, slices: Slices, body: Array, normal: Scalar, width: Scalar) -> LineSprings:
-        """Approach ``slope F (level - ln F)`` of Hertz' contact and, in proportion, of tooth and foundation."""
+        """Springs with the approach ``slope F (level - ln F)`` of Hertzian contact, tooth and foundation together.
+
+        Tooth and foundation are linear in F and only add to ``level``.
+        """
         depth = 1.0
         for gear, roll in zip(slices.pair.gears, slices.roll, strict=True):
             _, half, slant = gear.section(gear.radius_at(roll / gear.base_radius))
             depth = depth * half / jnp.cos(slant)
         line = width * jnp.maximum(slices.share, LEAST_SHARE)
         nu, modulus = self.poissons_ratio, self.line_contact.plane_modulus
-        # forces and widths of the transverse section; along the normal forces are larger by 1 / cos beta_b
+        # forces and widths are those of the transverse section; the normal forces are larger by 1 / cos beta_b
         cosine = jnp.sqrt(normal)
         curvature = slices.curvature / cosine
         level = jnp.log(0.5 * math.pi * modulus * depth * curvature * line / cosine) - nu / (1 - nu)
@@ -201,20 +212,22 @@ class ToothSlices(AbstractSliceCompliance):
 
 
 def _together(slices: int, width: Scalar, reach: Scalar) -> Float[Array, "slice slice"]:
-    """Deflection of slices per force on each, over that of the unit of width under an even load [1/m].
+    """Deflection of each slice per force on each slice, as a factor per unit of width [1/m].
 
-    The mean over both slices of ``cosh(low / l) cosh(high / l) / (l sinh(w / l))``, with the distances from the lower
-    place to its end of the face and from the higher one to the other end; an even load deflects evenly.
+    The factor multiplies the deflection of a unit of width under a uniform load. It is the mean over both slices of
+    ``cosh(low / l) cosh(high / l) / (l sinh(w / l))``. Here ``low`` is the distance from the lower place to the lower
+    end of the face, ``high`` the distance from the higher place to the higher end. Under a uniform load all slices
+    deflect by the same amount.
 
     Args:
-        slices: of the face.
-        width: of the face [m].
-        reach: l [m].
+        slices: number of slices.
+        width: face width w [m].
+        reach: length l [m].
     """
     step = width / slices
     place = step * (jnp.arange(slices, dtype=width.dtype) + 0.5)
     low, high = (width - jnp.maximum(end[:, None], end[None, :]) for end in (width - place, place))
-    # by exponentials that do not overflow; of slices beside each other, the end of one is the beginning of the other
+    # these exponentials do not overflow, unlike cosh and sinh; adjacent slices have one end in common
     decay = jnp.exp(-jnp.maximum(width - low - high - step, 0.0) / reach)
     grown = decay * (1 + jnp.exp(-2 * low / reach)) * (1 + jnp.exp(-2 * high / reach))
     mean = (-jnp.expm1(-step / reach) * reach / step) ** 2
@@ -229,12 +242,14 @@ def _energy(
     force: tuple[Array, Array, Array],
     rigidity: Scalar,
 ) -> Array:
-    """Bending, shear and compression of a part of a tooth, times ``E'``, per force per width [-].
+    """Deflection by bending, shear and compression of a part of a tooth, times ``E'``, per force per width [-].
 
     Args:
+        gear: the gear in the transverse section.
         foot: distance of the root section from the gear's axis [m].
-        ends: of the part, above the root [m].
-        force: where it acts, above the root and from the middle of the tooth [m], and its slant [rad].
+        ends: heights of both ends of the part above the root [m].
+        force: height of the force above the root, its distance from the middle of the tooth [m], and its inclination
+            [rad].
         rigidity: ``E' / G`` [-].
     """
     arm, half, slant = force
@@ -250,7 +265,7 @@ def _energy(
 
 
 def _series(factors: Float[Array, " place"], x: Array) -> Array:
-    """Sum of Chebyshev's polynomials of x, from -1 to 1, by Clenshaw's recurrence."""
+    """Sum of Chebyshev polynomials of x, which is from -1 to 1, by Clenshaw's recurrence."""
     after, later = jnp.zeros_like(x), jnp.zeros_like(x)
     for i in range(len(PLACES) - 1, 0, -1):
         after, later = 2 * x * after - later + factors[i], after
@@ -258,7 +273,7 @@ def _series(factors: Float[Array, " place"], x: Array) -> Array:
 
 
 def _root_angle(gear: InvoluteGear) -> Scalar:
-    """Half of the angle of a tooth at its root circle [rad]; below the base circle flanks go on along the radius."""
+    """Half of the angle of a tooth at its root circle [rad]; flanks below the base circle are radial."""
     return gear.half_angle(jnp.maximum(gear.root_radius, gear.first_radius))
 
 

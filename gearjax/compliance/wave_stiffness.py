@@ -1,4 +1,4 @@
-"""Mesh stiffness whose waves were worked out, with derivatives where some of them vanish."""
+"""Mesh stiffness as cosines and sines, with derivatives also at vanishing amplitudes."""
 
 from typing import ClassVar
 
@@ -10,11 +10,13 @@ from gearjax.typing import Array, Float, Scalar
 
 
 class WaveStiffness(AbstractCompliance):
-    """Stiffness of a pair over its mesh phase, by cosines and sines: those of a `HarmonicStiffness` have amplitudes and
-    phases, of which a wave that vanishes has none to derive by.
+    """Stiffness of a pair over its mesh phase, as a sum of cosines and sines.
+
+    A `HarmonicStiffness` is given by amplitudes and phases instead; the phase of a wave with zero amplitude has no
+    derivative.
 
     Args:
-        waves: of the mesh phase [N/m].
+        waves: stiffness as a Fourier series of the mesh phase [N/m].
     """
 
     kind: ClassVar[str] = "wave_stiffness"

@@ -1,4 +1,4 @@
-"""From the tables of a configuration to a scene. What may stand in a table is read from the declared fields."""
+"""Building of a scene from the tables of a configuration. The keys of a table are the declared fields of its class."""
 
 import dataclasses
 import os
@@ -27,7 +27,7 @@ from gearjax.shafts import Shaft
 from gearjax.supports import Support
 from gearjax.systems import flank_radii
 
-_LARGEST_FILE = 8_000_000  # bytes: 250,000 measured values that stand in it take 5 million
+_LARGEST_FILE = 8_000_000  # bytes; 250,000 measured values written out in the file take 5 million
 _LONGEST_SERIES = 1_000_000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
 CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
@@ -53,13 +53,13 @@ SECTIONS = (
 
 
 def load(path: str | Path) -> Scene:
-    """A scene, with its run section, from a TOML file.
+    """Load a scene, with its run section, from a TOML file.
 
     Args:
-        path: the file.
+        path: path of the file.
 
     Raises:
-        GearjaxError: the file cannot be read, or something in it is wrong; one line that says where.
+        GearjaxError: the file cannot be read, or something in it is wrong; the message is one line that says where.
 
     Example:
         >>> import gearjax as gj
@@ -71,7 +71,7 @@ def load(path: str | Path) -> Scene:
 
 
 def read_file(path: str | Path) -> str:
-    """The text of a configuration file.
+    """Read the text of a configuration file.
 
     Raises:
         GearjaxError: the file cannot be read.
@@ -92,26 +92,26 @@ def read_file(path: str | Path) -> str:
 
 
 def loads(text: str, folder: str | Path = ".") -> Scene:
-    """A scene, with its run section, from TOML text.
+    """Load a scene, with its run section, from TOML text.
 
     Args:
         text: the configuration.
-        folder: that files named in it are relative to.
+        folder: folder to which file names in the configuration are relative.
 
     Raises:
-        GearjaxError: something in it is wrong; one line that says where.
+        GearjaxError: something in the text is wrong; the message is one line that says where.
     """
     return build(read_tables(text), folder)
 
 
 def read_tables(text: str) -> dict[str, Any]:
-    """The tables of a TOML text.
+    """Parse a TOML text into tables.
 
     Raises:
-        GearjaxError: it is not TOML.
+        GearjaxError: the text is not TOML.
     """
     for number, line in enumerate(text.splitlines(), start=1):
-        if len(_DOTTED.findall(line)) > 50:  # the reader's time grows with the square of a key's parts
+        if len(_DOTTED.findall(line)) > 50:  # the parser's time grows with the square of the number of parts of a key
             raise GearjaxError(f"not a TOML configuration: line {number} has a key of too many parts")
     try:
         return tomllib.loads(text)
@@ -121,10 +121,10 @@ def read_tables(text: str) -> dict[str, Any]:
 
 
 def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
-    """A scene from the tables of a configuration; the sections of studies are checked too.
+    """Build a scene from the tables of a configuration; the sections ``optimise`` and ``tolerance`` are checked too.
 
     Raises:
-        ParameterError: naming the key, what was given and what would be right.
+        ParameterError: a value is wrong; the message names the key, what was given and what would be right.
     """
     scene = _scene(with_files(tables, Path(folder)))
     if "optimise" in tables:
@@ -135,8 +135,10 @@ def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
 
 
 def with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables of a configuration that mean the same wherever they are read: values of errors that files hold stand
-    in them, files and folders that a compliance names are looked for from a folder on and named in full.
+    """The tables of a configuration in a form that does not depend on a folder.
+
+    Values of errors are read from their files into the tables. Names of files and folders in the compliance section are
+    taken relative to ``folder`` and made absolute.
 
     Raises:
         GearjaxError: a file cannot be read, or something in it is wrong.
@@ -155,7 +157,7 @@ def with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _read_in(name: str, table: Any, folder: Path) -> Any:
-    """The table of an error with the values of its file, if it names one."""
+    """The table of an error, with the values of its file if the table names one."""
     if not isinstance(table, dict) or "file" not in table or table.get("kind") not in READERS:
         return table
     key, kind = f"errors.{name}", table["kind"]
@@ -219,7 +221,7 @@ def _scene(tables: dict[str, Any]) -> Scene:
 
 
 def _apart(section: str, tables: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The tables without the sections of a section, such as ``[inertia.BODY]``, and those alone."""
+    """The tables without the inner sections of a section, such as ``[inertia.BODY]``, and the inner sections alone."""
     own = tables.get(section, {})
     inner = {key: value for key, value in own.items() if isinstance(value, dict)}
     rest = {key: value for key, value in own.items() if key not in inner}
@@ -228,7 +230,7 @@ def _apart(section: str, tables: dict[str, Any]) -> tuple[dict[str, Any], dict[s
 
 
 def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The sections of a section, such as ``[errors.NAME]``."""
+    """The inner sections of a section, such as ``[errors.NAME]``."""
     sections = tables.get(section, {})
     for name, table in sections.items():
         if not isinstance(table, dict):
@@ -237,10 +239,11 @@ def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, OptimiseSection]:
-    """A scene and its optimise section from TOML text; files named in it are relative to the folder.
+    """Load a scene and its optimise section from TOML text; file names in the text are relative to the folder.
 
     Raises:
-        GearjaxError: something in it is wrong, or there is no such section; one line that says where.
+        GearjaxError: something in the text is wrong, or it has no such section; the message is one line that says
+            where.
     """
     tables = with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
@@ -253,11 +256,12 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
 
 
 def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, IdentifySection]:
-    """A scene and its identify section from TOML text, the usual one where there is none; files named in it are
-    relative to the folder.
+    """Load a scene and its identify section from TOML text; file names in the text are relative to the folder.
+
+    If the text has no identify section, the section has its default values.
 
     Raises:
-        GearjaxError: something in it is wrong; one line that says where.
+        GearjaxError: something in the text is wrong; the message is one line that says where.
     """
     tables = with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
@@ -265,10 +269,11 @@ def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, Identify
 
 
 def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any], Scene, ToleranceSection]:
-    """Tables, scene and tolerance section from TOML text; measured values stand in the tables in place of their files.
+    """Load tables, scene and tolerance section from TOML text; the tables hold measured values in place of file names.
 
     Raises:
-        GearjaxError: something in it is wrong, or there is no such section; one line that says where.
+        GearjaxError: something in the text is wrong, or it has no such section; the message is one line that says
+            where.
     """
     tables = with_files(read_tables(text), Path(folder))
     scene = _scene(tables)
@@ -291,7 +296,7 @@ def _reference(table: dict[str, Any]) -> ZeroAtStart | None:
 
 
 def _one_of(path: str, table: dict[str, Any], kinds: Iterable[Any]) -> Any:
-    """The part whose ``kind`` a table names."""
+    """Build the part of the ``kind`` that a table names."""
     by_name = {part.kind: part for part in kinds}
     if "kind" not in table:
         raise ParameterError(f"{path}.kind", MISSING, nearest("", by_name))
@@ -302,7 +307,7 @@ def _one_of(path: str, table: dict[str, Any], kinds: Iterable[Any]) -> Any:
 
 
 def _part(path: str, table: dict[str, Any], part: Any, kind: str = "") -> Any:
-    """A part from the values of its table."""
+    """Build a part from the values of its table."""
     parameters = declared(part)
     known_keys(path, table, parameters, f' of kind "{kind}"' if kind else "")
     require_keys(path, table, keys_of(part))
@@ -315,7 +320,7 @@ def _part(path: str, table: dict[str, Any], part: Any, kind: str = "") -> Any:
 
 
 def _value(key: str, given: Any, parameter: Parameter) -> Any:
-    """One value of a table, in SI."""
+    """Read one value of a table, in SI."""
     if parameter.kind == "name":
         if not isinstance(given, str):
             raise ParameterError(key, given, "must be a name in quotes")

@@ -1,4 +1,4 @@
-"""A commented configuration with every key, for ``gearjax new``: written from what the parts declare."""
+"""A commented configuration with every key, for ``gearjax new``, generated from the declarations of the parts."""
 
 import dataclasses
 import math
@@ -41,13 +41,13 @@ from gearjax.units import LENGTH
 TOGETHER = "# The next ones go together, all or none:"
 INSTEAD = "# Instead of the one above:"
 _WIDTH = 118
-_TURNS = 40  # of the fastest order that a run shows
-_PER_TURN = 20  # samples of one
-_PER_WAVE = 8  # samples of a wave of the stiffness, which comes with every mesh
+_TURNS = 40  # turns of the fastest order in the record of the example run
+_PER_TURN = 20  # samples of one such turn
+_PER_WAVE = 8  # samples of one wave of the mesh stiffness
 
 
 def _slots() -> tuple[tuple[str, tuple[Any, ...]], ...]:
-    """Sections of parts, and the kinds that each may name."""
+    """Sections of optional parts, and the kinds that each section may name."""
     return (
         ("backlash", (InitialBacklash,)),
         ("compliance", tuple(kinds("gearjax.compliances"))),
@@ -58,7 +58,7 @@ def _slots() -> tuple[tuple[str, tuple[Any, ...]], ...]:
     )
 
 
-_EXAMPLES = {  # of distributions, where those of the number that varies do not do
+_EXAMPLES = {  # values of keys of distributions for which the example of the number that varies does not suit
     "low": "5 um",
     "high": "15 um",
     "sigma": 0.3,
@@ -73,16 +73,16 @@ _EXAMPLES = {  # of distributions, where those of the number that varies do not 
 
 
 def template(kind: str) -> str:
-    """A configuration of a gear set, with every key of every section that suits it.
+    """A configuration of a gear set, with every key of every section that suits the gear set.
 
-    What must be given has a value that runs; what may be left out is commented out with its default, or with an
-    example where there is none. ``# `` begins an explanation, ``#`` alone what may be put in.
+    A required key has a value with which the configuration runs. An optional key is commented out, with its default or,
+    if it has none, with an example. ``# `` begins an explanation; ``#`` without a space begins a line to activate.
 
     Args:
-        kind: of the gear set, such as ``"two_kv"``.
+        kind: kind of the gear set, such as ``"two_kv"``.
 
     Raises:
-        GearjaxError: there is no such kind, or its declared fields give no gear set that loads.
+        GearjaxError: there is no such kind, or the examples of its declared fields give no gear set that loads.
 
     Example:
         >>> from gearjax.config import loads, template
@@ -116,12 +116,12 @@ def template(kind: str) -> str:
 
 
 def _prose(words: str) -> str:
-    """A comment."""
+    """A text as wrapped comment lines."""
     return "".join(f"# {line}\n" for line in textwrap.wrap(words, _WIDTH, break_long_words=False))
 
 
 def _line(name: str, key: Key, meaning: str, value: str = "", *, active: bool | None = None) -> str:
-    """A key with what it means; commented out where it may be left out."""
+    """The line of a key, with its meaning above it; the line is commented out if the key is optional."""
     value = value or (key.example if key.required else key.default or key.example)
     mark = "" if (key.required if active is None else active) else "#"
     default = f"; without it {key.default}" if key.default else "" if key.required else "; may be left out"
@@ -130,7 +130,7 @@ def _line(name: str, key: Key, meaning: str, value: str = "", *, active: bool | 
 
 
 def _keys(part: Any, given: Mapping[str, str] | None = None, last: Iterable[str] = ()) -> str:
-    """The keys of a part, from its fields; the ``last`` ones together at the end."""
+    """The lines of the keys of a part, from its fields; the keys in ``last`` stand together at the end."""
     says, parameters = meanings(part), declared(part)
     lines = {}
     for name, key in keys_of(part).items():
@@ -142,20 +142,20 @@ def _keys(part: Any, given: Mapping[str, str] | None = None, last: Iterable[str]
 
 
 def _part(path: str, part: Any, kind: str = "", last: Iterable[str] = (), **given: str) -> str:
-    """A section for a part."""
+    """The section of one part."""
     named = f'kind = "{kind}"\n' if kind else ""
     prose = "".join(map(_prose, summary(part)))
     return f"\n{prose}[{path}]\n{named}{_keys(part, given, tuple(last))}"
 
 
 def _commented(section: str) -> str:
-    """A section that may be put in as a whole: without its own comments, which the active one has."""
+    """A section that can be activated as a whole, without comments, which the active section above has already."""
     lines = [line for line in section.strip().splitlines() if not line.startswith("#")]
     return "".join(f"#{line}\n" for line in lines)
 
 
 def options(text: str) -> list[tuple[int, ...]]:
-    """Which lines of a template may be put in, each by itself or a block of them together."""
+    """Numbers of the lines of a template that can be activated, each line by itself or a block of lines together."""
     lines = text.splitlines()
     blocks: list[tuple[int, ...]] = []
     block: list[int] = []
@@ -175,7 +175,7 @@ def options(text: str) -> list[tuple[int, ...]]:
 
 
 def put_in(text: str, places: Iterable[int]) -> str:
-    """The template with some lines put in, each block of ``options`` in place of what it stands in for."""
+    """The template with some lines activated; they replace the key or the section to which they are an alternative."""
     places = tuple(places)
     lines = text.splitlines()
     first = lines[places[0]][1:]
@@ -193,7 +193,7 @@ def put_in(text: str, places: Iterable[int]) -> str:
 
 
 def _noted(text: str) -> str:
-    """The template with a word above each section that cannot be put in without another change."""
+    """The template with a note above each section that cannot be activated without another change."""
     lines, notes = text.splitlines(), {}
     for places in options(text):
         if lines[places[0]].startswith("#["):
@@ -205,13 +205,13 @@ def _noted(text: str) -> str:
 
 
 def _together(text: str) -> list[str]:
-    """Keys that a section takes only all at once."""
+    """Keys that a section accepts only all together."""
     apart = [places[0] for places in options(text) if _fault(put_in(text, places))]
     return [text.splitlines()[place][1:].split(" = ")[0] for place in apart]
 
 
 def _fault(text: str) -> str:
-    """What is wrong with a configuration, empty for nothing."""
+    """What is wrong with a configuration; empty if nothing is wrong."""
     try:
         loads(text)
     except GearjaxError as fault:
@@ -254,7 +254,7 @@ def _reference(text: str) -> str:
 
 
 def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
-    """The section of an optional part: the first kind that suits the gear set, others to put in instead."""
+    """The sections of an optional part: the first kind that suits the gear set, and the others commented out."""
     sections = ""
     for part in parts:
         kind = getattr(part, "kind", "")
@@ -272,7 +272,7 @@ def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
 
 
 def _supports(text: str, scene: Scene) -> str:
-    """Support and inertia of a body, commented out, for the first one that may have them."""
+    """Support and inertia of the first body that may have them, commented out."""
     offered = scene.system.coordinates
     if not offered:
         return ""
@@ -291,7 +291,7 @@ def _supports(text: str, scene: Scene) -> str:
 
 
 def _run(scene: Scene) -> str:
-    """What to compute: all that the scene allows, over some turns of what turns fastest."""
+    """The run section: all analyses that the scene allows, over some turns of the fastest order."""
     orders = {name: order for name, order in scene.system.orders.items() if name != "mesh"}
     turns = min(_TURNS, max(orders.values()) * scene.system.cycle / (2 * math.pi))
     duration = turns * 2 * math.pi / (max(orders.values()) * float(scene.system.input_speed))
@@ -326,7 +326,7 @@ def _phases(scene: Scene) -> list[str]:
 
 
 def _optimise(scene: Scene) -> str:
-    """``gearjax optimise``: the phases of the errors."""
+    """The section of ``gearjax optimise``; the free numbers are the phases of the errors."""
     phases, says = _phases(scene), meanings(OptimiseSection)
     assert scene.run is not None
     bounds = "{ " + ", ".join(f'"{path}" = ["-90 deg", "90 deg"]' for path in phases) + " }"
@@ -334,7 +334,7 @@ def _optimise(scene: Scene) -> str:
     terms = '[{ name = "static_order", torque = "30 N*m", order = "output", weight = 1.0 }]'
     section = f"\n{_prose('What gearjax optimise searches for: assembly phases, or any other numbers.')}[optimise]\n"
     for name, key in OPTIMISE_KEYS.items():
-        if name in ("torque", "order"):  # of the objective
+        if name in ("torque", "order"):  # they belong to the objective and are only explained
             section += _prose(f"{name}: {key.words}")
             continue
         value = given.get(name) or key.example or key.default
@@ -345,7 +345,7 @@ def _optimise(scene: Scene) -> str:
 
 
 def _identify(scene: Scene) -> str:
-    """``gearjax identify``: the errors that explain recordings."""
+    """The section of ``gearjax identify``; the unknowns are the errors."""
     errors, vectors = (
         list(dict.fromkeys(path.rpartition(".")[0] for path in paths))
         for paths in ([path for path in numbers(scene) if path.startswith("errors.")], _phases(scene))
@@ -361,7 +361,7 @@ def _identify(scene: Scene) -> str:
 
 
 def _tolerance(scene: Scene) -> str:
-    """``gearjax tolerance``: the errors vary."""
+    """The section of ``gearjax tolerance``; the errors vary."""
     known, says = numbers(scene), meanings(ToleranceSection)
     sizes = [path for path in known if path.startswith("errors.") and path.endswith("amplitude")]
     measures = '[{ name = "no_load.peak_to_peak", limit = "2 arcmin" }]'
@@ -398,7 +398,7 @@ def _distributions(path: str, parameter: Parameter) -> str:
 
 
 def _drawn(name: str, parameter: Parameter) -> Any:
-    """An example of a number of a distribution of lengths."""
+    """An example value for one key of a distribution of lengths."""
     if name in _EXAMPLES:
         return _EXAMPLES[name]
     if parameter.names:

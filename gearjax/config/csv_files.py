@@ -1,5 +1,7 @@
-"""CSV files with named columns. Messages tell where a fault is, and nothing of what the file holds: it may be another
-file than was meant."""
+"""CSV files with named columns.
+
+Messages state where a fault is, but do not quote the content of the file: the user may have named a wrong file.
+"""
 
 import csv
 import math
@@ -16,12 +18,12 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 
 
 class Row(NamedTuple):
-    """A line of a file.
+    """One line of a CSV file.
 
     Args:
-        file: it is of, for messages.
-        line: its number, from 1.
-        cells: its texts, one for each column.
+        file: name of the file, for messages.
+        line: line number, counted from 1.
+        cells: texts of the cells, one for each column.
     """
 
     file: str
@@ -30,14 +32,14 @@ class Row(NamedTuple):
 
     @property
     def where(self) -> str:
-        """Where it stands, for messages."""
+        """File and line number, for messages."""
         return f"{self.file}: line {self.line}"
 
     def number(self, column: int) -> float:
         """The number in a column, counted from 0.
 
         Raises:
-            GearjaxError: there is none.
+            GearjaxError: the cell does not hold a finite number.
         """
         cell = self.cells[column]
         if not _NUMBER.fullmatch(cell) or not math.isfinite(float(cell)):
@@ -46,15 +48,17 @@ class Row(NamedTuple):
 
 
 def read_rows(key: str, path: Path) -> tuple[list[str], Iterator[Row]]:
-    """Names of the columns, from the first line, and the lines below, read as they are asked for.
+    """Read the names of the columns from the first line, and prepare an iterator over the lines below.
+
+    The lines are read only when the iterator is advanced.
 
     Args:
-        key: where the file is named, for messages.
-        path: of the file.
+        key: key of the configuration that names the file, for messages.
+        path: path of the file.
 
     Raises:
-        GearjaxError: the file cannot be read, or is none of this kind; as the lines are asked for, one has more or
-            fewer cells than the first, there are none, or too many.
+        GearjaxError: the file cannot be read, or is not a CSV file in UTF-8. The iterator raises it if a line has more
+            or fewer cells than the first line, or if there are no lines or too many.
     """
     lines = _lines(key, path)
     header = [name.strip() for name in next(lines, Row("", 0, [])).cells]
@@ -62,7 +66,7 @@ def read_rows(key: str, path: Path) -> tuple[list[str], Iterator[Row]]:
 
 
 def _lines(key: str, path: Path) -> Iterator[Row]:
-    """All lines of a file but empty ones, such as the last."""
+    """All lines of a file except empty ones, such as the last line."""
     name = f"{key}: {path}"
     try:
         if path.exists() and not path.is_file():
@@ -81,7 +85,7 @@ def _lines(key: str, path: Path) -> Iterator[Row]:
 
 
 def _below(name: str, columns: int, lines: Iterator[Row]) -> Iterator[Row]:
-    """The lines below the first one."""
+    """The lines below the first one, each with a check of its number of cells."""
     number = 0
     for number, row in enumerate(lines, start=1):
         if len(row.cells) != columns:

@@ -1,4 +1,4 @@
-"""Distributions from the tables of a configuration, and measured values from columns of CSV files."""
+"""Reading of distributions from the tables of a configuration, and of measured values from columns of CSV files."""
 
 import dataclasses
 from pathlib import Path
@@ -20,13 +20,13 @@ COLUMN_KEYS = {
 
 
 def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, folder: Path) -> AbstractDistribution:
-    """The distribution of one number.
+    """Read the distribution of one number.
 
     Args:
-        key: where it stands, for messages.
-        given: its table, with a ``kind``.
+        key: path of the table in the configuration, for messages.
+        given: table of the distribution, with a ``kind``.
         parameter: declaration of the number.
-        folder: that files named in it are relative to.
+        folder: folder to which file names in the table are relative.
 
     Raises:
         GearjaxError: a value is wrong, or a file cannot be read.
@@ -55,7 +55,7 @@ def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, fol
 
 
 def distribution_keys(kind: type[AbstractDistribution], parameter: Parameter) -> dict[str, Key]:
-    """The keys of a distribution, for a number of the given declaration."""
+    """The keys of a kind of distribution, for a number with the given declaration."""
     keys = {}
     for field in dataclasses.fields(kind):
         if "parameter" in field.metadata:
@@ -86,7 +86,7 @@ def _value(key: str, given: Any, declared: Parameter, leaf: Parameter) -> Any:
 
 
 def _column(key: str, table: dict[str, Any], parameter: Parameter, folder: Path) -> tuple[float, ...]:
-    """Values of a column of a CSV file, in SI."""
+    """Read the values of a column of a CSV file, in SI."""
     known_keys(key, table, COLUMN_KEYS, ' of kind "empirical"')
     require_keys(key, table, COLUMN_KEYS)
     for name in table:
@@ -103,7 +103,7 @@ def _column(key: str, table: dict[str, Any], parameter: Parameter, folder: Path)
 
 
 def _numbers(key: str, path: Path, column_key: str, column: str) -> list[float]:
-    """The numbers in a column."""
+    """Read the numbers in one column of a CSV file."""
     header, rows = read_rows(key, path)
     if header.count(column) != 1:
         how_many = "two columns or more" if column in header else f"none of the {len(header)} columns"

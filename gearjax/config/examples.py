@@ -6,11 +6,11 @@ from pathlib import Path
 import gearjax
 from gearjax.checks import GearjaxError, ParameterError, nearest
 
-INSTALLED = "examples"  # folder of an installed package; a clone has them beside the package, in configs
+INSTALLED = "examples"  # folder inside an installed package; in a clone the examples are beside the package, in configs
 
 
 def examples() -> dict[str, Path]:
-    """Folders of example configurations, by name.
+    """Folders of the example configurations, by name.
 
     Raises:
         GearjaxError: the package was installed without them.
@@ -26,15 +26,15 @@ def copy_example(name: str, folder: Path) -> list[Path]:
     """Copy the configurations of one example and the files that they name.
 
     Args:
-        name: of the example, such as ``two_kv``; a kind of gear set will do too.
-        folder: where they go; it is made.
+        name: name of the example, such as ``two_kv``; a kind of gear set is accepted too.
+        folder: folder to copy the files to; it is created if it does not exist.
 
     Returns:
-        The configurations copied.
+        Paths of the copied configurations.
 
     Raises:
         ParameterError: there is no such example.
-        GearjaxError: the folder has a file of that name.
+        GearjaxError: the folder already has a file of one of the names, or it cannot be written.
     """
     known = examples()
     name = name if name in known else name.removesuffix("_pair")

@@ -1,4 +1,4 @@
-"""The identify section: which recordings, what is looked for, and what is known before."""
+"""The identify section: which recordings are read, which numbers are unknown, and what is known about them before."""
 
 import dataclasses
 import math
@@ -39,7 +39,7 @@ MOST_STARTS = 100_000
 
 @dataclasses.dataclass(frozen=True)
 class Reassemble:
-    """What may be turned in its seat, as for `gearjax.reassemble`."""
+    """Bodies that may be turned in their seats, with the settings of `gearjax.reassemble`."""
 
     where: tuple[str, ...] | None = None
     places: dict[str, int] = dataclasses.field(default_factory=dict)
@@ -49,7 +49,7 @@ class Reassemble:
 
 @dataclasses.dataclass(frozen=True)
 class IdentifySection:
-    """What ``gearjax identify`` does, as for `gearjax.identify`."""
+    """Settings of ``gearjax identify``; they have the meaning of the arguments of `gearjax.identify`."""
 
     measured: tuple[Path, ...] = ()
     where: tuple[str, ...] | None = None
@@ -63,7 +63,7 @@ class IdentifySection:
 
 
 def read_identify(table: dict[str, Any], scene: Scene, folder: Path) -> IdentifySection:
-    """The identify section of a configuration.
+    """Read the identify section of a configuration.
 
     Raises:
         ParameterError: a value is wrong.
@@ -100,7 +100,7 @@ def _names(key: str, given: Any) -> tuple[str, ...]:
 
 
 def _priors(given: Any, scene: Scene) -> dict[str, Any]:
-    """Standard deviations, or pairs, in SI."""
+    """Read standard deviations, or pairs of mean and standard deviation, in SI."""
     if not isinstance(given, dict):
         raise ParameterError("identify.priors", given, 'must be a table: {"errors.planet_1" = "5 um"}')
     known = numbers(scene)
@@ -118,7 +118,7 @@ def _priors(given: Any, scene: Scene) -> dict[str, Any]:
 
 
 def _parameter(path: str, scene: Scene, known: dict[str, Parameter]) -> Parameter:
-    """Declaration of what a prior is of; of a whole error, that of its first length."""
+    """Declaration of the number that a prior belongs to; for a whole error, the declaration of its first length."""
     error = path.partition(".")[2]
     if path.startswith("errors.") and error in scene.errors:
         own = [known[name] for name in known if name.startswith(f"{path}.") and known[name].dimension is units.LENGTH]

@@ -1,4 +1,4 @@
-"""The page of all keys of a configuration, in Markdown: written from what the parts declare."""
+"""The page of all keys of a configuration, in Markdown, generated from the declarations of the parts."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -47,7 +47,7 @@ FILE = "the name of a CSV file in quotes, in place of the values"
 
 
 def keys_page() -> str:
-    """The page: every section, its keys, what they mean, their units, bounds and defaults."""
+    """The text of the page: every section with its keys, their meanings, units, bounds and defaults."""
     chapters = {
         "The gear set": _of_kinds("system", kinds("gearjax.systems")),
         "Errors": _of_kinds("errors.NAME", kinds("gearjax.errors")),
@@ -81,7 +81,7 @@ def keys_page() -> str:
 
 
 def _tolerance() -> list[str]:
-    """Measures, distributions, further studies."""
+    """The sections of the tolerance study: measures, distributions and further studies."""
     about = [
         "Numbers that vary stand in it by path, each with a distribution; [*] stands for every number of a list.",
         "Values of distributions have the unit of the number that varies; they are shown for a length.",
@@ -108,7 +108,7 @@ def _of_kinds(path: str, parts: Iterable[Any]) -> list[str]:
 
 
 def _part(title: str, part: Any) -> str:
-    """The section of a part of the scene."""
+    """The section of the page for one part of the scene."""
     rows = _rows(_of_fields(part), part)
     if getattr(part, "kind", "") in READERS:
         rows.append(("file", FILE, "may be left out"))

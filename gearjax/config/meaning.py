@@ -1,4 +1,4 @@
-"""What the keys of a configuration mean, as the docstrings of the classes behind them say it."""
+"""The meanings of the keys of a configuration, taken from the docstrings of the classes behind them."""
 
 import functools
 import inspect
@@ -14,7 +14,7 @@ _ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
 
 @functools.cache
 def meanings(part: Any) -> dict[str, str]:
-    """The ``Args`` of a class's docstring by name, without the units, which a configuration writes itself."""
+    """The ``Args`` of a class's docstring by name, without units: a configuration states the unit with each value."""
     _, _, listed = inspect.cleandoc(part.__doc__ or "").partition("Args:\n")
     texts: dict[str, str] = {}
     names: list[str] = []
@@ -30,12 +30,12 @@ def meanings(part: Any) -> dict[str, str]:
 
 
 def told(part: Any, names: Iterable[str], words: Mapping[str, str]) -> list[str]:
-    """One line for each key, or for several that the docstring explains together: ``low, high: limits (a length)``.
+    """One line for each key, or for several keys with the same explanation: ``low, high: limits (a length)``.
 
     Args:
         part: the class.
-        names: of the keys.
-        words: what may stand there, by name; none where it goes without saying.
+        names: names of the keys.
+        words: the allowed values in words, by name; a key may be missing here if they need no explanation.
     """
     groups: dict[tuple[str, str], list[str]] = {}
     for name in names:
@@ -44,7 +44,7 @@ def told(part: Any, names: Iterable[str], words: Mapping[str, str]) -> list[str]
 
 
 def both(meaning: str, words: str) -> str:
-    """A meaning, and what may stand there unless the meaning names it already."""
+    """A meaning followed by the allowed values in brackets, unless the meaning names these values already."""
     names = re.findall(r'"\w+"', words)
     if meaning and names and all(name in meaning for name in names) and not re.sub(r'"\w+"| or |, ', "", words):
         return meaning
@@ -58,14 +58,14 @@ def summary(part: Any) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Without the marks of a docstring, and without ``[m]``."""
+    """The text without the markup of a docstring and without units such as ``[m]``."""
     text = re.sub(r"`+([^`]*)`+", r"\1", text)
     text = re.sub(r",? ?(?:shape \(\w+,\)|\[[^\]\"]{1,9}\])", "", text)
     return re.sub(r"\s+([.,:;])(?!\.)", r"\1", text).strip(" ,;").removesuffix(".")
 
 
 def limits(parameter: Parameter) -> str:
-    """What a parameter may be: ``a length, at least 1e-06 m and at most 1 m``."""
+    """The allowed values of a parameter in words: ``a length, at least 1e-06 m and at most 1 m``."""
     words = [f'"{name}"' for name in parameter.names]
     if parameter.kind == "count":
         words.append("a whole number")
@@ -84,7 +84,7 @@ def limits(parameter: Parameter) -> str:
 
 
 def example(parameter: Parameter) -> str:
-    """A value that the declaration allows, as TOML."""
+    """An example value that the declaration allows, as TOML."""
     if parameter.example is not None:
         return as_toml(parameter.example)
     if parameter.names:

@@ -1,4 +1,4 @@
-"""Files of measuring machines: deviations of flanks on a grid, and of pitches tooth by tooth."""
+"""Files of measuring machines: flank deviations on a grid, and pitch deviations tooth by tooth."""
 
 import dataclasses
 import re
@@ -16,17 +16,17 @@ from gearjax.config.quantities import unit_size
 from gearjax.errors import MeasuredFlank, MeasuredPitch
 from gearjax.errors.measured import FLANKS
 
-MOST_MISSING = 0.1  # of the points of a grid, that may be filled in
-FAR = 10.0  # times the usual distance from its neighbours, that an outlier is away
-STANDS_OUT = 0.2  # of the spread of the grid, that it is away too
-LONGEST, MOST_TEETH = 10.0, 100_000  # m, and number of a tooth, that a file may hold
-PLACES = 1e-9  # that tell points of a grid apart [m]
+MOST_MISSING = 0.1  # largest share of the points of a grid that may be missing and are filled in
+FAR = 10.0  # times the usual distance from the neighbours: an outlier is farther away
+STANDS_OUT = 0.2  # share of the spread of the grid: an outlier is also farther away than this
+LONGEST, MOST_TEETH = 10.0, 100_000  # largest length [m], and largest number of a tooth, in a file
+PLACES = 1e-9  # resolution with which points of a grid are distinguished [m]
 _COLUMN = re.compile(r"(\w+)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
 
 
 @dataclasses.dataclass(frozen=True)
 class _Columns:
-    """Columns of a file by name, lengths with the size of their unit."""
+    """Places of the columns of a file by name, and for lengths the size of their unit."""
 
     place: dict[str, int]
     size: dict[str, float]
@@ -40,7 +40,7 @@ class _Columns:
         return value
 
     def tooth(self, row: Row) -> int:
-        """Number of the tooth that a row is of."""
+        """Number of the tooth to which a row belongs."""
         number = row.number(self.place["tooth"])
         if not 0 <= number <= MOST_TEETH or number != round(number):
             raise GearjaxError(
@@ -49,7 +49,7 @@ class _Columns:
         return int(number)
 
     def flank(self, row: Row) -> str:
-        """Which flank a row is of."""
+        """The flank that a row belongs to."""
         cell = row.cells[self.place["flank"]].strip()
         if cell not in FLANKS:
             words = f"must be {' or '.join(FLANKS)}"
@@ -58,23 +58,23 @@ class _Columns:
 
 
 def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
-    """Numbers of a `MeasuredFlank` from a CSV file, one point of a flank in each row.
+    """Read the numbers of a `MeasuredFlank` from a CSV file with one point of a flank in each row.
 
-    Its first line names the columns, lengths with their units: ``roll [mm]`` from the base circle and ``deviation
-    [um]``, then ``across [mm]`` from the middle of the face, ``tooth``, counted from 0, and ``flank``, ``driving`` or
-    ``back``, where there are such. Rows may come in any order. Points without a number, or whose rows are missing, are
-    filled in from their neighbours, up to a tenth of a grid, and outliers are counted; both are warned of
-    (`RepairedData`).
+    The first line names the columns, and gives the unit of lengths: ``roll [mm]`` from the base circle and ``deviation
+    [um]``. Optional columns are ``across [mm]`` from the middle of the face, ``tooth``, counted from 0, and ``flank``,
+    which is ``driving`` or ``back``. Rows may come in any order. Points without a number and points whose rows are
+    missing are filled in from their neighbours, up to a tenth of a grid. Outliers are counted but not changed. Both
+    cases cause a warning (`RepairedData`).
 
     Args:
-        file: name of the file.
-        flank: which rows to read, of a file that tells flanks apart.
+        file: path of the file.
+        flank: flank whose rows are read, if the file has a column ``flank``.
 
     Returns:
-        ``roll``, ``across``, ``deviation``, ``teeth`` and ``flank``, as `MeasuredFlank` takes them.
+        ``roll``, ``across``, ``deviation``, ``teeth`` and ``flank``, the arguments of `MeasuredFlank`.
 
     Raises:
-        GearjaxError: the file cannot be read, or something in it is wrong; one line that says where.
+        GearjaxError: the file cannot be read, or something in it is wrong; the message is one line that says where.
 
     Example:
         >>> import gearjax as gj
@@ -108,20 +108,20 @@ def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
 
 
 def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
-    """Numbers of a `MeasuredPitch` from a CSV file, one tooth in each row.
+    """Read the numbers of a `MeasuredPitch` from a CSV file with one tooth in each row.
 
-    Its first line names the columns: ``tooth``, counted from 0, and ``cumulative [um]``, or ``single [um]`` for the
-    deviation of the pitch from each tooth to the next, and ``flank`` where there are both.
+    The first line names the columns: ``tooth``, counted from 0; either ``cumulative [um]`` or, for the deviation of the
+    pitch from each tooth to the next, ``single [um]``; and ``flank`` if the file holds both flanks.
 
     Args:
-        file: name of the file.
-        flank: which rows to read, of a file that tells flanks apart.
+        file: path of the file.
+        flank: flank whose rows are read, if the file has a column ``flank``.
 
     Returns:
-        ``deviation`` and ``flank``, as `MeasuredPitch` takes them.
+        ``deviation`` and ``flank``, the arguments of `MeasuredPitch`.
 
     Raises:
-        GearjaxError: the file cannot be read, or something in it is wrong; one line that says where.
+        GearjaxError: the file cannot be read, or something in it is wrong; the message is one line that says where.
     """
     columns, rows = _open(file, ("tooth",), ("cumulative", "single", "flank"), flank)
     told = [name for name in ("cumulative", "single") if name in columns.place]
@@ -154,7 +154,7 @@ READERS: Mapping[str, Callable[[str | Path, str], dict[str, Any]]] = {
 def _open(
     file: str | Path, required: tuple[str, ...], optional: tuple[str, ...], flank: str
 ) -> tuple[_Columns, list[Row]]:
-    """The columns of a file, and the rows of a flank."""
+    """The columns of a file, and the rows of one flank."""
     check_path("file", file)
     key = f"file: {file}"
     header, lines = read_rows("file", Path(file))
@@ -200,8 +200,11 @@ def _size(where: str, unit: str) -> float:
 
 
 def _filled(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """A grid without gaps: what is missing as on straight lines through the next known points, along the profile and
-    across the face, beyond the last ones too; the mean of both where there are such."""
+    """A grid without missing points.
+
+    A missing point gets the value of the straight line through the next known points, along the profile and across the
+    face; beyond the last known point the line is extended. If both directions give a value, their mean is taken.
+    """
     missing = np.isnan(grid)
     if not missing.any():
         return grid
@@ -225,7 +228,7 @@ def _filled(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -
 
 
 def _on_lines(places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values with what is missing on lines through the next known ones; nan where fewer than two are known."""
+    """Values with missing ones on straight lines through the next known ones; unchanged if fewer than two are known."""
     there = ~np.isnan(values)
     if there.sum() < 2:
         return values
@@ -238,7 +241,7 @@ def _on_lines(places: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _warn_of_outliers(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> None:
-    """Tell of points that are off the lines through their neighbours, along the profile and across the face."""
+    """Warn of points that are off the lines through their neighbours, both along the profile and across the face."""
     each = zip((1, 2), places, strict=True)
     ways = [np.moveaxis(_off_line(own, np.moveaxis(grid, axis, -1)), -1, axis) for axis, own in each if own.size > 2]
     if not ways:
@@ -252,8 +255,10 @@ def _warn_of_outliers(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.n
 
 
 def _off_line(places: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """How far each value along the last axis is from the line through its neighbours on both sides, the outermost ones
-    from that through the next two; nan where one of these is missing."""
+    """Distance of each value along the last axis from the line through its neighbours on both sides.
+
+    For the outermost values the line goes through the next two values. The distance is nan if a value is missing.
+    """
     number = len(places)
     own = np.arange(number)
     first = np.concatenate([[1], own[:-2], [number - 2]])

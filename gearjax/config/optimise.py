@@ -1,4 +1,4 @@
-"""The optimise section: which numbers are free, what is minimised, and how it is searched."""
+"""The optimise section: which numbers are free, what is minimised, and how the search is done."""
 
 import dataclasses
 from typing import Any
@@ -29,7 +29,7 @@ OPTIMISE_KEYS = {
     "window": Key('a time such as "3 s"; that of [run] without', '"3 s"'),
     "seed": Key("a whole number from 0", default="0"),
 }
-TERM_KEYS = {  # of one term of an objective that is a list of them
+TERM_KEYS = {  # keys of one term, if the objective is a list of terms
     "name": Key('what it measures, such as "static_order"', '"static_order"', required=True),
     "torque": OPTIMISE_KEYS["torque"],
     "weight": Key("a plain number that multiplies it", "1.0", "1.0"),
@@ -39,16 +39,16 @@ TERM_KEYS = {  # of one term of an objective that is a list of them
 
 @dataclasses.dataclass(frozen=True)
 class OptimiseSection:
-    """What ``gearjax optimise`` does.
+    """Settings of ``gearjax optimise``: free numbers are changed so that an objective becomes as small as possible.
 
     Args:
-        objective: what is minimised, over its window.
-        window: length of the window of the objective [s].
-        where: paths of the free numbers.
-        grid_step: spacing of the grid by path; empty for no grid.
-        bounds: lowest and highest values by path.
-        starts: number of starts of the gradient search.
-        seed: seed of the random starts.
+        objective: quantity that is minimised, computed over the window.
+        window: length of the time window in which the objective is computed [s].
+        where: paths of the free numbers, which the search may change.
+        grid_step: spacing of the grid search, by path; without a step there is no grid search.
+        bounds: lowest and highest value of each free number, by path.
+        starts: number of starting points of the gradient search.
+        seed: seed of the random starting points.
     """
 
     objective: Objective
@@ -61,11 +61,11 @@ class OptimiseSection:
 
 
 def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
-    """The optimise section of a configuration.
+    """Read the optimise section of a configuration.
 
     Raises:
         ParameterError: a value is wrong.
-        SceneError: the scene has no run section to take the window from.
+        SceneError: the scene has no run section, from which the window and its samples are taken.
     """
     known_keys("optimise", table, OPTIMISE_KEYS)
     require_keys("optimise", table, OPTIMISE_KEYS)

@@ -1,4 +1,4 @@
-"""Numbers with units, read from strings. Strings are data: their form is checked before pint sees the unit."""
+"""Numbers with units, read from strings. The form of a string is checked before pint sees the unit."""
 
 import functools
 import math
@@ -22,7 +22,7 @@ from gearjax.units import Dimension
 _LONGEST = 64
 _NUMBER = re.compile(r"([+-]?(?:\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})(?:[eE][+-]?\d{1,3})?)(.*)", re.ASCII)
 _SEPARATED = re.compile(r"[+-]?\d+(?:[,_']\d+)+(?:\.\d+)?(?:[eE][+-]?\d+)?\b", re.ASCII)
-_FORMS = {  # what a unit may measure, told when something else was asked for
+_FORMS = {  # what a unit may measure, for the message if another dimension is needed
     **{f"a {name}": (unit,) for name, unit in (("volume", "m^3"), ("speed", "m/s"), ("force", "N"), ("power", "W"))},
     "an area": ("m^2",),
     "an acceleration": ("m/s^2",),
@@ -51,7 +51,7 @@ def _dimensionality(unit: str) -> Any:
 
 
 def _measured(unit: Any) -> str | None:
-    """``a length``, ``an energy``: what a unit measures."""
+    """What a unit measures, in words: ``a length``, ``an energy``."""
     dimensionality = unit.dimensionality
     return next((words for words, forms in _FORMS.items() if dimensionality in map(_dimensionality, forms)), None)
 
@@ -64,15 +64,15 @@ def _suits(unit: Any, dimension: Dimension) -> bool:
 
 
 def read_quantity(key: str, given: Any, dimension: Dimension) -> float:
-    """A number in SI from a string such as ``"10 um"``.
+    """Read a number in SI from a string such as ``"10 um"``.
 
     Args:
-        key: where it stands, for messages.
-        given: what the configuration holds there.
-        dimension: the dimension that it must have.
+        key: path of the value in the configuration, for messages.
+        given: the value in the configuration.
+        dimension: the dimension that the value must have.
 
     Raises:
-        ParameterError: no unit, an unknown one, one of another dimension, or not a finite number.
+        ParameterError: the unit is missing, unknown or of another dimension, or the number is not finite.
     """
     right = f'give {dimension.described} with its unit, such as "{dimension.example}"'
     if isinstance(given, bool) or not isinstance(given, (str, int, float)):
@@ -99,13 +99,13 @@ def unit_size(key: str, given: Any, unit: str, dimension: Dimension) -> float:
     """Size of a unit in SI.
 
     Args:
-        key: where it stands, for messages.
-        given: what the configuration holds there.
+        key: path of the value in the configuration, for messages.
+        given: the value in the configuration.
         unit: the unit alone, such as ``"um"``.
-        dimension: the dimension that it must have.
+        dimension: the dimension that the unit must have.
 
     Raises:
-        ParameterError: it is unknown, or measures something else.
+        ParameterError: the unit is unknown, or has another dimension.
     """
     needs = f"needs {dimension.described} such as {_quoted(dimension)}{_INSTEAD.get(dimension, '')}"
     written: tuple[Factor, ...] = ()
@@ -115,7 +115,7 @@ def unit_size(key: str, given: Any, unit: str, dimension: Dimension) -> float:
     except UnknownUnit as fault:
         raise ParameterError(key, given, f"{fault}{_meant(written, dimension)}; {needs}") from fault
     if dimension == units.ANGULAR_SPEED and written == (Factor("min", -1),):
-        return units.rpm  # 1/min and min^-1 count turns on every nameplate; of 1/s nobody can tell
+        return units.rpm  # 1/min and min^-1 count turns on every nameplate; the meaning of 1/s is not clear
     if not _suits(measured, dimension):
         words = _measured(measured)
         told = f"is {words}" if words else f"is not written as {dimension.described}"
@@ -129,7 +129,7 @@ def _in_si(unit: Any) -> float:
 
 
 def _meant(written: tuple[Factor, ...], dimension: Dimension) -> str:
-    """The unit with other capitals, where that has the right dimension: ``nm`` for a torque."""
+    """A suggestion with other capital letters, if they give the right dimension: ``Nm`` for ``nm`` as a torque."""
     for other in variants(written):
         try:
             if _suits(unit_of(other), dimension):
@@ -144,10 +144,10 @@ def _quoted(dimension: Dimension) -> str:
 
 
 def read_plain(key: str, given: Any) -> float:
-    """A dimensionless number, written without quotes.
+    """Read a dimensionless number, written without quotes.
 
     Raises:
-        ParameterError: not a finite number.
+        ParameterError: the value is not a finite number.
     """
     if isinstance(given, bool) or not isinstance(given, (int, float)):
         raise ParameterError(key, given, "must be a number without unit, such as 0.1")
@@ -161,10 +161,10 @@ def read_plain(key: str, given: Any) -> float:
 
 
 def read_ratio(key: str, given: Any) -> float:
-    """A ratio: a number without quotes, or percent such as ``"10 %"``.
+    """Read a ratio: a number without quotes, or percent such as ``"10 %"``.
 
     Raises:
-        ParameterError: not a finite number.
+        ParameterError: the value is not a finite number.
     """
     match = _NUMBER.fullmatch(without_typography(given)) if isinstance(given, str) and len(given) <= _LONGEST else None
     if match is None or match[2].strip() != "%":

@@ -1,4 +1,4 @@
-"""Recordings of test benches: CSV files with named columns and units, and a small TOML file beside them."""
+"""Recordings of test benches: CSV files with named columns and units, each with a small TOML file beside it."""
 
 import warnings
 from collections.abc import Iterator
@@ -15,39 +15,40 @@ from gearjax.config.recording_columns import Column, beside_of, columns_of
 from gearjax.identification.measurement import SHORTEST, Measurement, means_of
 
 CHUNK = 500_000  # rows read at once
-MOST_KEPT = 1_000_000  # rows, beyond which they are averaged while they are read
-MOST_MISSING = 0.3  # of the rows, that may be left out
-FARTHEST = 1 / 3  # of a turn, that an angle which wraps around may move from row to row
-ALONE = 0.05  # of the rows, that may hold zero among others
+MOST_KEPT = 1_000_000  # rows; a longer recording is averaged while it is read
+MOST_MISSING = 0.3  # largest share of the rows that may lack a value and be left out
+FARTHEST = 1 / 3  # turns: largest median step from row to row of an angle that wraps around
+ALONE = 0.05  # largest share of the rows whose zeros may stand for missing values
 
 
 def read_measurement(file: str | Path, *, torque: float | None = None) -> Measurement:
     """Read a recording of a test bench.
 
-    The file is CSV with a first line of names and units, such as
-    ``time [s],input angle [deg],output angle [deg],torque [N m]``. It needs ``input angle`` and either ``output angle``
-    or ``te``; ``time`` and ``torque`` are optional, other columns are left alone. Names and units may stand in a TOML
-    file of the same name beside it::
+    The file is a CSV file. Its first line holds names and units, such as
+    ``time [s],input angle [deg],output angle [deg],torque [N m]``. The file needs ``input angle`` and either
+    ``output angle`` or ``te``; ``time`` and ``torque`` are optional, and other columns are ignored. Names and units may
+    also stand in a TOML file of the same name beside the CSV file::
 
-        torque = "40 N*m"                       # of the whole run, positive resists the output
+        torque = "40 N*m"                       # of the whole run; a positive torque resists the output
         input_counts = 262144                   # counts per turn of the encoders
         turned = {"errors.planet_1" = "30 deg"} # bodies turned in their seats before this run
         [columns]
         "input angle" = {column = "phi_1", unit = "deg", sign = -1}
 
-    A unit ``counts`` needs the counts per turn. Rows are ordered by time; repeated ones and those with a missing value
-    are left out and counted; angles that wrap around once a turn are carried on. More than a million rows are averaged
-    while they are read.
+    The unit ``counts`` needs the counts per turn. Rows are sorted by time. Repeated rows and rows with a missing value
+    are left out and counted. Angles that wrap around once a turn are unwrapped. A recording of more than a million rows
+    is averaged while it is read: its rows must be in the order of time, and repeated rows are not looked for.
 
     Args:
-        file: the CSV file.
-        torque: of the whole run, where neither file tells it [N m].
+        file: path of the CSV file.
+        torque: torque of the whole run, used if neither file states a torque [N m].
 
     Returns:
-        The recording; what was mended stands in its ``repairs``.
+        The recording; its ``repairs`` list what was corrected.
 
     Raises:
-        GearjaxError: the file is no such table, or cannot be told from a broken one; one line that says where.
+        GearjaxError: the file is not such a table, or the table may be damaged; the message is one line that says
+            where the fault is.
 
     Example:
         >>> import gearjax as gj, pathlib, tempfile
@@ -62,7 +63,7 @@ def read_measurement(file: str | Path, *, torque: float | None = None) -> Measur
     key = f"file: {file}"
     beside = beside_of(path)
     header, lines = read_rows("file", path)
-    next(lines)  # refuses what has no rows, or other cells than names
+    next(lines)  # refuses a file without rows, or whose first row has more or fewer cells than there are names
     columns, own = columns_of(key, header, beside), _Reader(key, beside)
     _even(key, path, len(header))
     table, averaged = _table(key, path, columns, own)
@@ -73,7 +74,7 @@ def read_measurement(file: str | Path, *, torque: float | None = None) -> Measur
 
 
 def _even(key: str, path: Path, columns: int) -> None:
-    """Refuse lines with more values than names, which would be taken for others."""
+    """Refuse lines with more values than names, whose values would be read into wrong columns."""
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
             if line.count(b",") >= columns and b'"' not in line:
@@ -82,7 +83,7 @@ def _even(key: str, path: Path, columns: int) -> None:
 
 
 class _Reader:
-    """What was found while a file is read: repairs, and angles that wrap around."""
+    """State while a file is read: the repairs so far, and the turns of angles that wrap around."""
 
     def __init__(self, key: str, beside: dict[str, Any]):
         self.key, self.beside = key, beside
@@ -90,15 +91,15 @@ class _Reader:
         self.wrapped: dict[str, tuple[float, float]] = {}
 
     def count(self, what: str, where: np.ndarray) -> None:
-        """Count a repair, by how often it is needed or by where it is."""
+        """Add to the count of a repair; ``where`` marks the rows concerned, or holds numbers to add."""
         number = int(where.sum())
         if number:
             self.repairs[what] = self.repairs.get(what, 0) + number
 
 
 def _chunks(key: str, path: Path, columns: dict[str, Column]) -> Iterator[dict[str, np.ndarray]]:
-    """Parts of a file as numbers in SI, what is none as nan."""
-    import pandas as pd  # half a second that others need not wait
+    """Read a file in parts, as numbers in SI; a cell without a number gives nan."""
+    import pandas as pd  # the import takes half a second, which other commands need not wait for
 
     places = sorted({column.place for column in columns.values()})
     try:
@@ -118,7 +119,7 @@ def _chunks(key: str, path: Path, columns: dict[str, Column]) -> Iterator[dict[s
 
 
 def _table(key: str, path: Path, columns: dict[str, Column], own: _Reader) -> tuple[dict[str, np.ndarray], int]:
-    """The cleaned rows, and how many of the file's each is the mean of."""
+    """The cleaned rows, and the number of rows of the file that each of them is the mean of."""
     kept: list[dict[str, np.ndarray]] = []
     size, averaged, rows = path.stat().st_size, 1, 0
     for number, part in enumerate(_chunks(key, path, columns)):
@@ -146,7 +147,7 @@ def _table(key: str, path: Path, columns: dict[str, Column], own: _Reader) -> tu
 
 
 def _in_order(part: dict[str, np.ndarray], own: _Reader) -> None:
-    """Refuse rows out of order in a file that is averaged as it is read."""
+    """Refuse rows that are not in order of time in a file that is averaged while it is read."""
     if "time" in part:
         times = np.concatenate([[own.wrapped.get("time", (part["time"][0], 0.0))[0]], part["time"]])
         if (np.diff(times) < 0).any():
@@ -155,21 +156,21 @@ def _in_order(part: dict[str, np.ndarray], own: _Reader) -> None:
 
 
 def _bytes_of(path: Path, rows: int) -> int:
-    """Bytes of the first rows of a file, about: by those of its first megabyte."""
+    """Approximate number of bytes of the first rows of a file, estimated from its first megabyte."""
     with path.open("rb") as file:
         begin = file.read(1_000_000)
     return max(1, round(rows * len(begin) / max(begin.count(b"\n"), 1)))
 
 
 def _whole_rows(part: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
-    """Rows that lack nothing."""
+    """Rows without missing values."""
     good = np.logical_and.reduce([np.isfinite(values) for values in part.values()])
     own.count("rows with missing values left out", ~good)
     return {name: values[good] for name, values in part.items()}
 
 
 def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
-    """Rows in the order of time."""
+    """Rows sorted by time or, if there are no times, by the input angle."""
     if "time" in table:
         steps = np.diff(table["time"])
         if (steps < 0).any():
@@ -193,7 +194,7 @@ def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray
 
 
 def _distinct(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
-    """Rows that do not repeat the one before them."""
+    """Rows that do not repeat the row before them."""
     same = np.logical_and.reduce([np.diff(table[name]) == 0 for name in table])
     own.count("repeated rows left out", same)
     keep = np.concatenate([[True], ~same])
@@ -201,7 +202,7 @@ def _distinct(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarra
 
 
 def _continued(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray]:
-    """Angles that wrap around once a turn, carried on; zeros that stand for missing values left out."""
+    """Unwrap angles that wrap around once a turn, and leave out rows whose zeros stand for missing values."""
     for name in ("te", "output angle", "input angle"):
         if name in table:
             stray = _stray(table[name])
@@ -214,13 +215,13 @@ def _continued(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarr
 
 
 def _stray(values: np.ndarray) -> np.ndarray:
-    """Where a value is exactly zero, and far from those before and behind it that are not."""
+    """Mark values that are exactly zero while the nearest nonzero values before and behind are far from zero."""
     zero = values == 0
     others = np.flatnonzero(~zero)
     if not zero.any() or zero.mean() > ALONE or others.size < 2:
         return np.zeros(values.shape, bool)
     steps = np.abs(np.diff(values[others]))
-    moving = steps[steps > 0]  # of coarse encoders most are none
+    moving = steps[steps > 0]  # with coarse encoders most steps are zero
     usual = 20 * max(float(np.median(moving)) if moving.size else 0.0, 1e-12)
     behind = np.searchsorted(others, np.arange(values.size))
     within = (behind > 0) & (behind < others.size)  # a recording may begin and end at zero
@@ -230,7 +231,7 @@ def _stray(values: np.ndarray) -> np.ndarray:
 
 
 def _unwrapped(name: str, angle: np.ndarray, own: _Reader) -> np.ndarray:
-    """An angle that falls back by a turn once a turn, carried on from part to part of a file."""
+    """Unwrap an angle that falls back by a turn once a turn, and continue it from part to part of a file."""
     turn = 2 * np.pi
     before, turns = own.wrapped.get(name, (angle[0], 0.0))
     given = np.concatenate([[before], angle])
@@ -257,7 +258,7 @@ def _record(
     own: _Reader,
     averaged: int,
 ) -> Measurement:
-    """The recording of cleaned rows."""
+    """Make the recording from the cleaned rows."""
     for column in ("input angle", "output angle", "te", "time"):
         if column in table and np.ptp(table[column]) == 0:
             raise GearjaxError(f"{key}: the column {column} holds the same value in every row")

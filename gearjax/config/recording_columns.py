@@ -1,4 +1,4 @@
-"""Columns of recordings: what stands where, in which unit, by the first line of a file and a TOML file beside it."""
+"""Columns of recordings: the column and the unit of each quantity, from the first line and a TOML file beside."""
 
 import dataclasses
 import re
@@ -28,14 +28,14 @@ _COLUMN = re.compile(r"([^\[(]+?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """Where a quantity stands in a file, and the size of its unit in SI with its sign."""
+    """Column of a quantity in a file, and the size of its unit in SI, with the sign of the column."""
 
     place: int
     size: float
 
 
 def beside_of(path: Path) -> dict[str, Any]:
-    """What the TOML file beside a recording tells."""
+    """Read the TOML file beside a recording; empty if there is none."""
     toml = path.with_suffix(".toml")
     if not toml.is_file():
         return {}
@@ -61,7 +61,7 @@ def beside_of(path: Path) -> dict[str, Any]:
 
 
 def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str, Column]:
-    """Where each quantity stands."""
+    """Find the column of each quantity."""
     if len(header) == 1 and re.search("[;\t]", header[0]):
         raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
     plain = [_plain(text) for text in header]
@@ -100,7 +100,7 @@ def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str,
 
 
 def _require(key: str, found: dict[str, Column], header: list[str]) -> None:
-    """Refuse a table without the columns that are needed."""
+    """Refuse a table without the columns that are needed; drop ``te`` if both angles are given."""
     has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200]}"
     if "input angle" not in found:
         words = " (time alone is no angle: speeds are never even)" if "time" in found else ""
@@ -108,11 +108,11 @@ def _require(key: str, found: dict[str, Column], header: list[str]) -> None:
     if "output angle" not in found and "te" not in found:
         raise GearjaxError(f"{key}: line 1 must name a column output angle, or te; {has}")
     if "output angle" in found and "te" in found:
-        del found["te"]  # both angles tell it
+        del found["te"]  # it follows from both angles
 
 
 def _plain(text: str) -> str:
-    """Name of a column without its unit, in small letters."""
+    """Name of a column without its unit, in lower-case letters."""
     match = _COLUMN.fullmatch(text.strip())
     name = match[1] if match else text
     return re.sub(r"[\s_]+", " ", name).strip().lower()
@@ -124,7 +124,7 @@ def _unit(text: str) -> str | None:
 
 
 def _size(where: str, name: str, unit: str | None, beside: dict[str, Any]) -> float:
-    """Size of a unit in SI; counts by those of the encoder."""
+    """Size of a unit in SI; a count is a turn divided by the counts per turn of the encoder."""
     dimension = DIMENSIONS[name]
     if not unit:
         example = dimension.example.rpartition(" ")[2]

@@ -29,7 +29,7 @@ PUBLISHED_KEYS = {
 
 
 def read_run(table: dict[str, Any], published: tuple[Published, ...], scene: Scene) -> Run:
-    """The run section, checked against what the scene lists, and the published values.
+    """Read the run section, add the published values, and check that the scene has what the analyses need.
 
     Raises:
         ParameterError: a value is wrong.
@@ -86,7 +86,7 @@ def _torques(table: dict[str, Any], analyses: tuple[str, ...], scene: Scene) -> 
 
 
 def read_published(entries: Any) -> tuple[Published, ...]:
-    """Values to show next to the computed ones, from the ``[[published]]`` sections."""
+    """Read the values to show next to the computed ones, from the ``[[published]]`` sections."""
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ParameterError("published", entries, "must be a list of sections: [[published]]")
     published = []

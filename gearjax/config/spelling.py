@@ -1,8 +1,8 @@
 """Units as engineers write them: ``Nm``, ``N·mm``, ``kgm2``, ``1/min``. A unit that is not listed here is unknown.
 
-The list is short on purpose. Force, pressure, energy, frequency and angle are dimensions of their own: a joule is no
-newton metre and a hertz no radian per second, whatever SI makes of both. Scales with an offset or a logarithm, and
-units that look like others (becquerel, gray, sievert), are not there.
+The list is short on purpose. Force, pressure, energy, frequency and angle are dimensions of their own: a joule is not a
+newton metre, and a hertz is not a radian per second, although SI gives both units of such a pair the same base units.
+Units with an offset or a logarithmic scale, and units that look like others (becquerel, gray, sievert), are not listed.
 """
 
 import functools
@@ -67,7 +67,7 @@ rpm = turn / minute = rpm = RPM
 percent = 0.01 = %
 """
 
-_PREFIXES = {  # that a number of gears may have; others, such as a megametre, are slips of the keyboard
+_PREFIXES = {  # prefixes that occur in gear engineering; others, such as a megametre, are typing mistakes
     "meter": ("nano", "micro", "milli", "centi", "deci", "kilo"),
     "radian": ("nano", "micro", "milli"),
     "degree": ("milli",),
@@ -104,11 +104,11 @@ _MOST_FACTORS = 6
 
 
 class UnknownUnit(ValueError):
-    """A unit cannot be read; its message says why."""
+    """A unit cannot be read; the message says why."""
 
 
 class Factor(NamedTuple):
-    """A name and its exponent, as written."""
+    """The name of a unit and its exponent, as written."""
 
     name: str
     power: int
@@ -116,24 +116,24 @@ class Factor(NamedTuple):
 
 @functools.cache
 def registry() -> Any:
-    """The units of gearjax, for pint."""
-    import pint  # a fifth of a second, with what it brings, that a scene made in Python need not wait for
+    """The units of gearjax as a registry of pint."""
+    import pint  # the import takes a fifth of a second, which a scene made in Python need not wait for
 
-    known = pint.UnitRegistry(cast(Any, None), cache_folder=None)  # None: no units yet
+    known = pint.UnitRegistry(cast(Any, None), cache_folder=None)  # None: begin without any units
     known.load_definitions(_DEFINITIONS.splitlines())
     return known
 
 
 def without_typography(text: str) -> str:
-    """Spaces, minus signs and products as a keyboard has them."""
+    """The text with spaces, minus signs and product signs as on a keyboard."""
     return " ".join(text.translate(_SIGNS).split())
 
 
 def factors(text: str) -> tuple[Factor, ...]:
-    """The names of a unit with their exponents, in the order written.
+    """Split a unit into its names and their exponents, in the order written.
 
     Raises:
-        UnknownUnit: it is not a product of named units.
+        UnknownUnit: the text is not a product of named units.
     """
     rest = text.translate(_SUPERSCRIPTS).replace("**", "^").strip()
     if set(rest) & set("'\"\u2032\u2033"):
@@ -161,7 +161,7 @@ def factors(text: str) -> tuple[Factor, ...]:
 
 @functools.lru_cache(maxsize=1024)  # a configuration writes the same few units again and again
 def unit_of(written: tuple[Factor, ...]) -> Any:
-    """The unit of pint that some factors make.
+    """The unit of pint that is the product of some factors.
 
     Raises:
         UnknownUnit: a name is not known.
@@ -169,7 +169,7 @@ def unit_of(written: tuple[Factor, ...]) -> Any:
     known = registry()
     whole = known.Unit("dimensionless")
     if len(written) == 2 and written[0] in (("U", 1), ("r", 1), ("tr", 1)) and written[1][0] in ("min", "s"):
-        written = (Factor("turn", 1), written[1])  # U/min and r/min, as on nameplates
+        written = (Factor("turn", 1), written[1])  # U/min and r/min on nameplates count turns
     for factor in written:
         for name, power in _apart(factor):
             whole = whole * known.Unit(_canonical(name)) ** power
@@ -177,7 +177,7 @@ def unit_of(written: tuple[Factor, ...]) -> Any:
 
 
 def _apart(factor: Factor) -> Iterator[Factor]:
-    """``kNm`` as kN and m; an exponent belongs to the last, ``kgm^2`` is kg m^2."""
+    """Split ``kNm`` into kN and m; an exponent belongs to the last unit, so that ``kgm^2`` is kg m^2."""
     match = _RUN_TOGETHER.fullmatch(factor.name)
     if match is None:
         yield factor
@@ -188,10 +188,10 @@ def _apart(factor: Factor) -> Iterator[Factor]:
 
 
 def _canonical(name: str) -> str:
-    """The name that pint knows a unit by.
+    """The name under which pint knows a unit.
 
     Raises:
-        UnknownUnit: it is none, or a prefix does not go with it.
+        UnknownUnit: the name is not a unit, or its prefix does not suit the unit.
     """
     if name in _TOLD_APART:
         raise UnknownUnit(_TOLD_APART[name])
@@ -205,18 +205,18 @@ def _canonical(name: str) -> str:
 
 
 def _alike(name: str) -> list[str]:
-    """Usual units that differ by capital letters alone."""
+    """Usual units whose names differ from a name only in capital letters."""
     return [usual for usual in _USUAL if usual.casefold() == name.casefold() and usual != name]
 
 
 def variants(written: tuple[Factor, ...]) -> Iterator[tuple[Factor, ...]]:
-    """The same unit with other capitals in its names."""
+    """The same unit with other capital letters in its names."""
     choices = [[factor, *(Factor(alike, factor.power) for alike in _alike(factor.name))] for factor in written]
     yield from itertools.product(*choices)
 
 
 def as_written(written: tuple[Factor, ...]) -> str:
-    """``kg*m^2/s^2`` from its factors."""
+    """A unit as text such as ``kg*m^2/s^2``, from its factors."""
     above = [_powered(name, power) for name, power in written if power > 0]
     below = [_powered(name, -power) for name, power in written if power < 0]
     return "/".join(["*".join(above) or "1", *below])

@@ -1,4 +1,4 @@
-"""Keys and values of tables, refused with one line where they are wrong."""
+"""Reading of keys and values from tables. A wrong key or value is refused with a message of one line."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping
@@ -15,13 +15,13 @@ from gearjax.parameters import Parameter
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """A key of a section that is not a part of the scene.
+    """A key of a section that does not describe a part of the scene, such as the run section.
 
     Args:
-        words: what may stand there: unit, bounds, names.
-        example: a value, as TOML.
-        default: the value without it, as TOML; empty for none.
-        required: whether it must be given.
+        words: what values are allowed: unit, bounds, names.
+        example: an example value, as TOML.
+        default: the value that counts if the key is left out, as TOML; empty if there is none.
+        required: whether the key must be given.
     """
 
     words: str
@@ -31,10 +31,10 @@ class Key:
 
 
 def known_keys(path: str, table: dict[str, Any], keys: Iterable[str], of: str = "") -> None:
-    """Refuse a key that a section does not know.
+    """Refuse a key that the section does not have.
 
     Raises:
-        ParameterError: naming the nearest key.
+        ParameterError: a key is unknown; the message names the nearest known key.
     """
     for key in table:
         if key not in keys:
@@ -42,15 +42,16 @@ def known_keys(path: str, table: dict[str, Any], keys: Iterable[str], of: str = 
 
 
 def require_keys(path: str, table: Mapping[str, Any], keys: Mapping[str, Key]) -> None:
-    """Refuse a section that lacks keys which must be given; all of them are told at once.
+    """Refuse a section that lacks required keys; one message names all of them.
 
     Args:
-        path: of the section.
+        path: path of the section.
         table: the section.
-        keys: what it may hold.
+        keys: the keys that the section may have.
 
     Raises:
-        ParameterError: naming the keys that are missing, and what those that may be left out are without.
+        ParameterError: required keys are missing. The message names them; if there are several, it also names the
+            defaults of the optional keys that are not given.
     """
     lacking = [name for name, key in keys.items() if key.required and name not in table]
     if not lacking:
@@ -67,7 +68,7 @@ def require_keys(path: str, table: Mapping[str, Any], keys: Mapping[str, Key]) -
 
 
 def in_words(parameter: Parameter) -> str:
-    """What may stand for a parameter in a configuration: ``a length such as "10 um"``."""
+    """What a configuration may give for a parameter, in words: ``a length such as "10 um"``."""
     quoted = [f'"{name}"' for name in parameter.names]
     if parameter.kind == "count":
         return "a whole number"
@@ -86,7 +87,7 @@ def in_words(parameter: Parameter) -> str:
 
 
 def written(value: Any, parameter: Parameter) -> Any:
-    """A number in SI as a configuration holds it, in the unit that messages show."""
+    """Convert a number in SI to the form of a configuration, in the unit that messages show."""
     dimension = parameter.dimension
     if dimension is None or isinstance(value, str):
         return value
@@ -96,14 +97,14 @@ def written(value: Any, parameter: Parameter) -> Any:
 
 
 def as_toml(value: Any) -> str:
-    """A value as it stands to the right of a ``=``."""
+    """A value as TOML text, as it stands to the right of a ``=``."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(as_toml, value))}]"
     return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip()
 
 
 def keys_of(part: Any) -> dict[str, Key]:
-    """The keys of a part of the scene (its class), from its declared fields."""
+    """The keys of a part of the scene, from the declared fields of its class."""
     keys = {}
     for field in dataclasses.fields(part):
         parameter = field.metadata.get("parameter")
@@ -116,10 +117,10 @@ def keys_of(part: Any) -> dict[str, Key]:
 
 
 def read_whole(key: str, given: Any, low: int, high: int) -> int:
-    """A whole number.
+    """Read a whole number.
 
     Raises:
-        ParameterError: it is none, or out of range.
+        ParameterError: the value is not a whole number, or is out of range.
     """
     if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
         raise ParameterError(key, given, f"must be a whole number from {low} to {high}")
@@ -127,10 +128,10 @@ def read_whole(key: str, given: Any, low: int, high: int) -> int:
 
 
 def read_parameter(key: str, given: Any, parameter: Parameter) -> float:
-    """A number of a declared dimension in SI; its range is not looked at.
+    """Read a number of a declared dimension in SI; the range of the number is not checked.
 
     Raises:
-        ParameterError: no number, or not of the dimension.
+        ParameterError: the value is not a number, or does not have the dimension.
     """
     assert parameter.dimension is not None
     ratio = parameter.dimension is units.RATIO
@@ -138,7 +139,7 @@ def read_parameter(key: str, given: Any, parameter: Parameter) -> float:
 
 
 def flattened(tables: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Tables in tables as one table of dotted keys."""
+    """Nested tables as one table with dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in tables.items():
         flat |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}

@@ -1,4 +1,4 @@
-"""The tolerance section: distributions of the toleranced numbers, what is measured, and which studies are made."""
+"""The tolerance section: the distributions of the toleranced numbers, the measures, and the studies to be made."""
 
 import dataclasses
 import itertools
@@ -20,7 +20,7 @@ from gearjax.tolerance.sampling import SAMPLERS
 
 MOST_SAMPLES = 1_000_000_000
 PRECISIONS = ("float64", "float32")
-MOST_YIELD = 0.9995  # more would need more gear sets to prove
+MOST_YIELD = 0.9995  # a higher yield would need more gear sets to prove it
 TOLERANCE_KEYS = {
     "measures": Key("a list of measures, names or tables", required=True),
     "samples": Key(f"a whole number from 2 to {MOST_SAMPLES}", default="10000"),
@@ -57,14 +57,15 @@ _STUDIES = ("sensitivity", "allocation", "assembly")
 
 @dataclasses.dataclass(frozen=True)
 class Allocation:
-    """Which tolerances to buy for a required yield.
+    """Search for the cheapest tolerances that reach a required yield.
 
     Args:
-        measure: name of the measure, with a limit.
-        required: share of good gear sets.
-        costs: of each tolerance by path: pairs of a factor on the tolerance and its cost, cheapest last; a single
-            pair (1, c) is the reciprocal law ``c / factor``.
-        tightest, loosest: factors on the tolerances that can be had.
+        measure: name of the measure whose yield counts.
+        required: required yield, the share of good gear sets.
+        costs: cost of each tolerance by path: pairs of a factor on the tolerance and its cost, the cheapest last; a
+            single pair (1, c) stands for the reciprocal law ``c / factor``.
+        tightest: smallest factor on a tolerance that can be bought.
+        loosest: largest factor on a tolerance that can be bought.
     """
 
     measure: str
@@ -76,13 +77,13 @@ class Allocation:
 
 @dataclasses.dataclass(frozen=True)
 class Assembly:
-    """Phases that are chosen for each unit from its measured errors.
+    """Matched assembly: the phases of each unit are chosen from the measured errors of its parts.
 
     Args:
-        measure: name of the measure that is made small.
-        where: paths of the phases that assembly may choose.
-        units: how many gear sets.
-        starts: of each search.
+        measure: name of the measure that the choice of the phases makes small.
+        where: paths of the phases that may be chosen in assembly.
+        units: number of gear sets to assemble.
+        starts: number of starting points of the search for each gear set.
     """
 
     measure: str
@@ -93,20 +94,20 @@ class Assembly:
 
 @dataclasses.dataclass(frozen=True)
 class ToleranceSection:
-    """What ``gearjax tolerance`` does.
+    """Settings of ``gearjax tolerance``.
 
     Args:
-        tolerances: the population.
-        measures: what is measured.
+        tolerances: the population of gear sets.
+        measures: measures that are computed for each gear set.
         samples: number of gear sets of the Monte Carlo study.
         seed: seed of the random numbers.
-        sampler: how the numbers are drawn.
-        extremes: where the highest and lowest values are looked for: at the ``"samples"`` of the run alone, which is
-            quicker, or ``"between"`` them too.
-        chunk: number of gear sets worked on at once, and written at once.
-        precision: ``"float64"`` or ``"float32"``.
-        sensitivity: number of samples of the sensitivities, 0 for none.
-        allocation, assembly: further studies, or ``None``.
+        sampler: method by which the random numbers are drawn.
+        extremes: where the highest and lowest values of a curve are searched: only at the ``"samples"`` of the run,
+            which is quicker, or also ``"between"`` them.
+        chunk: number of gear sets that are computed together and stored together.
+        precision: floating-point precision, ``"float64"`` or ``"float32"``.
+        sensitivity: number of samples of the sensitivity study, 0 for no such study.
+        allocation, assembly: settings of further studies, or ``None``.
     """
 
     tolerances: Tolerances
@@ -123,12 +124,12 @@ class ToleranceSection:
 
 
 def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> ToleranceSection:
-    """The tolerance section of a configuration.
+    """Read the tolerance section of a configuration.
 
     Args:
         table: the section.
         scene: the scene.
-        folder: that files named in it are relative to.
+        folder: folder to which file names in the section are relative.
 
     Raises:
         GearjaxError: a value is wrong.
@@ -164,7 +165,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
 
 
 def inlined(tables: dict[str, Any], scene: Scene, folder: Path) -> dict[str, Any]:
-    """The tables of a configuration with measured values in place of the files that hold them."""
+    """The tables of a configuration, with measured values in place of the names of their files."""
     section = dict(tables["tolerance"])
     for path, given in _leaves(section, scene):
         if given.get("kind") == Empirical.kind and "file" in given:
@@ -180,7 +181,7 @@ def inlined(tables: dict[str, Any], scene: Scene, folder: Path) -> dict[str, Any
 
 
 def sampled(tables: dict[str, Any]) -> dict[str, Any]:
-    """What of the tables of a configuration the samples depend on: no limits, no further studies."""
+    """The tables of a configuration that determine the samples: without limits and without further studies."""
     section = {key: value for key, value in tables["tolerance"].items() if key not in _STUDIES}
     measures = [{"name": entry} if isinstance(entry, str) else entry for entry in section["measures"]]
     section["measures"] = [{k: v for k, v in entry.items() if k not in _LIMITS} for entry in measures]
@@ -189,21 +190,24 @@ def sampled(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _forget(table: dict[str, Any], path: str) -> dict[str, Any]:
-    """The table without a leaf, however its dotted path was written."""
+    """The table without one leaf, in whatever way its dotted path was written."""
     kept: dict[str, Any] = {}
     for key, value in table.items():
         if key == path:
             continue
         if path.startswith(f"{key}.") and isinstance(value, dict):
             value = _forget(value, path.removeprefix(f"{key}."))
-            if not value:  # nothing else was in it
+            if not value:  # the leaf was the only entry
                 continue
         kept[key] = value
     return kept
 
 
 def _leaves(table: dict[str, Any], scene: Scene) -> list[tuple[str, dict[str, Any]]]:
-    """Paths with their distributions; quoted or not, a dotted key is a path, and ``[*]`` every number of a series."""
+    """Paths of the numbers that vary, each with the table of its distribution.
+
+    A dotted key is a path whether it is quoted or not; ``[*]`` stands for every number of a series.
+    """
     known, leaves = numbers(scene), []
 
     def visit(path: str, given: Any) -> None:
@@ -329,7 +333,7 @@ def _allocation(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...
 
 
 def _cost(key: str, given: Any) -> tuple[tuple[float, float], ...]:
-    """A cost at the tolerance as given (reciprocal law), or a table of factors and costs."""
+    """Read the cost at the given tolerance (reciprocal law), or a table of factors and costs."""
     right = "must be a cost above 0, or a list of [factor, cost] with rising factors and falling costs"
     if not isinstance(given, list):
         cost = read_plain(key, given)

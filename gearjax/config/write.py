@@ -1,4 +1,4 @@
-"""Configurations with other numbers, such as those that a study has found."""
+"""Configurations with changed numbers, such as the numbers that a study has found."""
 
 import copy
 import re
@@ -12,18 +12,18 @@ from gearjax.config.build import read_tables, with_files
 from gearjax.config.tables import written
 from gearjax.parameters import Parameter
 
-STUDIES = ("optimise", "identify", "tolerance", "published")  # sections that do not hold for the changed scene
+STUDIES = ("optimise", "identify", "tolerance", "published")  # sections that are not valid for the changed scene
 
 
 def self_contained(text: str, folder: str | Path) -> str:
-    """The text of a configuration as it means the same in any folder: as it is, where it names no files.
+    """The text of a configuration in a form that does not depend on a folder; unchanged if it names no files.
 
     Args:
         text: the configuration.
-        folder: that files named in it are relative to.
+        folder: folder to which file names in the configuration are relative.
 
     Raises:
-        GearjaxError: the text is not TOML, or a file that it names cannot be read.
+        GearjaxError: the text is not TOML, or a file that the text names cannot be read.
     """
     tables = read_tables(text)
     whole = with_files(tables, Path(folder))
@@ -37,17 +37,17 @@ def with_numbers(
     folder: str | Path = ".",
     without: Iterable[str] = (),
 ) -> str:
-    """The text of a configuration with other numbers, without the sections of studies and published values.
+    """The text of a configuration with changed numbers, without the sections of studies and of published values.
 
     Args:
         text: the configuration.
-        values: numbers by path, such as ``errors.planet_1.phase``, SI.
-        parameters: their declarations.
-        folder: that files named in it are relative to; the new text, which may be kept elsewhere, does not need it.
-        without: sections that are left out besides.
+        values: new numbers by path, such as ``errors.planet_1.phase``, in SI.
+        parameters: declarations of these numbers, by path.
+        folder: folder to which file names in the text are relative; the new text does not depend on the folder.
+        without: further sections to leave out.
 
     Raises:
-        GearjaxError: the text is not TOML, or a file that it names cannot be read.
+        GearjaxError: the text is not TOML, or a file that the text names cannot be read.
     """
     tables: dict[str, Any] = copy.deepcopy(with_files(read_tables(text), Path(folder)))
     for section in (*STUDIES, *without):

@@ -1,4 +1,4 @@
-"""Candidate contacts, their laws, and the equilibrium of one-sided springs."""
+"""Candidate contacts, contact laws, and the static equilibrium of one-sided springs."""
 
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact

@@ -1,8 +1,8 @@
-"""Which of the contacts that a matrix couples carry: steps from set to set, each solved exactly.
+"""Active-set method for coupled contacts: it finds the contacts that carry, with an exact solution in each step.
 
-Each step solves the linear problem of one set of closed contacts, and the signs of its forces and openings tell the
-next set (Hintermueller, Ito, Kunisch 2002). The same steps are Newton's on a convex function: where the sets go around
-in a circle, each goes only so far as that function falls, so that they end. What is found is exact to rounding.
+Each step solves the linear problem of one set of closed contacts. The signs of its forces and openings give the next
+set (Hintermueller, Ito, Kunisch 2002). These steps are also Newton steps on a convex function. If the sets repeat in a
+cycle, a line search on this function shortens the steps, so that the method ends. The result is exact to rounding.
 """
 
 import jax
@@ -11,12 +11,12 @@ from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from gearjax.typing import Array, Bool, Float
 
-MOST_STEPS = 1000  # never reached where the matrix is positive definite: conditions of 1e6 took up to 200
-PLAIN_STEPS = 8  # before the convex function is looked at: nearly all problems end within
-HALVINGS = 40  # of the length of a step
-CLOSED = 64.0  # roundings of the opening, within which an open contact may overlap
-GATHERED_FROM = 48  # contacts; of fewer a factorisation of all takes no longer
-PARTS = 4  # sizes that closed contacts are gathered into
+MOST_STEPS = 1000  # never reached with a positive definite matrix: condition numbers of 1e6 took up to 200
+PLAIN_STEPS = 8  # steps without a line search, which solve nearly all problems
+HALVINGS = 40  # bisections of the length of a step
+CLOSED = 64.0  # overlap of an open contact that counts as rounding, in units of the rounding of its opening
+GATHERED_FROM = 48  # contacts; with fewer, a factorisation of all contacts takes no longer
+PARTS = 4  # number of sizes of the matrix into which closed contacts are gathered
 Carried = tuple[Float[Array, " free"], Float[Array, " contact"], Bool[Array, " contact"], Bool[Array, ""]]
 
 
@@ -28,15 +28,15 @@ def carrying(
     loaded: Bool[Array, " contact"],
     start: Bool[Array, " contact"],
 ) -> Carried:
-    """Positions, forces, the contacts that carry, and whether they were found.
+    """Positions, forces, the set of contacts that carry, and whether this set was found.
 
     Args:
-        influence: approach of each contact per force on each [m/N].
-        levers: of the coordinates that only contacts hold [m/rad].
-        gap: openings at position zero [m].
-        applied: on these coordinates [N m].
-        loaded: contacts that hold against the load.
-        start: the set to begin with.
+        influence: approach of each contact per force on each contact [m/N].
+        levers: levers of the contacts on the free coordinates, which only contacts hold [m/rad].
+        gap: gaps at position zero [m].
+        applied: generalised forces on the free coordinates [N m].
+        loaded: whether each contact can hold against the load.
+        start: set of closed contacts to start from.
     """
     rounding = jnp.finfo(gap.dtype).eps * CLOSED
     few = levers.shape[0] < GATHERED_FROM
@@ -45,36 +45,38 @@ def carrying(
     root = jnp.sqrt(jnp.maximum(jnp.diagonal(influence), 0.0))
 
     def reached(position: Array, forces: Array, beyond: Array, closed: Array) -> Array:
-        """What an open contact may overlap by, for rounding."""
+        """Overlap of each open contact that counts as rounding [m]."""
         known = jnp.abs(gap) + jnp.abs(levers @ position)
         if few:
             return rounding * (jnp.abs(influence) @ jnp.abs(forces) + known)
-        # a bound of that product, by the inequality of Cauchy and Schwarz, tells of nearly all contacts as much
+        # for nearly all contacts, a bound of that product by the Cauchy-Schwarz inequality gives the same decision
         most = root * (root @ jnp.abs(forces))
         doubtful = ~closed & (beyond > rounding * known) & (beyond <= rounding * (most + known))
         own = jax.lax.cond(doubtful.any(), lambda: jnp.abs(influence) @ jnp.abs(forces), lambda: most)
         return rounding * (own + known)
 
     def tried(closed: Array) -> tuple[tuple, Array, Array]:
-        """Position, forces and overlaps with a set of closed contacts, whether it is right, and the next set."""
+        """Position, forces and overlaps with a set of closed contacts, whether the set is right, and the next set."""
         position, forces = solved(influence, levers, gap, applied, closed)
         beyond = levers @ position - gap - influence @ forces
         reach = reached(position, forces, beyond, closed)
         right = jnp.where(closed, forces >= 0, beyond <= reach).all()
-        # a contact that overlaps by rounding alone is left out: it would come and go
+        # a contact that overlaps by no more than rounding is not closed: it would open and close again and again
         return (position, forces, beyond), right, held(jnp.where(closed, forces > 0, beyond > reach))
 
     def held(chosen: Array) -> Array:
-        """Something has to hold each coordinate: else the first contact of its side."""
+        """A set in which each coordinate is held: if no contact holds it, the first contact of its side is added."""
         lacking = ~((chosen & loaded)[:, None] & (levers != 0)).any(axis=0)
         return chosen | (loaded & (gap == 0) & ((levers != 0) & lacking[None]).any(axis=1))
 
     def plain(state: tuple) -> tuple:
+        """A step without a line search."""
         closed, *_, step = state
         (position, forces, beyond), right, chosen = tried(closed)
         return jnp.where(right, closed, chosen), (position, forces, beyond, closed), right, step + 1
 
     def damped(own: Array, state: tuple) -> tuple:
+        """A step with a line search on the convex function."""
         closed, (position, forces, overlap), _, step = state
         (ended, pressed, beyond), right, chosen = tried(closed)
         target = jnp.where(closed, own * pressed, beyond)
@@ -103,14 +105,15 @@ def carrying(
         _, (position, *_), done, step = state
         return ~done & (step < MOST_STEPS) & jnp.isfinite(position).all()
 
-    # Two loops: one would look for the shares of all steps, over many angles also of those that are whole. Plain steps
-    # start from nothing but a set: a start that is worked out, of the same set at all angles, is one matrix with many
-    # right-hand sides, which a BLAS shares among threads that wait for each other (ten times the time of all the rest)
+    # There are two loops, because a single loop over many angles would search the length of every step, also of whole
+    # steps. Plain steps start from a set only: a calculated start, from the same set at all angles, would be one matrix
+    # with many right-hand sides, which a BLAS divides among threads that wait for each other (ten times the time of all
+    # the rest).
     nothing = jnp.zeros_like(applied), jnp.zeros_like(gap), jnp.zeros_like(gap), start
     closed, (position, forces, beyond, last), done, step = jax.lax.while_loop(
         lambda state: unfinished(state) & (state[-1] < PLAIN_STEPS), plain, (start, nothing, jnp.asarray(False), 0)
     )
-    if not few:  # two thirds of a cube of the contacts, for what hardly any problem needs
+    if not few:  # this costs two thirds of the cube of the number of contacts, and hardly any problem needs it
         own = jax.lax.cond(done, lambda: own, lambda: _own(influence))
     begin = closed, (position, forces, jnp.where(last, own * forces, beyond)), done, step
     closed, (position, forces, _), done, _ = jax.lax.while_loop(unfinished, lambda state: damped(own, state), begin)
@@ -118,14 +121,14 @@ def carrying(
 
 
 def _own(influence: Array) -> Array:
-    """What is left of the matrix without this much of its diagonal is positive definite still; nan where it is not."""
+    """Number that can be subtracted from the diagonal so that the matrix stays positive definite; nan if it is not."""
     size = influence.shape[0]
     inverse = solve_triangular(jnp.linalg.cholesky(influence), jnp.eye(size, dtype=influence.dtype), lower=True)
     return 0.5 / (inverse * inverse).sum()
 
 
 def solved(influence: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple[Array, Array]:
-    """Positions and forces with a given set of closed contacts: ``S f + rest - J q = 0`` within it, ``J^T f = Q``."""
+    """Positions and forces with a given set of closed contacts: ``S f + rest - J q = 0`` on this set, ``J^T f = Q``."""
     number = closed.shape[0]
     if number < GATHERED_FROM:
         return _solved(jnp.where(closed[:, None] & closed[None, :], influence, 0.0), levers, rest, applied, closed)
@@ -147,7 +150,7 @@ def solved(influence: Array, levers: Array, rest: Array, applied: Array, closed:
 
 
 def _solved(inner: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple[Array, Array]:
-    """The same with the matrix of the closed contacts, the other rows and columns zero."""
+    """The same as `solved`, with the matrix of the closed contacts; its other rows and columns are zero."""
     factor = cho_factor(inner + jnp.diag(jnp.where(closed, 0.0, 1.0).astype(inner.dtype)), lower=True)
     arms = jnp.where(closed[:, None], levers, 0.0)
     per_turn = cho_solve(factor, arms)
@@ -155,7 +158,7 @@ def _solved(inner: Array, levers: Array, rest: Array, applied: Array, closed: Ar
     steepness, pull = arms.T @ per_turn, applied + arms.T @ at_rest
     holding = jnp.diagonal(steepness) > 0
     safe = steepness + jnp.diag(jnp.where(holding, 0.0, 1.0).astype(inner.dtype))
-    # one number is divided by: a factorisation of it would be a routine of its own
+    # a single equation is solved by a division, because a factorisation would be a separate library call
     position = pull / safe[0] if len(applied) == 1 else jnp.linalg.solve(safe, pull)
     position = jnp.where(holding, position, 0.0)
     return position, jnp.where(closed, per_turn @ position - at_rest, 0.0)

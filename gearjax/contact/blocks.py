@@ -1,8 +1,10 @@
-"""Contacts coupled within small blocks only, such as those of one pair of teeth: exact steps of many lanes at once.
+"""Active-set method for contacts that are coupled within small blocks only, such as one pair of teeth, in many lanes.
 
-The steps are those of `active_set`: the linear problem of one set of closed contacts, whose signs tell the next set.
-As blocks share nothing but the position, a factorisation is one of each block, written out over its few contacts, with
-blocks and lanes behind: its numbers are arrays that vectorise. Lanes that go around in a circle are told as not found.
+A lane is one problem of a batch; all lanes are solved at once. The steps are those of `active_set`: each solves the
+linear problem of one set of closed contacts, and the signs of the result give the next set. The blocks have only the
+position in common. Each block therefore has a factorisation of its own, which is written out over its few contacts; the
+last axes of its arrays are blocks and lanes, so that it vectorises. Lanes whose sets repeat in a cycle count as not
+found.
 """
 
 import functools
@@ -17,24 +19,26 @@ from gearjax.contact.lanes import finished, in_parts
 from gearjax.contact.springs import block_diagonal
 from gearjax.typing import Array, Bool, Float, Int
 
-MOST_OWN = 8  # contacts of a block: of more, the program would grow
-MOST_STEPS = 24  # of all lanes together: hardly any problem needs more than 10
-GUESSES, STIFFER = 5, 1.4  # steps of a first guess, and its stiffness: others took more steps after it
-LANES = 128  # side by side: their numbers stay in the cache
+MOST_OWN = 8  # contacts of a block; with more, the program would become too large
+MOST_STEPS = 24  # steps of all lanes together: hardly any problem needs more than 10
+GUESSES, STIFFER = 5, 1.4  # steps and stiffness of the first guess: with other values the search took more steps
+LANES = 128  # lanes at a time, so that their numbers stay in the cache
 Each = list[Array]
 Matrix = list[Each]
 
 
 class _Sets(NamedTuple):
-    """Sets of closed contacts and what was found with them; arrays by contact of a block, of shape (block, lane): one
-    array of all would be put together anew in every step, which took four times as long as the step.
+    """Sets of closed contacts, with the positions and forces that belong to them.
+
+    There is one array of shape (block, lane) for each contact of a block. A single array of all contacts would be
+    assembled again in every step, which took four times as long as the step.
 
     Args:
-        closed: which contacts carry.
+        closed: whether each contact is closed.
         place: position, shape (1, lane) [rad].
-        forces: of the contacts [N].
-        right: whether all conditions hold, shape (1, lane).
-        step: how many sets were tried.
+        forces: forces of the contacts [N].
+        right: whether all conditions are fulfilled, shape (1, lane).
+        step: number of sets that were tried.
     """
 
     closed: list[Bool[Array, "block lane"]]
@@ -45,23 +49,24 @@ class _Sets(NamedTuple):
 
 
 def search_of_blocks(sided: bool, blocks: Array, levers: Array, gap: Array, applied: Array, loaded: Array) -> tuple:
-    """Position, forces, the contacts that carry, and whether they were found, as `active_set.carrying` tells them.
+    """Position, forces, the set of contacts that carry, and whether it was found, as from `active_set.carrying`.
 
     Args:
-        sided: whether the first half of the contacts has driving flanks and the second as many back flanks: where no
-            block has both, only those that the load presses are looked at closely.
-        blocks: approach of each contact per force on each of its block, shape (block, own, own) [m/N].
-        levers: shape (contact, 1) [m/rad].
-        gap: openings at position zero, shape (contact,) [m].
+        sided: whether the first half of the contacts has driving flanks and the second half as many back flanks. If no
+            block has both, the search treats only the side that the load presses, and checks that the other one is
+            open.
+        blocks: approach of each contact per force on each contact of its block, shape (block, own, own) [m/N].
+        levers: lever of each contact, shape (contact, 1) [m/rad].
+        gap: gaps at position zero, shape (contact,) [m].
         applied: generalised force, shape (1,) [N m].
-        loaded: contacts that hold against the load, shape (contact,).
+        loaded: whether each contact can hold against the load, shape (contact,).
     """
-    apart = sided and blocks.shape[0] % 2 == 0  # an odd number of blocks of one size: one has flanks of both sides
+    apart = sided and blocks.shape[0] % 2 == 0  # with an odd number of blocks, one block has flanks of both sides
     return (_search_of_sides if apart else _search)(blocks, levers, gap, applied, loaded)
 
 
 def solved_of_blocks(blocks: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
-    """Position, shape (1,), and forces with a given set of closed contacts, as `active_set.solved` tells them."""
+    """Position, shape (1,), and forces with a given set of closed contacts, as from `active_set.solved`."""
     return _linear(blocks, levers, rest, applied, closed)
 
 
@@ -69,11 +74,11 @@ def _within(blocks: Matrix, lever: Each, rest: Each, applied: Array, closed: Eac
     """Position and forces with given sets of closed contacts.
 
     Args:
-        blocks: rows of arrays of shape (block, lane or 1) [m/N].
-        lever, rest, closed: by contact of a block, arrays of shape (block, lane).
-        applied: shape (1, lane).
+        blocks: rows of the blocks' matrices, as arrays of shape (block, lane or 1) [m/N].
+        lever, rest, closed: one array of shape (block, lane) for each contact of a block.
+        applied: generalised force, shape (1, lane).
     """
-    # a factorisation L D L^T of the closed contacts, rows and columns of the others those of the unit matrix
+    # factorisation L D L^T of the closed contacts; rows and columns of the other contacts are those of the unit matrix
     own = range(len(lever))
     arms = [jnp.where(closed[i], lever[i], 0.0) for i in own]
     held = [jnp.where(closed[i], rest[i], 0.0) for i in own]
@@ -105,7 +110,7 @@ def _within(blocks: Matrix, lever: Each, rest: Each, applied: Array, closed: Eac
 
 
 def _steps(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each) -> _Sets:
-    """Sets of closed contacts, from a guess; arguments as for `_within`."""
+    """Search for the sets of closed contacts from a guess; arguments as for `_within`."""
     own, rounding = range(len(lever)), jnp.finfo(applied.dtype).eps * CLOSED
 
     def advance(at: _Sets) -> _Sets:
@@ -120,7 +125,7 @@ def _steps(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each)
             chosen.append(jnp.where(at.closed[i], forces[i] > 0, overlaps))
             holds.append(chosen[i] & loaded[i])
         right = ~_any(wrong)
-        # something has to hold the output: else the first contact of its side
+        # if no contact holds the output, the first contact of the loaded side is closed
         lacking = ~_any(holds)
         new = [jnp.where(right, at.closed[i], chosen[i] | (loaded[i] & (gap[i] == 0) & lacking)) for i in own]
         return _Sets(new, place, forces, right, at.step + 1)
@@ -131,12 +136,15 @@ def _steps(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each)
 
 
 def _guessed(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each) -> Each:
-    """The set that would carry if the contacts were springs one by one, each somewhat stiffer than under a force that
-    is the same on all of its block: it takes half of the steps that are needed from all loaded contacts."""
+    """First guess of the sets of closed contacts, as if all contacts were independent springs.
+
+    Each spring is somewhat stiffer than the contact is under equal forces on its whole block. From this guess the
+    search needs half as many steps as from the set of all loaded contacts.
+    """
     stiff = [STIFFER / _added([jnp.abs(entry) for entry in row]) for row in blocks]
     weight = [k * arm for k, arm in zip(stiff, lever, strict=True)]
     closed = loaded
-    for _ in range(GUESSES):  # Newton's method
+    for _ in range(GUESSES):  # each pass is a step of Newton's method
         inside = [jnp.where(own, w, 0.0) for own, w in zip(closed, weight, strict=True)]
         steep = _added([w * arm for w, arm in zip(inside, lever, strict=True)]).sum(axis=0, keepdims=True)
         pull = applied + _added([w * rest for w, rest in zip(inside, gap, strict=True)]).sum(axis=0, keepdims=True)
@@ -148,8 +156,11 @@ def _guessed(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Eac
 
 
 def _of_sides(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Each) -> _Sets:
-    """The same where the first half of the blocks is of driving flanks, the second of back flanks: of each lane those
-    that hold against the load, and the others only as far as they stay open. A side that no lane needs is left out."""
+    """Search for the sets of closed contacts if the first half of the blocks has driving and the second back flanks.
+
+    In each lane only the blocks of the loaded side are searched; the other blocks are only checked to stay open. A side
+    that no lane needs is skipped.
+    """
     half, rounding = lever[0].shape[0] // 2, jnp.finfo(applied.dtype).eps * CLOSED
 
     def side(number: Array) -> tuple:
@@ -182,20 +193,21 @@ def _of_sides(blocks: Matrix, lever: Each, gap: Each, applied: Array, loaded: Ea
 
 
 def _added(parts: Each) -> Array:
+    """Sum over the contacts of a block."""
     return functools.reduce(jnp.add, parts)
 
 
 def _any(parts: Each) -> Array:
-    """Whether any of the contacts, shape (1, lane)."""
+    """Whether the condition is true for any contact of a lane, shape (1, lane)."""
     return functools.reduce(jnp.logical_or, parts).any(axis=0, keepdims=True)
 
 
 def _laid_out(blocks: Array, *given: Array) -> tuple[Matrix, list[Each]]:
-    """Arrays by contact of a block, blocks and lanes behind.
+    """Arguments as one array for each contact of a block, with the last axes block and lane.
 
     Args:
-        blocks: of every lane, shape (lane, block, own, own), or of all of them, shape (block, own, own).
-        given: shape (lane, contact) each.
+        blocks: blocks of each lane, shape (lane, block, own, own), or common blocks, shape (block, own, own).
+        given: arrays of shape (lane, contact).
     """
     number, own = blocks.shape[-3], blocks.shape[-1]
     behind = jnp.moveaxis(blocks, (-2, -1), (0, 1))
@@ -205,13 +217,13 @@ def _laid_out(blocks: Array, *given: Array) -> tuple[Matrix, list[Each]]:
 
 
 def _in_order(parts: Each) -> Array:
-    """An array of lanes, shape (lane, contact), from those by contact of a block."""
+    """An array of shape (lane, contact) from one array for each contact of a block."""
     each = jnp.stack(parts)
     return each.transpose(2, 1, 0).reshape(each.shape[2], -1)
 
 
 def _searched(steps: Callable, blocks: Array, levers: Array, gap: Array, applied: Array, loaded: Array) -> tuple:
-    """The search of many lanes, each with blocks of its own, shape (lane, block, own, own), or all with the same."""
+    """Search in many lanes, which have blocks of their own, shape (lane, block, own, own), or common blocks."""
 
     def part(levers: Array, gap: Array, applied: Array, loaded: Array, *apart: Array) -> tuple:
         own = apart[0] if apart else blocks
@@ -230,7 +242,7 @@ def _searched(steps: Callable, blocks: Array, levers: Array, gap: Array, applied
 
 
 def _solved(blocks: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
-    """The linear problem of many lanes, with blocks as for `_searched`."""
+    """Linear problem with given sets of closed contacts in many lanes, with blocks as for `_searched`."""
 
     def part(levers: Array, rest: Array, applied: Array, closed: Array, *apart: Array) -> tuple:
         matrix, (lever, held, inside) = _laid_out(apart[0] if apart else blocks, levers[..., 0], rest, closed)
@@ -241,11 +253,12 @@ def _solved(blocks: Array, levers: Array, rest: Array, applied: Array, closed: A
 
 
 def _lanes_of(many: Callable) -> Callable:
-    """A function of one problem, whose lanes under `jax.vmap` go side by side: those that share their blocks with these
-    held once, others with their own.
+    """A function of one problem whose lanes under `jax.vmap` are solved side by side.
+
+    Lanes that share their blocks use a single copy of them; other lanes have blocks of their own.
 
     Args:
-        many: of blocks, of every lane or of all of them, and arrays with an axis of lanes in front.
+        many: function of blocks, either of each lane or common ones, and of arrays with an axis of lanes in front.
     """
 
     @jax.custom_batching.custom_vmap
@@ -278,7 +291,7 @@ def _lanes_of(many: Callable) -> Callable:
     @shared.def_vmap
     def _(size: int, batched: list, *given: Array) -> tuple:
         lanes = spread(size, batched[1:], given[1:])
-        if batched[0]:  # one matrix after the other, with its lanes
+        if batched[0]:  # one matrix after the other, each with all its lanes
             solutions = jax.lax.map(lambda own: shared(*own), (given[0], *lanes))
         else:
             solutions = flat(lambda *flat_lanes: shared(given[0], *flat_lanes), size, *lanes)
@@ -289,7 +302,7 @@ def _lanes_of(many: Callable) -> Callable:
         lanes = spread(size, batched[1:], given[1:])
         if batched[0]:
             solutions = flat(apart, size, given[0], *lanes)
-        else:  # lanes of each matrix come together
+        else:  # the lanes that share a matrix are brought together
             across = [jnp.swapaxes(part, 0, 1) for part in lanes]
             solutions = jax.lax.map(lambda own: shared(*own), (given[0], *across))
             solutions = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), solutions)

@@ -1,10 +1,11 @@
-"""Contacts coupled by one matrix, many gaps and loads at once: conjugate gradients, lanes last.
+"""Conjugate gradients for contacts that one matrix couples, with many gaps and loads at once.
 
-The forces that make ``f S f / 2 + gap f`` least under ``J f = Q`` are followed downhill within the contacts that carry.
-Where little is left of what a set began with, contacts that pull are let go, what remains is brought to the load, and
-open contacts that overlap join. Each step is one product of the matrix with a column per lane: of its direction, or of
-its forces after contacts were let go and before an answer counts as found. Nothing is factorised, and what is found
-fulfils the conditions to rounding, or is told as not found.
+A lane is one problem of a batch; the last axis of all arrays is the lane. The method minimises ``f S f / 2 + gap f``
+under ``J f = Q`` over the forces of the contacts that carry. When the residual of a set of contacts has become small,
+the set changes: contacts with a tensile force are opened, the remaining forces are scaled to the load, and open
+contacts that overlap are closed. Each step needs one product of the matrix with a column per lane. The column is the
+search direction, or the forces themselves after contacts were opened and before a result counts as found. Nothing is
+factorised. A result either fulfils all conditions to rounding or counts as not found.
 """
 
 from typing import NamedTuple
@@ -14,24 +15,24 @@ import jax.numpy as jnp
 
 from gearjax.typing import Array, Bool, Float, Int
 
-# roundings of the opening, within which contacts that carry are closed and others do not overlap: few of float32's
-# leave forces right to 2e-5 of the largest, for a twentieth of the time
+# accuracy of closed contacts and overlap of open contacts, in units of the rounding of their opening; the smaller value
+# of float32 leaves forces accurate to 2e-5 of the largest force, in a twentieth of the time
 ROUNDING, ROUNDING_OF_SINGLE = 64.0, 8.0
-EASED = 0.3  # of what a set began with, below which it may change
+EASED = 0.3  # share of the first residual of a set, below which the set may change
 
 
 class Lanes(NamedTuple):
-    """Where the lanes are.
+    """State of the iteration in all lanes.
 
     Args:
-        forces, way: of each contact its force and its direction, shape (contact, lane).
-        slope: of each contact its opening plus what the position takes from it [m].
-        inside: contacts that carry.
-        fresh: whether the slope is to be worked out anew, shape (lane,).
+        forces, way: force of each contact and its search direction, shape (contact, lane).
+        slope: gradient by the force of each contact: its opening plus its lever times the position [m].
+        inside: whether each contact carries.
+        fresh: whether the slope has to be calculated again from the forces, shape (lane,).
         place: position [rad].
-        first: what a set of contacts began with [m].
-        done: whether all conditions hold, by a slope worked out anew.
-        step: products so far.
+        first: first residual of the current set of contacts [m].
+        done: whether all conditions are fulfilled, with a slope that was calculated from the forces.
+        step: number of products so far.
     """
 
     forces: Float[Array, "contact lane"]
@@ -54,26 +55,27 @@ def descended(
     most: int,
     one_sided: bool = True,
 ) -> Lanes:
-    """Forces and positions of many lanes after no more than so many steps.
+    """Forces and positions of many lanes after a limited number of steps.
 
     Args:
-        influence: approach of each contact per force on each [m/N].
-        lever: of each contact [m/rad].
-        gap: openings at position zero [m].
+        influence: approach of each contact per force on each contact [m/N].
+        lever: lever of each contact [m/rad].
+        gap: gaps at position zero [m].
         applied: generalised forces [N m].
-        allowed: contacts that may carry, whose levers have the sign of the load.
-        most: steps.
-        one_sided: whether forces press only. Else all allowed contacts carry, either way, with levers of any sign.
+        allowed: whether each contact may carry; the levers of these contacts have the sign of the load.
+        most: greatest number of steps.
+        one_sided: whether contacts can only press. If not, all allowed contacts carry forces of either sign, and their
+            levers may have any sign.
     """
     rounding = jnp.finfo(gap.dtype).eps * (ROUNDING if gap.dtype == jnp.float64 else ROUNDING_OF_SINGLE)
 
-    applied = applied[None]  # one row: numbers of lanes stand beside those of their contacts
+    applied = applied[None]  # one row, so that the values of lanes broadcast over their contacts
 
     def advance(at: Lanes) -> Lanes:
         product = influence @ jnp.where(at.fresh, at.forces, at.way)
         bend = (at.way * product).sum(axis=0, keepdims=True)
         bend = jnp.where(bend > 0, bend, 1.0)
-        # a lane that is found stays as it is: float32 would wander off
+        # a finished lane is not changed any more, because in float32 it would drift away
         share = jnp.where(at.fresh | at.done, 0.0, -(at.way * at.slope).sum(axis=0, keepdims=True) / bend)
         forces = at.forces + share * at.way
         slope = jnp.where(at.fresh, product + gap, at.slope + share * product)

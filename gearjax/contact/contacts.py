@@ -1,13 +1,14 @@
-"""Candidate contacts of a scene at one input angle, errors and compliance included.
+"""Candidate contacts of a scene at one input angle, including errors and compliance.
 
-A contact is a one-sided spring. The displacements ``q`` from the ideal motion, of the output first [rad], then of
-shafts that turn freely [rad], then of what supports and shafts hold [m, rad], close it by
+A contact is a one-sided spring. The coordinates ``q`` are displacements from the ideal motion: first the position of
+the output [rad], then the positions of shafts that turn freely [rad], then the coordinates that supports and shafts
+hold [m, rad]. They close a contact by
 
     overlap = J q - gap(theta)                                               [m]
 
-Driving flanks hold the output against a positive torque, so their ``J`` is negative (the overlap grows when the
-output falls back); the ``J`` of a back flank is positive. Pins of a cycloidal disc touch one flank after the other as
-the disc goes around: the sign of ``J`` tells which. Which contact is what, its `Layout` says.
+Driving flanks hold the output against a positive torque. Their ``J`` is negative, because the overlap grows when the
+output falls back; the ``J`` of a back flank is positive. A pin of a cycloidal disc touches one flank after the other as
+the disc goes around; the sign of its ``J`` states which. The `Layout` states the side of each contact.
 """
 
 import equinox as eqx
@@ -20,18 +21,18 @@ from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 
 class ContactSet(eqx.Module):
-    """All candidate contacts of a scene at one input angle, errors included.
+    """All candidate contacts of a scene at one input angle, including errors.
 
     Args:
-        jacobian: shape (contact, coordinate); the output's column first [m/rad], then those of shafts that turn freely,
-            then those of what supports and shafts hold [-, m/rad].
-        gap: shape (contact,) [m].
-        springs: of the contacts; ``None`` for rigid teeth.
-        layout: sides of the contacts, and pairs that they are flanks of.
+        jacobian: change of overlap per coordinate, shape (contact, coordinate): first the column of the output [m/rad],
+            then the columns of shafts that turn freely [m/rad], then those of the held coordinates [-, m/rad].
+        gap: gap of each contact, shape (contact,) [m].
+        springs: springs of the contacts; ``None`` for rigid teeth.
+        layout: side of each contact, and pair to which it belongs.
         supports: stiffness of the last coordinates, which supports and shafts hold, shape (support, support) [N/m,
-            N m/rad]; ``None`` where contacts hold all.
-        holds: of each contact the coordinate that its driven body turns with, which it holds, shape (contact,); all the
-            output where shafts do not turn freely.
+            N m/rad]; ``None`` if contacts alone hold all coordinates.
+        holds: coordinate of the driven body of each contact, which the contact holds, shape (contact,). Without shafts
+            that turn freely, all contacts hold the output.
     """
 
     jacobian: Float[Array, "contact coordinate"]
@@ -43,10 +44,10 @@ class ContactSet(eqx.Module):
 
     @property
     def free(self) -> int:
-        """How many coordinates, the first ones, nothing but contacts holds.
+        """Number of free coordinates, which only contacts hold; they are the first coordinates.
 
         Raises:
-            ValueError: there are several, and it is not said which contact holds which.
+            ValueError: there are several free coordinates, but ``holds`` does not assign the contacts to them.
         """
         free = self.jacobian.shape[1] - (0 if self.supports is None else self.supports.shape[0])
         if free > 1 and not self.holds:
@@ -55,14 +56,16 @@ class ContactSet(eqx.Module):
 
     @property
     def stages(self) -> list[tuple[int, np.ndarray]]:
-        """Coordinates that only contacts hold, in the order that motion is handed on, the output last; each with the
-        contacts that hold it."""
+        """Free coordinates in the order in which motion is transmitted, the output last, each with its contacts."""
         if self.free == 1:
             return [(0, np.arange(len(self.layout.side)))]
         return [(column, np.flatnonzero(np.asarray(self.holds) == column)) for column in (*range(1, self.free), 0)]
 
     def loaded(self, applied: Scalar) -> Bool[Array, " contact"]:
-        """Contacts that hold against a generalised force on the output [N m]; against a positive torque at zero."""
+        """Whether each contact can hold the output against a generalised force on it [N m].
+
+        At zero force, these are the contacts that hold against a positive torque.
+        """
         if self.free == 1:
             lever = self.jacobian[:, 0]
             return jnp.where(applied > 0, lever > 0, lever < 0)
@@ -71,14 +74,18 @@ class ContactSet(eqx.Module):
 
     @property
     def lever(self) -> Float[Array, " contact"]:
-        """The single column of the Jacobian [m/rad]."""
+        """Lever of each contact: the only column of the Jacobian [m/rad].
+
+        Raises:
+            ValueError: the Jacobian has several columns.
+        """
         if self.jacobian.shape[1] != 1:
             raise ValueError(f"this solver is for one degree of freedom, the contacts have {self.jacobian.shape[1]}")
         return self.jacobian[:, 0]
 
     @property
     def output_levers(self) -> Float[Array, " pair"]:
-        """Levers of the output of the first flanks of the pairs that hold it [m/rad]."""
+        """Levers on the output of the first flank of each pair that holds it [m/rad]."""
         first = np.arange(len(self.layout.side))[self.layout.flanks[0]]
         return self.jacobian[first[np.isin(first, self.stages[-1][1])], 0]
 
@@ -91,7 +98,11 @@ class ContactSet(eqx.Module):
 
     @property
     def linear(self) -> Float[Array, " contact"] | None:
-        """Stiffness of linear springs, shape (contact,) [N/m]; ``None`` for rigid teeth."""
+        """Stiffness of linear springs, shape (contact,) [N/m]; ``None`` for rigid teeth.
+
+        Raises:
+            ValueError: the springs are not linear.
+        """
         if self.springs is None:
             return None
         if not isinstance(self.springs, LinearSprings):
@@ -99,13 +110,13 @@ class ContactSet(eqx.Module):
         return self.springs.stiffness
 
     def alone(self, column: int, own: np.ndarray) -> "ContactSet":
-        """Some of the contacts as if one coordinate alone moved, rigid and each a pair of its own."""
+        """Some of the contacts with one coordinate only, as rigid contacts that are a pair each."""
         sides = tuple(self.layout.side[i] for i in own)
         layout = Layout(sides, tuple(range(len(own))))
         return ContactSet(self.jacobian[own, column][:, None], self.gap[own], None, layout)
 
     def carriers(self, applied: Scalar) -> Int[Array, ""]:
-        """Number of pairs that could carry a generalised force [N m]: those with a flank on its side."""
+        """Number of pairs that could carry a generalised force [N m]: pairs with a flank on the loaded side."""
         if not self.layout.sides_turn:
             driving, back = (len(pairs) for pairs in self.layout.pairs_by_side)
             alike = back in (0, driving)

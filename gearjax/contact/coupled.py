@@ -1,17 +1,18 @@
 """Equilibrium of contacts whose springs are coupled by a matrix: teeth of one body, slices of one tooth face.
 
-A force on one contact moves the others too. Forces ``f`` and the position ``q`` of the output, in a train of the shafts
-too that turn freely, solve
+A force on one contact moves the others too. The forces ``f`` and the position ``q`` of the output (in a train also the
+positions of shafts that turn freely) solve a linear complementarity problem:
 
     S f + gap - J q = y >= 0,   f >= 0,   f y = 0,   J^T f = Q
 
-with the influence matrix ``S`` [m/N], symmetric and positive definite. What is searched for is the set of contacts
-that carry, exactly (`active_set`); from `MANY` contacts on, conjugate gradients guess it. Many gaps and loads under one
-matrix (`jax.vmap` with the matrix held) share its products with it, lanes last, without a factorisation (`conjugate`):
-what they leave the exact steps finish, lane by lane.
+with the influence matrix ``S`` [m/N], symmetric and positive definite. The search finds the active set, that is the set
+of contacts that carry, exactly (`active_set`); from `MANY` contacts on it starts from a guess by conjugate gradients. A
+batch of many gaps and loads with one common matrix (`jax.vmap` over the other arguments) is solved together by products
+with this matrix, without a factorisation (`conjugate`). Lanes, that is problems of the batch, that are not finished
+then are finished by the exact steps one by one.
 
-Derivatives are implicit and hold the set fixed: a contact that just touches gives one of its two one-sided values, that
-of the open contact where its force is rounded to nothing, else that of the closed one.
+Derivatives are implicit and keep the active set fixed. A contact that just touches has two one-sided derivatives: the
+result is that of the open contact if its force is rounded to zero, else that of the closed contact.
 """
 
 from collections.abc import Callable
@@ -29,10 +30,10 @@ from gearjax.contact.lanes import finished, in_parts, side_by_side
 from gearjax.contact.train import closed_first
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
-MANY = 48  # contacts; of fewer the exact steps of many lanes, side by side, are as quick
-GUESS = 20  # steps of conjugate gradients before the exact ones, of a single problem
-ENOUGH = 120  # steps of many lanes: twice what a matrix of condition 15 takes
-LANES = 128  # side by side: their numbers stay in the cache
+MANY = 48  # contacts; with fewer, the exact steps of many lanes side by side are as fast
+GUESS = 20  # steps of conjugate gradients before the exact steps, for a single problem
+ENOUGH = 120  # steps of conjugate gradients for many lanes: twice as many as a matrix with the condition 15 needs
+LANES = 128  # lanes at a time, so that their numbers stay in the cache
 Solution = tuple[Scalar, Float[Array, " contact"], Int[Array, ""]]
 
 
@@ -43,20 +44,20 @@ def coupled_balance(
     applied: Scalar,
     sided: bool = False,
 ) -> Solution:
-    """Position of the output, forces of the contacts, and a result code.
+    """Equilibrium of coupled contacts: position of the output, contact forces, and a result code.
 
     Args:
-        influence: approach of each contact per force on each, symmetric, positive definite, shape (contact, contact);
-            or small blocks of it, of contacts that do not move those of others, shape (block, own, own) [m/N].
+        influence: approach of each contact per force on each contact, symmetric and positive definite, shape (contact,
+            contact); or small diagonal blocks of it, shape (block, own, own) [m/N].
         lever: change of overlap per change of the position, of either sign [m/rad].
-        gap: openings at position zero [m].
-        applied: generalised force on the output [N m]. At zero the contacts that hold against a positive torque touch.
-        sided: whether the first half of small blocks is of driving flanks, and the second of as many back flanks.
+        gap: gaps at position zero [m].
+        applied: generalised force on the output [N m]. At zero, the contacts that hold against a positive torque touch.
+        sided: whether the first half of small blocks has driving flanks and the second half as many back flanks.
 
     Returns:
-        Position [rad], forces [N], and 0 for found, 1 where no contact can carry the load, 2 where the matrix is not
-        positive definite or the search did not end; nan with 1 and 2. Differentiable in all arguments, to any order.
-        From `MANY` contacts on the matrix is looked at only as far as contacts carry.
+        Position [rad]; forces [N]; result code: 0 if found, 1 if no contact can carry the load, 2 if the matrix is not
+        positive definite or the search did not end. With 1 and 2 position and forces are nan. Differentiable in all
+        arguments, to any order. From `MANY` contacts on, only the rows and columns of contacts that carry are checked.
     """
     influence, lever, gap, applied = (jnp.asarray(part) for part in (influence, lever, gap, applied))
     frozen_lever, frozen_gap, frozen_applied = jax.lax.stop_gradient((lever, gap, applied))
@@ -71,11 +72,13 @@ def coupled_balance(
 def coupled_train(
     influence: Float[Array, "contact contact"], contacts: ContactSet, applied: Scalar
 ) -> tuple[Float[Array, " free"], Float[Array, " contact"], Int[Array, ""]]:
-    """The same of a train: positions of the output and of shafts that turn freely [rad], forces, and a result code.
+    """Equilibrium of a train of coupled contacts.
+
+    The results are the positions of the output and of shafts that turn freely [rad], the forces [N] and a result code.
 
     Args:
-        influence: as for `coupled_balance`.
-        contacts: their Jacobian and gaps count, with supports in the influence.
+        influence: as for `coupled_balance`, including the compliance of supports.
+        contacts: contacts whose Jacobian and gaps are used.
         applied: generalised force on the output [N m].
     """
     frozen, weight = jax.lax.stop_gradient((contacts, applied))
@@ -97,18 +100,19 @@ def _balanced(
     able: Array,
     sided: bool = False,
 ) -> tuple[Float[Array, " free"], Float[Array, " contact"], Int[Array, ""]]:
-    """Positions, forces and result code.
+    """Positions, forces and result code of coupled contacts with any number of free coordinates.
 
     Args:
         influence, gap: as for `coupled_balance`.
-        levers: of the coordinates that only contacts hold, shape (contact, free) [m/rad].
-        applied: on them, shape (free,) [N m].
-        edge, apart: where the load closes the first contact of each, shape (free,), and the gaps counted from there.
-        loaded: contacts that hold against the load.
-        able: whether all of these coordinates are held.
+        levers: levers on the free coordinates, which only contacts hold, shape (contact, free) [m/rad].
+        applied: generalised forces on the free coordinates, shape (free,) [N m].
+        edge, apart: positions at which the load closes the first contact of each free coordinate, shape (free,), and
+            the gaps counted from these positions.
+        loaded: whether each contact can hold against the load.
+        able: whether contacts hold all free coordinates.
         sided: as for `coupled_balance`.
     """
-    # rounding hides which of those that touch together is the first: none on the loaded side is closed before it
+    # no contact of the loaded side is closed before the first one, but if several touch together rounding may show it
     apart = jnp.where(loaded, jnp.maximum(apart, 0.0), apart)
     place, forces, _, good = _answer(sided, influence, levers, gap, applied, (edge, apart, loaded, able))
     good = jax.lax.stop_gradient(good) > 0
@@ -117,8 +121,8 @@ def _balanced(
 
 
 def _primal(sided: bool, influence: Array, levers: Array, gap: Array, applied: Array, counted: tuple) -> tuple:
-    """Positions, forces, and as numbers which contacts carry and whether they were found."""
-    del gap  # counted from where contacts touch
+    """Positions, forces, and, as floating-point numbers, which contacts carry and whether the search succeeded."""
+    del gap  # the search uses the gaps counted from the first touch; `gap` is an argument for its derivative
     edge, apart, loaded, able = counted
     few = _exact if influence.ndim == 2 else partial(search_of_blocks, sided)
     search = _search if influence.ndim == 2 and len(apart) >= MANY else few
@@ -133,7 +137,7 @@ _answer = jax.custom_jvp(_primal, nondiff_argnums=(0,))
 
 @partial(_answer.defjvp, symbolic_zeros=True)
 def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
-    """The linear problem of the contacts that carry, whose matrix is symmetric: ``S df - J dq``, ``-J^T df``."""
+    """Derivatives from the linear problem of the active contacts, ``S df - J dq``, ``-J^T df``, which is symmetric."""
     influence, levers, _, applied, _ = primals
     place, forces, closed, good = _answer(sided, *primals)
     carry = jax.lax.stop_gradient(closed) > 0
@@ -145,7 +149,7 @@ def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
     pushed = pushed - moved(tangents[1], lambda way: way @ place)
     pulled = moved(tangents[3], lambda way: way) - moved(tangents[1], lambda way: way.T @ forces)
     number = len(forces)
-    # one vector: of two, one may not depend on what is differentiated, which has no transpose
+    # a single vector: of two vectors, one may not depend on the differentiated argument and then has no transpose
     right = jnp.concatenate([jnp.where(carry, -pushed, jnp.zeros_like(forces)), jnp.zeros_like(applied) - pulled])
 
     def matrix(unknown: Array) -> Array:
@@ -167,7 +171,7 @@ def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
 
 
 def _approach(influence: Array, forces: Array) -> Array:
-    """What forces make the contacts approach, by a matrix or by blocks of it [m]."""
+    """Approach of the contacts under forces, from an influence matrix or its diagonal blocks [m]."""
     if influence.ndim == 2:
         return influence @ forces
     own = forces.reshape(influence.shape[0], -1)
@@ -175,12 +179,12 @@ def _approach(influence: Array, forces: Array) -> Array:
 
 
 def _exact(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
-    """One problem of few contacts: exact steps from all that hold against the load."""
+    """Solve one problem with few contacts by exact steps, which start from all contacts that can hold the load."""
     return carrying(influence, levers, apart, applied, loaded, loaded)
 
 
 def _single(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
-    """One problem of many contacts: exact steps from a guess."""
+    """Solve one problem with many contacts by exact steps, which start from a guess by conjugate gradients."""
     if len(applied) > 1:
         return _exact(influence, levers, apart, applied, loaded)
     at = descended(influence, levers, apart[:, None], applied, loaded[:, None], GUESS)
@@ -189,7 +193,7 @@ def _single(influence: Array, levers: Array, apart: Array, applied: Array, loade
 
 
 def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
-    """Many problems under one matrix: conjugate gradients, exact steps where these leave something."""
+    """Solve many problems with one matrix by conjugate gradients, and unfinished problems by exact steps."""
     if applied.shape[1] > 1:
         return jax.lax.map(lambda each: _exact(influence, *each), (levers, apart, applied, loaded))
 
@@ -198,7 +202,7 @@ def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded:
         at = descended(influence, lever, gap, applied[:, 0], loaded.T, ENOUGH)
         turned = lever * at.place[None]
         reach = jnp.finfo(gap.dtype).eps * CLOSED * (jnp.abs(at.slope - gap) + jnp.abs(gap) + jnp.abs(turned))
-        clear = (loaded.T | (turned - at.slope <= reach)).all(axis=0)  # of the other side
+        clear = (loaded.T | (turned - at.slope <= reach)).all(axis=0)  # whether the other side stays open
         closed = (at.inside & ((at.forces > 0) | (applied[:, 0] == 0)[None])).T
 
         def exact(lane: Array) -> tuple:
@@ -212,7 +216,7 @@ def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded:
 
 
 def _many_linear(influence: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
-    """Positions and forces with given sets of closed contacts, of many lanes under one matrix."""
+    """Positions and forces of many lanes with one matrix and given sets of closed contacts."""
     if applied.shape[1] > 1:
         return jax.lax.map(lambda each: solved(influence, *each), (levers, rest, applied, closed))
 
@@ -234,8 +238,10 @@ _linear = side_by_side(solved, _many_linear, one_factor=(0, 1, 4))
 def _from_first_touch(
     lever: Float[Array, " contact"], gap: Float[Array, " contact"], applied: Scalar
 ) -> tuple[Scalar, Float[Array, " contact"], Bool[Array, ""]]:
-    """Where the load closes the first contact, the gaps counted from there, and whether there is one: positions of
-    their own size would round away what a slight load moves."""
+    """Position at which the load closes the first contact, the gaps counted from there, and whether there is one.
+
+    Counted from zero, the travel under a small load would be lost in rounding.
+    """
     loaded = _loaded(lever, applied)
     able = loaded.any()
     places = jnp.where(loaded, gap / jnp.where(loaded, jnp.abs(lever), 1.0), jnp.inf)
@@ -246,4 +252,5 @@ def _from_first_touch(
 
 
 def _loaded(lever: Float[Array, " contact"], applied: Scalar) -> Bool[Array, " contact"]:
+    """Whether each contact can hold against the load."""
     return jnp.where(applied > 0, lever > 0, lever < 0)

@@ -1,8 +1,9 @@
-"""First contact, and the equilibrium of one-sided springs on one degree of freedom.
+"""First contact and static equilibrium of one-sided springs with one degree of freedom.
 
-The equilibrium position q solves ``sum_i J_i k_i max(J_i q - gap_i, 0) = Q``. The left side never falls with q, so a
-contact carries force exactly when the sum, taken where that contact begins to touch, has not yet reached Q: all
-active contacts are found at once, of many by Newton's method between bounds, and the position is exact.
+The equilibrium position q solves ``sum_i J_i k_i max(J_i q - gap_i, 0) = Q``. The left side never decreases with q. A
+contact therefore carries force exactly if the sum, at the position where this contact begins to touch, has not yet
+reached Q. All active contacts are found at once, if they are many by Newton's method between bounds, and the position
+is exact.
 """
 
 import functools
@@ -24,21 +25,21 @@ from gearjax.contact.supported import moved_by, supported, with_supports
 from gearjax.contact.train import closed_first, touching
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
-MOST_ONE_BY_ONE = 24  # contacts; of more, the program would grow
-MOST_SMOOTH = 5  # contacts of a side, whose every subset the smooth closed form looks at; of more it is searched for
-SHORTEST_LEVER = 0.03  # of the mean one, below which a contact is radial: it does not say where the output is
-FAR = 1.0  # rad, where a contact that does not touch counts as touching
+MOST_ONE_BY_ONE = 24  # contacts that are written out one by one; with more, the program would become too large
+MOST_SMOOTH = 5  # contacts of a side up to which the smooth closed form evaluates all subsets; beyond, it is searched
+SHORTEST_LEVER = 0.03  # share of the mean lever below which a contact is radial and cannot position the output
+FAR = 1.0  # rad, distance at which a contact that cannot touch is assumed to touch
 
 
 class Equilibrium(eqx.Module):
-    """Where the output rests under a torque.
+    """Static equilibrium of the output under a torque.
 
     Args:
-        position: displacement of the output from its ideal position [rad], nan where there is none.
+        position: displacement of the output from its ideal position [rad], nan if there is no equilibrium.
         forces: compression of each contact, shape (contact,) [N].
-        result: 0 found; 1 no flank can carry the torque; 3 the search did not end.
-        moved: displacements in the coordinates after the output's, shape (coordinate,) [m, rad]; ``None`` where the
-            output alone moves.
+        result: result code: 0 if found, 1 if no flank can carry the torque, 3 if the search did not end.
+        moved: displacements in the coordinates after that of the output, shape (coordinate,) [m, rad]; ``None`` if only
+            the output moves.
     """
 
     position: Scalar
@@ -48,11 +49,11 @@ class Equilibrium(eqx.Module):
 
 
 def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, Scalar | None]:
-    """Edges of the play: output positions [rad] at which the first driving and the first back flank touch.
+    """Edges of the play: output positions at which the first driving flank and the first back flank touch [rad].
 
-    Lower edge ``max_i(gap_i / J_i)`` over driving contacts (Wang et al. 2020, eq. 8), upper edge
-    ``min_i(gap_i / J_i)`` over back contacts (eq. 9), ``None`` without back flanks. In a train motion is handed on from
-    mesh to mesh (`touching`).
+    The lower edge is ``max_i(gap_i / J_i)`` over driving contacts (Wang et al. 2020, eq. 8). The upper edge is
+    ``min_i(gap_i / J_i)`` over back contacts (eq. 9), or ``None`` without back flanks. In a train the edges are found
+    mesh by mesh (`touching`).
     """
     layout = contacts.layout
     if contacts.free > 1:
@@ -71,13 +72,15 @@ def first_contact(contacts: ContactSet, law: AbstractContact) -> tuple[Scalar, S
 
 
 def facing(lever: Array, gap: Array, sign: float | Array, per_lever: Array) -> Array:
-    """Positions at which the contacts on one side touch, as their levers tell, those of the other side far away [rad].
+    """Positions at which the contacts of one side touch, with the side decided by their levers [rad].
+
+    Contacts of the other side get a position far away.
 
     Args:
-        lever, gap: of the contacts, arrays of any one shape [m/rad], [m].
-        sign: 1 for the side that holds against a positive torque, -1 for the other, whose positions are negated.
-        per_lever: one over the mean lever. A contact whose lever all but vanishes does not decide: the output can
-            hardly clear an overlap there, which is interference and told as such (`least_overlap`).
+        lever, gap: lever and gap of each contact, arrays of any common shape [m/rad], [m].
+        sign: 1 for the side that holds against a positive torque, -1 for the other side, whose positions are negated.
+        per_lever: one over the mean lever. Contacts with nearly vanishing levers are excluded: a turn of the output can
+            hardly open an overlap of such a contact, which is reported as interference (`least_overlap`).
     """
     faces = sign * lever * per_lever < -SHORTEST_LEVER
     size = jnp.where(faces, jnp.abs(lever), 1.0)
@@ -87,17 +90,19 @@ def facing(lever: Array, gap: Array, sign: float | Array, per_lever: Array) -> A
 def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> Equilibrium:
     """Static equilibrium ``J^T f = Q`` (Wang et al. 2020, eqs. 10-18, with T / r_p in eq. 15).
 
-    With the hard law the position is exact. With a smooth law the position is the smooth maximum of the
-    equilibria of all subsets of contacts: it differs from the exact one by no more than the smoothing of the
-    maximum, holds at zero torque too, and its forces still balance the torque exactly (a nearly open contact may
-    show a slightly negative force). Of more than 5 contacts of a side, of contacts whose levers tell their side, and
-    of springs that are not linear the balance is searched for; there a smooth law makes the forces smooth. So it is
-    for contacts between bodies that have supports, in all their coordinates at once (`supported`), and for springs that
-    a matrix couples (`coupled_balance`), by the hard law.
+    With the hard contact law the position is exact. With a smooth law the position is the smooth maximum of the
+    equilibria of all subsets of contacts. It differs from the exact position by no more than the smoothing of the
+    maximum, also at zero torque, and its forces still balance the torque exactly (a nearly open contact may have a
+    slightly negative force).
+
+    In three cases the equilibrium is found by a search, in which a smooth law makes the forces smooth: a smooth law
+    with more than 5 contacts on a side, contacts whose levers decide their side, and non-linear springs. Contacts
+    between bodies on supports are also solved by a search, in all coordinates at once (`supported`). For springs that a
+    matrix couples the search always uses the hard contact law (`coupled_balance`).
 
     Args:
-        contacts: candidate contacts, with a stiffness.
-        applied: generalised force Q on the output [N m]; a positive load torque is negative here.
+        contacts: candidate contacts with a stiffness.
+        applied: generalised force Q on the output [N m]; it is minus the load torque.
         law: contact law.
 
     Returns:
@@ -124,8 +129,8 @@ def equilibrium(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> 
 
 
 def _from_first_touch(contacts: ContactSet, applied: Scalar) -> tuple[Float[Array, " free"], ContactSet]:
-    """Where a load closes the first contact, of each mesh in a train [rad], and the contacts counted from there, so
-    that the forces of a tiny torque are not lost in rounding."""
+    """Position at which a load closes the first contact, of each mesh in a train [rad], and the contacts with gaps
+    counted from there, so that the forces of a tiny torque are not lost in rounding."""
     if contacts.free > 1:
         place, apart = closed_first(contacts, applied)
         return place, eqx.tree_at(lambda c: c.gap, contacts, apart)
@@ -140,7 +145,7 @@ def _from_first_touch(contacts: ContactSet, applied: Scalar) -> tuple[Float[Arra
 
 
 def _coupled(contacts: ContactSet, springs: CoupledSprings, applied: Scalar) -> Equilibrium:
-    """Springs coupled by a matrix, which what the supports give way by adds to."""
+    """Equilibrium of springs that a matrix couples; the compliance of the supports is added to this matrix."""
     small = contacts.free == 1 and contacts.supports is None and springs.blocks.shape[-1] <= MOST_OWN
     influence = springs.blocks if small else with_supports(contacts, springs.influence)
     if contacts.free == 1:
@@ -156,11 +161,12 @@ def _coupled(contacts: ContactSet, springs: CoupledSprings, applied: Scalar) -> 
 
 
 def _scale(contacts: ContactSet) -> Scalar:
-    """Lever that turns positions into lengths on the line of action [m/rad]."""
+    """Mean lever, which turns positions into lengths on the line of action [m/rad]."""
     return jnp.mean(jnp.abs(contacts.lever))
 
 
 def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], applied: Scalar) -> Equilibrium:
+    """Equilibrium of linear springs by the hard contact law."""
     lever = contacts.lever
     strength = lever * stiffness
     first = _first_loaded(contacts.gap / lever, lever < 0, applied)
@@ -170,16 +176,16 @@ def _hard(contacts: ContactSet, stiffness: Float[Array, " contact"], applied: Sc
     added = _added_one_by_one if few else jnp.sum
     weight = jnp.where(active, lever * strength, 0.0)
     carries = active.any()
-    travel = (applied + added(weight * touch)) / jnp.where(carries, added(weight), 1.0)  # of the output from the origin
+    travel = (applied + added(weight * touch)) / jnp.where(carries, added(weight), 1.0)  # from the origin
     forces = jnp.where(active, strength * (travel - touch), 0.0)
     return Equilibrium(jnp.where(carries, origin + travel, jnp.nan), forces, jnp.where(carries, 0, 1))
 
 
 def _active_of_few(touch: Array, lever: Array, strength: Array, applied: Scalar) -> Bool[Array, " contact"]:
-    """Which contacts carry: those where all of them together have not yet reached the load when they begin to touch.
+    """Whether each contact carries: the sum of all forces has not reached the load where this contact begins to touch.
 
-    One contact after the other adds to what is carried at each place, which XLA makes one kernel of, also over many
-    angles; the table of all by all, summed, was two to ten times slower.
+    The forces at each position are added one contact after the other, which XLA compiles to one kernel, also over many
+    angles. The sum over a table of all contacts by all contacts was two to ten times slower.
     """
     carried = [strength[i] * jnp.maximum(lever[i] * (touch - touch[i]), 0.0) for i in range(touch.shape[0])]
     reaction = functools.reduce(jnp.add, carried)
@@ -187,13 +193,14 @@ def _active_of_few(touch: Array, lever: Array, strength: Array, applied: Scalar)
 
 
 def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar) -> Bool[Array, " contact"]:
-    """The same for many contacts, by Newton's method between bounds.
+    """Whether each of many contacts carries, by Newton's method between bounds.
 
-    The reaction never falls from one touch position to the next, and is a straight line between two of them. Each turn
-    follows the line at one of the bounds to the load, and looks at the touch positions on both sides of where that
-    leads: they are the next bounds. It ends where no contact touches between the bounds, mostly after a few turns, at
-    the latest after as many as there are contacts. Sorting the positions first took ten times as long. Memory grows
-    with the contacts. Which contacts carry has no derivative.
+    A touch position is the position at which a contact begins to touch. The sum of forces never decreases with the
+    position and is linear between two touch positions. Each iteration follows the line at one of the bounds to the
+    load; the touch positions on both sides of that point are the next bounds. The iteration ends when no contact begins
+    to touch between the bounds, usually after a few iterations, at the latest after as many as there are contacts.
+    Sorting the touch positions first took ten times as long. Memory grows with the number of contacts. The result has
+    no derivative.
     """
     touch, lever, strength, applied = jax.lax.stop_gradient((touch, lever, strength, applied))
     drives, weight, number = lever < 0, lever * strength, touch.shape[0]
@@ -209,8 +216,8 @@ def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar
         return ((touch > low) & (touch < high)).any() & (turn < number)
 
     def nearer(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        low, high, turn = state  # below the first the load is not reached, from the second on it is
-        pulled = applied > 0  # towards the back flanks: the line of more contacts is that before the second
+        low, high, turn = state  # the load is not reached at the lower bound, and is reached at the upper bound
+        pulled = applied > 0  # towards the back flanks: then the line just below the upper bound has more contacts
         held = jnp.where(
             pulled, jnp.where(drives, touch >= high, touch < high), jnp.where(drives, touch > low, touch <= low)
         )
@@ -226,22 +233,22 @@ def _active_of_many(touch: Array, lever: Array, strength: Array, applied: Scalar
         return jnp.where(under, jnp.maximum(low, below), low), jnp.where(under, high, below), turn + 1
 
     low, high, _ = jax.lax.while_loop(left, nearer, (*ends, jnp.zeros((), jnp.int32)))
-    # They are told apart half way between two places, not at one: XLA may work positions out again for this comparison,
-    # rounded otherwise than in the loop, and on flanks without modification many are equal to rounding.
+    # The comparison is with the middle between the bounds and not with a bound: XLA may calculate the touch positions
+    # again for it, with another rounding than in the loop, and flanks without modification have many equal positions.
     between = 0.5 * (low + high)
     return jnp.where(drives, touch > between, touch < between)
 
 
 def _added_one_by_one(values: Float[Array, " contact"]) -> Scalar:
-    """Sum of few values, which fuses with what they are made of, unlike a reduction."""
+    """Sum of a few values; unlike a reduction, it fuses with the calculation of the values."""
     return functools.reduce(jnp.add, [values[i] for i in range(values.shape[0])])
 
 
 def _counted_from(contacts: ContactSet, first: Array) -> tuple[Scalar, Array]:
-    """Position at which one contact touches, and positions of all counted from there, its own exactly zero.
+    """Position at which one contact touches, and the touch positions of all contacts counted from there.
 
-    Positions of their own size would round away what hardly any torque moves, and a fused difference of two of them
-    rounds one and not the other.
+    The position of the first contact itself is exactly zero. Without this origin, the travel under a tiny torque would
+    be lost in rounding, and a fused difference of two positions would round only one of them.
     """
     index = jnp.argmax(first)
     origin = (contacts.gap / contacts.lever)[index]
@@ -250,10 +257,10 @@ def _counted_from(contacts: ContactSet, first: Array) -> tuple[Scalar, Array]:
 
 
 def _first_loaded(touch: Array, driving: Array, applied: Scalar) -> Array:
-    """The contact that a load closes first: the first driving one, or under a positive load the first back one.
+    """The contact that a load closes first: the first driving contact, or under a positive load the first back contact.
 
-    It always carries: nothing on its side holds the output before it does, and the other side only pushes towards it.
-    Said apart, because rounding may hide it at hardly any load.
+    It always carries: no other contact on its side touches before it, and contacts of the other side only push towards
+    it. It is determined separately, because at a very small load rounding may hide it.
     """
     on_side = jnp.where(applied > 0, ~driving, driving)
     place = jnp.where(on_side, jnp.where(applied > 0, -touch, touch), -jnp.inf)
@@ -261,11 +268,11 @@ def _first_loaded(touch: Array, driving: Array, applied: Scalar) -> Array:
 
 
 def hard_edges(touch: Sequence[Array], side: Sequence[int]) -> tuple[Array, Array | None]:
-    """Edges of the play by the hard law, as `first_contact`, with one array for each contact.
+    """Edges of the play by the hard contact law as in `first_contact`, with one array for each contact.
 
     Args:
-        touch: position at which each contact touches, arrays of any one shape [rad].
-        side: of each contact, 1 for driving flanks and -1 for back flanks.
+        touch: position at which each contact touches, arrays of any common shape [rad].
+        side: side of each contact, 1 for driving flanks and -1 for back flanks.
     """
     driving, back = ([at for at, on in zip(touch, side, strict=True) if on == which] for which in (1, -1))
     lower = functools.reduce(lambda one, other: jnp.where(one >= other, one, other), driving)
@@ -275,19 +282,19 @@ def hard_edges(touch: Sequence[Array], side: Sequence[int]) -> tuple[Array, Arra
 
 
 def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[int], applied: Array) -> Array:
-    """Position of the equilibrium by the hard law, as `equilibrium`, with one array for each contact.
+    """Equilibrium position by the hard contact law as in `equilibrium`, with one array for each contact.
 
     Args:
-        touch: position at which each contact touches, arrays of any one shape [rad].
-        strength: stiffness of each on the output [N m/rad].
-        side: of each contact, 1 for driving flanks and -1 for back flanks.
-        applied: generalised force on the output, one or of the shape of the others [N m].
+        touch: position at which each contact touches, arrays of any common shape [rad].
+        strength: torsional stiffness of each contact on the output [N m/rad].
+        side: side of each contact, 1 for driving flanks and -1 for back flanks.
+        applied: generalised force on the output, a scalar or of the common shape [N m].
 
     Returns:
-        The position [rad], nan where no contact can carry the load.
+        The position [rad], nan if no contact can carry the load.
     """
     signs = [-float(on) for on in side]
-    origin = touch[0]  # positions count from it: they are small beside their distance from zero
+    origin = touch[0]  # positions are counted from here: their differences are small against their distance from zero
     apart = [place - origin for place in touch]
     pull, total = jnp.zeros_like(origin), jnp.zeros_like(origin)
     for place, stiffness, sign in zip(apart, strength, signs, strict=True):
@@ -308,16 +315,19 @@ def hard_rest(touch: Sequence[Array], strength: Sequence[Array], side: Sequence[
 
 
 def _subsets(size: int) -> np.ndarray:
-    """All subsets of ``size`` contacts as rows of 0 and 1, the empty one first."""
+    """All subsets of ``size`` contacts as rows of 0 and 1, the empty subset first."""
     return np.array(list(itertools.product((0.0, 1.0), repeat=size)))
 
 
 def _smooth(
     contacts: ContactSet, stiffness: Float[Array, " contact"], applied: Scalar, law: AbstractContact
 ) -> Equilibrium:
-    """The sum of forces is ``min over S max over R`` of the linear springs S (driving) and R (back) held closed,
-    so its root is the ``max over S min over R`` of their roots (reference form for two pairs:
-    ``max(D1 - q, D2 - q, (D1 + D2 - q) / 2)``)."""
+    """Equilibrium of linear springs by a smooth contact law, in closed form.
+
+    The sum of forces is ``min over S max over R`` of the sums of closed linear springs in the subsets S (driving) and
+    R (back). Its root is therefore ``max over S min over R`` of the roots of these sums (for two pairs in the
+    reference: ``max(D1 - q, D2 - q, (D1 + D2 - q) / 2)``).
+    """
     layout, dtype = contacts.layout, contacts.gap.dtype
     drive, back = (_subsets(layout.side.count(side)) for side in (1, -1))
     held = np.zeros((len(drive), len(back), len(layout.side)))  # (drive subset, back subset, contact)
@@ -329,7 +339,7 @@ def _smooth(
     weight = members * (lever * lever * stiffness)[None, None, :]
     total = weight.sum(axis=-1).at[0, 0].set(1.0)
     root = (applied + (weight * (touch - origin)[None, None, :]).sum(axis=-1)) / total
-    # no spring at all: the sum of forces is zero everywhere, its root is beyond all others on the side of the load
+    # without any spring the sum of forces is zero everywhere; its root is set beyond all others on the loaded side
     nowhere = jnp.where(applied > 0, 1e3, -1e3).astype(dtype)
     root = (root * scale).at[0, 0].set(nowhere)
     inner = -jax.vmap(law.maximum)(-root)

@@ -1,4 +1,4 @@
-"""Interference: rigid bodies that overlap wherever the output is."""
+"""Interference: rigid bodies that overlap at every position of the output."""
 
 import equinox as eqx
 import jax
@@ -10,17 +10,17 @@ from gearjax.contact.train import touching
 from gearjax.typing import Array, Int, Scalar
 
 MOST_STEPS = 60
-FURTHEST = 1.0  # rad, of positions that are looked at
+FURTHEST = 1.0  # rad, largest position that is considered
 
 
 class Overlap(eqx.Module):
-    """The position of the output at which the deepest overlap is least.
+    """The position of the output at which the largest overlap of all contacts is smallest.
 
     Args:
-        overlap: deepest overlap there; negative where all contacts can be clear at once, minus infinity where one side
-            has no contacts [m].
-        contact: of the two contacts that overlap most there, the one of the shorter lever.
-        position: of the output [rad].
+        overlap: largest overlap at that position; negative if all contacts can be open at once, minus infinity if one
+            side has no contacts [m].
+        contact: number of the contact with the shorter lever, of the two contacts that overlap most.
+        position: position of the output [rad].
     """
 
     overlap: Scalar
@@ -29,13 +29,14 @@ class Overlap(eqx.Module):
 
 
 def least_overlap(contacts: ContactSet) -> Overlap:
-    """The least of all positions' deepest overlap, ``min over q of max over i of (J_i q - gap_i)``.
+    """Smallest possible value of the largest overlap, ``min over q of max over i of (J_i q - gap_i)``.
 
-    It is the smallest elastic approach that the contacts need to make room for each other, and does not grow without
-    bound where a lever vanishes, as the positions do at which such a contact touches. The deepest overlap is a convex
-    function of the position, made of straight lines: the lowest crossing of a falling and a rising line is found by
-    crossing the steepest ones, and then each time the line that lies highest there. In a train each mesh is looked at
-    by itself, as the shaft behind it turns freely; the worst one is told, the output where its driving flanks touch.
+    It is the smallest elastic approach with which all contacts have room. Unlike the positions at which contacts touch,
+    it stays finite if a lever vanishes. The largest overlap is a convex, piecewise linear function of the position. Its
+    minimum is the crossing of a falling and a rising line. The search starts with the steepest lines and replaces one
+    of them by the highest line at their crossing, until none is higher. In a train the shaft behind each mesh turns
+    freely, so that each mesh is evaluated on its own. The worst mesh is reported, together with the output position at
+    which the driving flanks touch.
     """
     if contacts.free == 1:
         return _of_one_mesh(contacts)
@@ -47,6 +48,7 @@ def least_overlap(contacts: ContactSet) -> Overlap:
 
 
 def _of_one_mesh(contacts: ContactSet) -> Overlap:
+    """The same as `least_overlap` for contacts with a single coordinate."""
     frozen = jax.lax.stop_gradient(contacts)
     lever, gap = frozen.lever, frozen.gap
 
@@ -71,7 +73,7 @@ def _of_one_mesh(contacts: ContactSet) -> Overlap:
         lambda state: ~state[2] & (state[3] < MOST_STEPS), advance, (*start, ~both, 0)
     )
     position = crossing(falling, rising)
-    # both overlap alike; the one that the output can clear least is named
+    # both contacts have the same overlap; the contact with the shorter lever is the harder one to open
     contact = jnp.where(jnp.abs(lever[rising]) < jnp.abs(lever[falling]), rising, falling)
     overlap = contacts.lever[contact] * position - contacts.gap[contact]
     return Overlap(jnp.where(both, overlap, -jnp.inf), contact, position)

@@ -1,4 +1,7 @@
-"""Many problems under one matrix at once: what `jax.vmap` makes of a function of a matrix and of what goes with it."""
+"""Batching rules of `jax.vmap` for many problems with one common matrix.
+
+A lane is one problem of a batch.
+"""
 
 from collections.abc import Callable
 
@@ -9,21 +12,22 @@ from gearjax.typing import Array, Bool
 
 
 def side_by_side(one: Callable, many: Callable, one_factor: tuple[int, ...] = ()) -> Callable:
-    """A function whose lanes do together what they have in common, the matrix.
+    """A function whose lanes under `jax.vmap` are solved together if they share the matrix.
 
     Args:
-        one: a function of a matrix and further arrays.
-        many: the same function, the further arrays with an axis of lanes in front.
-        one_factor: arguments that a factorisation in it depends on: where none of them changes, it is worked out once.
+        one: function of a matrix and further arrays.
+        many: the same function for further arrays with an axis of lanes in front.
+        one_factor: numbers of the arguments that a factorisation in ``one`` depends on. If none of them differs between
+            lanes, the factorisation is calculated once.
 
     Returns:
-        The function. Lanes of lanes become one axis; where the matrix changes, one matrix comes after the other, and
-        lanes that share it meet inside.
+        The function. Nested lanes become one axis. If the matrices differ, they are treated one after the other, each
+        with all lanes that share it.
     """
     alone, together = jax.custom_batching.custom_vmap(one), jax.custom_batching.custom_vmap(many)
 
     def each(function: Callable, given: list, batched: list) -> tuple:
-        """One matrix after the other, with what belongs to it."""
+        """Apply a function to one matrix after the other, with the arguments that belong to it."""
 
         def at(own: list) -> tuple:
             taken = iter(own)
@@ -57,25 +61,26 @@ def side_by_side(one: Callable, many: Callable, one_factor: tuple[int, ...] = ()
 
 
 def _broadcast(size: int, batched: list, given: tuple) -> list:
+    """The arguments with an axis of lanes each."""
     return [
         part if own else jnp.broadcast_to(part, (size, *part.shape)) for part, own in zip(given, batched, strict=True)
     ]
 
 
 def in_parts(function: Callable, most: int, *given: Array) -> tuple:
-    """A function of many lanes, no more than so many at a time, whose numbers the cache holds."""
+    """Apply a function to many lanes, at most ``most`` lanes at a time, so that their numbers stay in the cache."""
     lanes = given[0].shape[0]
     if lanes <= most:
         return function(*given)
     parts = -(-lanes // most)
     each = -(-lanes // parts)
-    index = jnp.minimum(jnp.arange(parts * each), lanes - 1).reshape(parts, each)  # the last lane fills the rest
+    index = jnp.minimum(jnp.arange(parts * each), lanes - 1).reshape(parts, each)  # copies of the last lane fill up
     out = jax.lax.map(lambda own: function(*(part[own] for part in given)), index)
     return jax.tree.map(lambda part: part.reshape(parts * each, *part.shape[2:])[:lanes], out)
 
 
 def finished(out: tuple, done: Bool[Array, " lane"], exact: Callable) -> tuple:
-    """What was found, and of the other lanes what another function of the lane tells, one after the other."""
+    """Results of all lanes; unfinished lanes get theirs from the function ``exact``, one after the other."""
 
     def one(state: tuple) -> tuple:
         out, done = state

@@ -1,7 +1,8 @@
-"""Contact laws: how an overlap becomes a force, and how the first of several contacts is chosen.
+"""Contact laws: the force of an overlap, and the choice of the first of several contacts.
 
-The law is chosen by type (each compiles once); the width of a smooth law is a traced number, so that it can be
-annealed without compiling anew. Descend smooth, judge hard: reported figures come from `HardContact`.
+The law is chosen by type, and each type is compiled once. The width of a smooth law is a traced number, so that it can
+be reduced step by step without compiling again. Smooth laws are for optimisation by gradients; all reported results are
+evaluated with the hard contact law (`HardContact`).
 """
 
 import abc
@@ -16,29 +17,29 @@ from gearjax.typing import Array, Float, Number
 
 
 class AbstractContact(eqx.Module):
-    """A contact law ``f = k penetration(overlap)`` and the maximum that belongs to it."""
+    """A contact law ``f = k penetration(overlap)``, with the (smooth) maximum that belongs to it."""
 
     kind: eqx.AbstractClassVar[str]
 
     @abc.abstractmethod
     def penetration(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The overlap that makes force [m]: ``max(overlap, 0)`` or a stand-in."""
+        """The part of the overlap that makes a force [m]: ``max(overlap, 0)`` or a smooth approximation of it."""
 
     @abc.abstractmethod
     def closed(self, overlap: Float[Array, "..."]) -> Float[Array, "..."]:
-        """How far a contact is closed, 0 to 1: the slope of `penetration`."""
+        """Degree to which a contact is closed, from 0 to 1: the derivative of `penetration`."""
 
     @abc.abstractmethod
     def weights(self, values: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Weights, adding to 1, of each value in `maximum`: its gradient. Values in metres."""
+        """Weight of each value in `maximum`, the gradient of the maximum; values in metres, the weights add up to 1."""
 
     @abc.abstractmethod
     def maximum(self, values: Float[Array, " n"]) -> Float[Array, ""]:
-        """The largest value, or its smooth stand-in [m]."""
+        """The largest value or a smooth approximation of it [m]."""
 
 
 class HardContact(AbstractContact):
-    """One-sided spring without smoothing: ``max(overlap, 0)``."""
+    """Hard contact law: a one-sided spring without smoothing, ``max(overlap, 0)``."""
 
     kind: ClassVar[str] = "hard"
 
@@ -52,7 +53,8 @@ class HardContact(AbstractContact):
         return jax.nn.one_hot(jnp.argmax(values), values.shape[0], dtype=values.dtype)
 
     def maximum(self, values: Float[Array, " n"]) -> Float[Array, ""]:
-        # not jnp.max: its derivative compares values with their maximum, which fused code may have rounded otherwise
+        # the derivative of jnp.max compares each value with the maximum; in fused code the two may be rounded
+        # differently, and then no value matches
         while values.shape[0] > 1:
             half = values.shape[0] // 2
             one, other = values[:half], values[half : 2 * half]
@@ -61,9 +63,9 @@ class HardContact(AbstractContact):
 
 
 class SoftplusContact(AbstractContact):
-    """Softplus law ``w log(1 + exp(overlap / w))``: infinitely smooth, but acts at a distance.
+    """Softplus law ``w log(1 + exp(overlap / w))``: infinitely smooth, but with a force also on open contacts.
 
-    Its maximum is ``w log(sum(exp(values / w)))``, above the largest value by at most ``w log(n)``.
+    Its maximum is ``w log(sum(exp(values / w)))``. It exceeds the largest value by at most ``w log(n)``.
 
     Args:
         width: smoothing width w [m].
@@ -89,16 +91,17 @@ class SoftplusContact(AbstractContact):
 
 
 class QuadraticContact(AbstractContact):
-    """Compact blend: 0 below -w, ``(overlap + w)^2 / (4 w)`` within the width, the overlap above.
+    """Quadratic law: 0 below -w, ``(overlap + w)^2 / (4 w)`` from -w to w, and the overlap above w.
 
-    It makes no force at a distance.
+    Contacts that are open by more than w have no force.
 
-    Its maximum over two values is the same blend of their difference; over n values it is the maximum over the
-    weights on the simplex of ``sum(weights values) - w (sum(weights^2) - 1) / 2`` (Martins and Astudillo 2016,
-    sparsemax), exact where one value leads by the width, and above the largest by at most ``w / 2``.
+    Its maximum of two values is the same function of their difference. Its maximum of n values is the maximum of
+    ``sum(weights values) - w (sum(weights^2) - 1) / 2`` over all weights on the simplex (Martins and Astudillo 2016,
+    sparsemax). It is exact if one value exceeds the others by the width, and exceeds the largest value by at most
+    ``w / 2``.
 
     Args:
-        width: half-width w of the blend [m].
+        width: half-width w of the smoothed range [m].
     """
 
     kind: ClassVar[str] = "quadratic"

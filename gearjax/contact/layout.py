@@ -1,4 +1,4 @@
-"""What is known of contacts without their numbers: their sides, and the pairs of teeth that they are flanks of."""
+"""Static description of the contacts: their sides, and the pairs of teeth to which their flanks belong."""
 
 import dataclasses
 import functools
@@ -10,24 +10,24 @@ import numpy as np
 from gearjax.typing import Array
 
 Place = int | slice | np.ndarray
-"""Of one contact or of several; a slice where they follow each other, which costs nothing."""
+"""Index of one contact or of several; successive contacts have a slice, because it needs no gather operation."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Sides and pairs of contacts, which decide what a program looks like.
+    """Sides and pairs of the contacts, which are static in compiled programs.
 
     Args:
-        side: of each contact: 1 for a driving flank, which holds the output against a positive torque, -1 for a back
-            flank, 0 where the sign of its lever tells, for all contacts or for none.
-        pair: of each contact, the pair of teeth whose flank it is, counted from 0: its flanks share one stiffness and
-            one damper. Every pair has as many contacts as any other.
-        mesh: of each contact, the mesh of a train that it is in, counted from the input; all in one without.
-        across: how many contacts of a pair lie beside each other across its face, each with its part of the pair's
+        side: side of each contact: 1 for a driving flank, which holds the output against a positive torque, -1 for a
+            back flank, and 0 if the sign of its lever decides. Either all contacts or none have 0.
+        pair: pair of teeth of each contact, counted from 0. The flanks of a pair share one stiffness and one damper.
+            All pairs have the same number of contacts.
+        mesh: mesh of a train that each contact is in, counted from the input; without it, all are in one mesh.
+        across: number of contacts of a pair that are beside each other across its face; each has its part of the pair's
             stiffness.
 
     Raises:
-        ValueError: sides and pairs of contacts that cannot be.
+        ValueError: the sides and pairs contradict each other.
     """
 
     side: tuple[int, ...]
@@ -49,25 +49,25 @@ class Layout:
             raise ValueError(f"{self.across} across the face: must divide the {counts[0]} contacts of a pair")
 
     @classmethod
-    @functools.cache  # by analyses too, each time that they are called
+    @functools.cache  # analyses ask for the layout at each call
     def of_flanks(cls, number: int, back: bool) -> "Layout":
-        """Driving flanks of a number of pairs, and where asked for their back flanks, in the same order."""
+        """Layout of the driving flanks of a number of pairs and, if requested, their back flanks in the same order."""
         sides = (1, -1) if back else (1,)
         return cls(tuple(side for side in sides for _ in range(number)), tuple(range(number)) * len(sides))
 
     @classmethod
     def either(cls, number: int) -> "Layout":
-        """Contacts that touch one flank or the other, as the sign of their lever tells; each is a pair of its own."""
+        """Layout of contacts whose lever's sign decides which flank they touch; each contact is a pair of its own."""
         return cls((0,) * number, tuple(range(number)))
 
     @property
     def sides_turn(self) -> bool:
-        """Whether the sign of its lever tells what side a contact is on."""
+        """Whether the sign of its lever decides on which side a contact is."""
         return self.side[0] == 0
 
     @property
     def has_back(self) -> bool:
-        """Whether something holds the output against a negative torque."""
+        """Whether there are contacts that hold the output against a negative torque."""
         return self.sides_turn or -1 in self.side
 
     @property
@@ -77,13 +77,13 @@ class Layout:
 
     @functools.cached_property
     def pairs_by_side(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs with a driving flank, and pairs with a back flank, of contacts whose sides are known."""
+        """Pairs with a driving flank, and pairs with a back flank; only for contacts whose sides are known."""
         side, pair = np.asarray(self.side), np.asarray(self.pair)
         return np.unique(pair[side > 0]), np.unique(pair[side < 0])
 
     @property
     def all_could_carry(self) -> bool:
-        """Whether every pair holds against torques in each direction that is held against at all."""
+        """Whether every pair can carry torques of each sign that any pair can carry."""
         if self.sides_turn:
             return False
         driving, back = self.pairs_by_side
@@ -91,49 +91,49 @@ class Layout:
 
     @functools.cached_property
     def in_halves(self) -> bool:
-        """Whether driving flanks come first, and then as many back flanks."""
+        """Whether the first half of the contacts has driving flanks and the second half back flanks."""
         half = len(self.side) // 2
         return self.side == (1,) * half + (-1,) * half
 
     @functools.cached_property
     def flanks(self) -> tuple[Place, ...]:
-        """The contacts in rows with one of each pair, in the order of the pairs: the first flanks, the second ones."""
+        """The contacts in rows: the first contact of each pair, the second contact of each pair, and so on."""
         order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)
         return tuple(_place(row) for row in order.T)
 
     @functools.cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
-        """Contacts of each pair."""
+        """Numbers of the contacts of each pair."""
         of_pair: list[tuple[int, ...]] = [()] * self.teeth
         for contact, pair in enumerate(self.pair):
             of_pair[pair] += (contact,)
         return tuple(of_pair)
 
     def on(self, side: int) -> Place:
-        """The contacts of one side, 1 or -1, of contacts whose sides are known."""
+        """The contacts of one side, 1 or -1; only for contacts whose sides are known."""
         return _place(np.flatnonzero(np.asarray(self.side) == side))
 
     def joined(self, driving: Array, back: Array) -> Array:
-        """Numbers of the driving and of the back flanks in the order of the contacts, along the first axis."""
+        """Values of the driving flanks and of the back flanks, joined in the order of the contacts (first axis)."""
         together = jnp.concatenate([driving, back])
         order = np.argsort(np.argsort(-np.asarray(self.side), kind="stable"))
         return together if (order == np.arange(len(order))).all() else together[order]
 
     def apiece(self, of_pairs: Array) -> Array:
-        """What one contact has of the stiffness of each pair: those across the face share it."""
+        """Stiffness of one contact from the stiffness of each pair, which contacts across the face share."""
         return of_pairs if self.across == 1 else of_pairs / self.across
 
     def per_contact(self, of_pairs: Array) -> Array:
-        """Numbers of each pair at each of its contacts, along the first axis."""
+        """Values of each pair repeated at each of its contacts, along the first axis."""
         repeats = len(self.pair) // self.teeth
-        if self.pair == tuple(range(self.teeth)) * repeats:  # a copy, which compiles to less than a choice of places
+        if self.pair == tuple(range(self.teeth)) * repeats:  # a copy compiles to less code than a gather
             return of_pairs if repeats == 1 else jnp.concatenate([of_pairs] * repeats)
         return of_pairs[np.asarray(self.pair)]
 
     def on_first(self, of_pairs: Array) -> Array:
-        """Numbers of each pair at its first contact, zero at its others, along the first and only axis."""
+        """Values of each pair at its first contact, zero at its other contacts, along the only axis."""
         first = self.flanks[0]
-        if isinstance(first, slice) and first == slice(0, self.teeth):  # a margin, where a scatter would be a loop
+        if isinstance(first, slice) and first == slice(0, self.teeth):  # padding is fast; a scatter would be a loop
             return jnp.pad(of_pairs, (0, len(self.side) - self.teeth))
         return jnp.zeros((len(self.side),), of_pairs.dtype).at[first].set(of_pairs)
 
@@ -144,7 +144,7 @@ class Layout:
 
 
 def _place(indices: np.ndarray | Sequence[int]) -> Place:
-    """Indices as a slice where they follow each other."""
+    """Indices, as a slice if they are successive."""
     indices = np.asarray(indices)
     begin = int(indices[0]) if len(indices) else 0
     if (indices == np.arange(begin, begin + len(indices))).all():

@@ -1,4 +1,7 @@
-"""What a system shows at one input angle: levers and gaps of ideal bodies, and how errors of its bodies are seen."""
+"""Pose of a system at one input angle: levers and gaps of ideal bodies, and views of the errors of its bodies.
+
+A view describes how an error that is fixed on a body changes the gaps of the contacts.
+"""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,18 +20,18 @@ from gearjax.typing import Array, Float, Int, Scalar
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What a scene asks a system for; what it does not list is not computed.
+    """Request of a scene to a system; only the requested parts of a pose are computed.
 
     Args:
         back: whether back flanks are modelled.
-        bodies: those that carry errors.
-        mesh: whether the mesh phase counts.
-        radii: whether the radii of curvature count.
-        places: whether it counts where on their teeth the contacts are.
-        slices: whether it counts which slices of contact lines they are.
-        moving: whether gaps are followed in time, so that they must not jump where slices come onto the path of contact
-            and leave it; there their stiffness is zero.
-        coordinates: of the bodies that have supports, such as ``disc_1.x``.
+        bodies: names of the bodies that carry errors.
+        mesh: whether the mesh phase is needed.
+        radii: whether the radii of curvature are needed.
+        places: whether the places of the contacts on their teeth are needed.
+        slices: whether the slices of contact lines are needed.
+        moving: whether gaps are followed in time. They must then not jump where slices enter and leave the path of
+            contact; the stiffness of the slices is zero there.
+        coordinates: coordinates of the bodies that have supports, such as ``disc_1.x``.
     """
 
     back: bool = False
@@ -42,18 +45,18 @@ class Request:
 
 
 class Pose(eqx.Module):
-    """What a system shows at one input angle. It does not depend on the errors: many assemblies share it.
+    """Contacts of a system with ideal bodies at one input angle. A pose does not depend on errors: assemblies share it.
 
     Args:
         theta: input angle [rad].
-        jacobian: change of overlap per change of the output's position [m/rad], and in further columns per displacement
-            in each coordinate that was asked for [-], shape (contact, coordinate).
-        gap: of ideal bodies, shape (contact,) [m].
-        views: how errors of the bodies are seen that were asked for.
-        mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` where not asked for.
-        radii: of the line contacts, shape (contact,); ``None`` where not asked for.
-        places: where on their teeth the contacts are; ``None`` where not asked for.
-        slices: which slices of contact lines they are; ``None`` where not asked for.
+        jacobian: change of overlap per change of the output's position [m/rad] in the first column, and per
+            displacement in each requested coordinate [-] in the others, shape (contact, coordinate).
+        gap: gaps of ideal bodies, shape (contact,) [m].
+        views: views of the requested bodies, by name.
+        mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` if not requested.
+        radii: radii of curvature of the line contacts, shape (contact,); ``None`` if not requested.
+        places: places of the contacts on their teeth; ``None`` if not requested.
+        slices: slices of contact lines that the contacts are; ``None`` if not requested.
     """
 
     theta: Scalar
@@ -67,15 +70,17 @@ class Pose(eqx.Module):
 
 
 class Places(eqx.Module):
-    """Where contacts are on the teeth of a pair of gears: in blocks that share no tooth, in each of them pair by pair,
-    along the profile, then across the face.
+    """Places of the contacts on the teeth of a pair of gears.
+
+    The contacts are in blocks that share no tooth; within a block they are in the order pair, point of the profile,
+    place across the face.
 
     Args:
-        gears: whose teeth they are on.
-        radius: of the contacts on each of the gears, about its own axis, shape (block, pair, point) [m].
-        pair: which tooth of its gear each pair has, counted on ahead, shape (block, pair) [-].
+        gears: both gears.
+        radius: radii of the contacts on each gear, about its own axis, shape (block, pair, point) [m].
+        pair: number of the tooth of each pair, rising in the direction ahead, shape (block, pair) [-].
         shared: length of the flanks that face each other, shape (block, pair) [m].
-        face: places across the face, counted from its middle, shape (face,), a part of the width [-].
+        face: places across the face, counted from its middle, as shares of the width, shape (face,) [-].
     """
 
     gears: tuple[InvoluteGear, InvoluteGear]
@@ -86,27 +91,33 @@ class Places(eqx.Module):
 
     @property
     def curvature(self) -> Float[Array, "block pair point"]:
-        """Relative curvature of the flanks at the contacts, ``1 / rho_1 - 1 / rho_2`` of an external gear in an
-        internal one, with ``rho = sqrt(R^2 - r_b^2)`` (ISO 21771); not below zero, shape (block, pair, point) [1/m]."""
+        """Relative curvature of the flanks at the contacts (ISO 21771), shape (block, pair, point) [1/m].
+
+        For an external gear in an internal gear it is ``1 / rho_1 - 1 / rho_2`` with ``rho = sqrt(R^2 - r_b^2)``, but
+        not below zero.
+        """
         signs = (-1.0 if gear.internal else 1.0 for gear in self.gears)
         each = zip(signs, self.gears, self.radius, strict=True)
         bent = [sign / (gear.base_radius * gear.roll_at(radius)) for sign, gear, radius in each]
         return jnp.maximum(bent[0] + bent[1], 0.0)
 
     def strips(self, width: Scalar) -> tuple[Float[Array, "block pair point"], Float[Array, " face"]]:
-        """What each contact stands for of the flanks that face each other, along the profile and across the face: even
-        parts, those at the ends half as long [m].
+        """Parts of the facing flanks that each contact represents, along the profile and across the face [m].
+
+        The parts have equal lengths, except that those at the ends are half as long.
 
         Args:
-            width: of the face [m].
+            width: face width [m].
         """
         along, across = (even_parts(number, self.face.dtype) for number in (self.radius[0].shape[-1], len(self.face)))
         return self.shared[..., None] * along[None, None], width * across
 
 
 def even_parts(number: int, dtype: jnp.dtype) -> Float[Array, " number"]:
-    """Parts of a length of one that evenly placed points stand for, from end to end: those at the ends for half as
-    much; a single one for all."""
+    """Shares of a length that evenly spaced points from end to end represent; the shares add up to one.
+
+    The points at the ends represent half as much as the others; a single point represents the whole length.
+    """
     if number == 1:
         return jnp.ones(1, dtype)
     parts = np.full(number, 1.0 / (number - 1))
@@ -115,15 +126,15 @@ def even_parts(number: int, dtype: jnp.dtype) -> Float[Array, " number"]:
 
 
 class GearSize(NamedTuple):
-    """What deviations of a gear are measured by.
+    """Sizes of a gear that its deviations are checked against.
 
     Args:
         teeth: tooth number.
         module: normal module [m].
-        diameter: of the reference circle [m].
-        width: of the face [m].
-        pressure_angle: in a transverse section, at the reference circle [rad].
-        roll: least and greatest length of roll of the part of the flank that may touch [m].
+        diameter: diameter of the reference circle [m].
+        width: face width [m].
+        pressure_angle: pressure angle in a transverse section, at the reference circle [rad].
+        roll: smallest and largest length of roll of the part of the flank that may touch [m].
         internal: whether its teeth point inwards.
     """
 
@@ -137,21 +148,22 @@ class GearSize(NamedTuple):
 
 
 class ProfilePlace(eqx.Module):
-    """Where along their profile the contacts of a body are, and where across its face.
+    """Places of the contacts of a body along the profile and across the face.
 
     Args:
         to_tip: length of roll from each contact to the tip of its tooth, along the path of contact, shape (contact,)
             [m].
-        length: of the part of the flank that may touch, in the same measure [m].
-        across: place of each contact from the middle of the face, shape (contact,) [m]; ``None`` of gears that do not
-            tell.
-        width: of the face [m].
-        normal: change of gap per material that a transverse section shows, ``cos beta_b``; ``None`` of spur gears.
-        roll: length of roll of each contact from the base circle, shape (contact,) [m]; ``None`` of gears that do not
-            tell.
-        side: of each contact, 1 on flanks that drive, -1 on their backs, shape (contact,); ``None`` as before.
-        ahead: change of gap per length along the reference circle by which a flank is ahead, as its gear turns, shape
-            (contact,) [-]; ``None`` as before.
+        length: length of roll of the part of the flank that may touch [m].
+        across: place of each contact from the middle of the face, shape (contact,) [m]; ``None`` if the gear set does
+            not give it.
+        width: face width [m]; ``None`` if the gear set does not give it.
+        normal: change of gap per material in a transverse section, ``cos beta_b``; ``None`` for spur gears.
+        roll: length of roll of each contact from the base circle, shape (contact,) [m]; ``None`` if the gear set does
+            not give it.
+        side: side of each contact, 1 on driving flanks, -1 on back flanks, shape (contact,); ``None`` if the gear set
+            does not give it.
+        ahead: change of gap per length along the reference circle by which a flank is ahead in the sense in which its
+            gear turns, shape (contact,) [-]; ``None`` if the gear set does not give it.
     """
 
     to_tip: Float[Array, " contact"]
@@ -164,22 +176,23 @@ class ProfilePlace(eqx.Module):
     ahead: Float[Array, " contact"] | None = None
 
     def seen(self, removed: Array) -> Array:
-        """Change of gap by material that is removed along the base tangent of a transverse section [m]."""
+        """Change of gap if material is removed along the base tangent of a transverse section [m]."""
         return removed if self.normal is None else removed * self.normal
 
 
 class Rim(eqx.Module):
-    """How displacements of single teeth or pins of a body are seen, each in the axes of its own place on the body.
+    """View of displacements of single teeth or pins of a body, each in the axes of its own place on the body.
 
     Args:
-        angle: of each contact's place around the body, counted on it, shape (contact,) [rad].
+        angle: angle of the place of each contact around the body, counted on the body, shape (contact,) [rad].
         outward: change of gap per outward displacement, shape (contact,) [-].
         around: change of gap per displacement along the circumference, shape (contact,) [-].
-        elements: number of teeth or pins. ``None`` where the contacts go around the body, which no element stays with.
-        element: which one each contact is of, counted from 0, shape (contact,); ``i % elements`` without.
+        elements: number of teeth or pins; ``None`` if the contacts move around the body and belong to no fixed element.
+        element: number of the element of each contact, counted from 0, shape (contact,); without it, contact i belongs
+            to the element ``i % elements``.
 
     Attributes:
-        sine, cosine: of that angle, shape (contact,).
+        sine, cosine: sine and cosine of the angle, shape (contact,).
     """
 
     sine: Float[Array, " contact"]
@@ -201,7 +214,7 @@ class Rim(eqx.Module):
         self.outward, self.around, self.elements, self.element = outward, around, elements, element
 
     def wave(self, number: int) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
-        """Sine and cosine of a multiple of the angle, by addition."""
+        """Sine and cosine of a multiple of the angle, by the addition theorem."""
         sine, cosine = self.sine, self.cosine
         for _ in range(number - 1):
             sine, cosine = sine * self.cosine + cosine * self.sine, cosine * self.cosine - sine * self.sine
@@ -209,21 +222,23 @@ class Rim(eqx.Module):
 
 
 class BodyView(eqx.Module):
-    """How a displacement fixed on one body is seen from the contacts' lines of action.
+    """View of a displacement that is fixed on one body, from the lines of action of the contacts.
 
     A displacement of size ``e`` at the phase ``p`` changes the gaps by ``influence * e * sin(angle + p)``.
 
     Args:
-        turn: angle that the body has turned by, seen from the lines of action [rad].
-        place: angle of its reference direction from each line of action before, shape (contact,) [rad].
-        influence: change of gap per displacement along the line, shape (contact,) [-].
-        rim: how single teeth or pins of it are seen; ``None`` for a body without.
-        flank: where along their profile its contacts are; ``None`` for a body without.
-        of_place: sine and cosine of ``place``, shape (contact,), from a system that makes them of single numbers.
+        turn: angle by which the body has turned relative to the lines of action [rad].
+        place: angle from each line of action to the reference direction of the body before this turn, shape (contact,)
+            [rad].
+        influence: change of gap per displacement along the line of action, shape (contact,) [-].
+        rim: view of single teeth or pins of the body; ``None`` for a body without them.
+        flank: places of the contacts along the profile of the body; ``None`` for a body without an involute profile.
+        of_place: sine and cosine of ``place``, shape (contact,), if the system calculates them with less effort.
 
     Attributes:
-        angle: of the reference direction from each line of action, shape (contact,) [rad].
-        sine, cosine: of that angle, shape (contact,); the sines of ``turn`` are worked out once for all contacts.
+        angle: angle from each line of action to the reference direction, shape (contact,) [rad].
+        sine, cosine: sine and cosine of this angle, shape (contact,); the sine of ``turn`` is calculated only once for
+            all contacts.
     """
 
     angle: Float[Array, " contact"]
@@ -250,11 +265,11 @@ class BodyView(eqx.Module):
 
 
 class Movements(eqx.Module):
-    """How the errors of one body displace it: in each direction what a view along that direction sees.
+    """Views of one body along each direction in which its errors displace it.
 
     Args:
-        x, y: displacement in two directions, which the system chooses [m].
-        turn: rotation [rad].
+        x, y: views of the displacement in two directions, which the system chooses [m].
+        turn: view of the rotation [rad].
     """
 
     x: BodyView | None = None
@@ -262,14 +277,14 @@ class Movements(eqx.Module):
     turn: BodyView | None = None
 
     def of(self, errors: "Sequence[Error]") -> "Moved":
-        """The displacements that errors make."""
+        """Displacements of the body due to its errors."""
         views = {name: view for name, view in (("x", self.x), ("y", self.y), ("turn", self.turn)) if view is not None}
         blind = _blind(next(iter(views.values())))
 
         def seen(view: BodyView) -> Float[Array, " contact"]:
             return jax.tree.reduce(jnp.add, [error.gap(view) for error in errors])
 
-        alone = seen(blind)  # what opens the gaps whatever the direction, such as a smaller pin
+        alone = seen(blind)  # part that opens the gaps independently of the direction, such as a smaller pin
         nothing = jnp.zeros_like(alone)
         return Moved(alone, **{name: seen(views[name]) - alone if name in views else nothing for name in _DIRECTIONS})
 
@@ -278,7 +293,7 @@ _DIRECTIONS = ("x", "y", "turn")
 
 
 class Error(Protocol):
-    """What adds to the gaps of a body that is seen in some way."""
+    """Anything that changes the gaps of a body, from the view of this body."""
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         """Change of the gaps, shape (contact,) [m]."""
@@ -286,11 +301,11 @@ class Error(Protocol):
 
 
 class Moved(eqx.Module):
-    """A displaced body, as each contact has it.
+    """Displacement of a body at each contact.
 
     Args:
-        gap: by how much gaps open whatever the direction, shape (contact,) [m].
-        x, y: displacement in the system's directions, shape (contact,) [m].
+        gap: opening of the gaps that does not depend on a direction, shape (contact,) [m].
+        x, y: displacement in the directions that the system chooses, shape (contact,) [m].
         turn: rotation, shape (contact,) [rad].
     """
 
@@ -301,7 +316,7 @@ class Moved(eqx.Module):
 
 
 def _blind(view: BodyView) -> BodyView:
-    """The view that sees no displacement."""
+    """A copy of a view in which displacements have no influence."""
     nothing = jnp.zeros_like(view.influence)
     rim = view.rim
     if rim is not None:

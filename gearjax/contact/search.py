@@ -1,8 +1,9 @@
-"""Equilibrium of many contacts, or of springs that are not linear: Newton's method between bounds.
+"""Equilibrium of many contacts or of non-linear springs, by Newton's method between bounds.
 
-The sum of the contacts' forces on the output never falls with its position, so that a root is between any two
-positions with sums on both sides of the load. The search does not take part in derivatives, which are implicit: by
-more steps of Newton's method from its end (`last_steps`), or by a rule of its own (`hard_balance`).
+The sum of the contact forces on the output never decreases with its position. A root is therefore between any two
+positions whose sums are on both sides of the load. The search itself is not differentiated; derivatives are implicit.
+They come from further Newton steps at the end of the search (`last_steps`), or from a derivative rule of their own
+(`hard_balance`).
 """
 
 from collections.abc import Callable
@@ -16,24 +17,26 @@ from gearjax.contact.springs import CoupledSprings, LinearSprings
 from gearjax.typing import Array, Bool, Float, Scalar
 
 MOST_STEPS = 200
-FLATTEST = 1e-9  # slope of the forces over that of the whole loaded side, below which it tells nothing
-LONGEST = 1.0  # rad, of a step
-ACCURACY = 0.7  # power of the dtype's spacing, relative to the position and typical travel: the last step but one
-SLIGHT = 1e-7  # rad, travel of loads that rounding hides where the wrong side begins to touch: it is not started from
-TYPICAL = 1e-6  # m, penetration at which springs that are not linear are called as stiff as they are there
+FLATTEST = 1e-9  # stiffness, as a share of the whole loaded side's, below which a slope is useless for a step
+LONGEST = 1.0  # rad, longest step
+ACCURACY = 0.7  # a step is the last but one if, relative to position and travel, it is below eps to this power
+SLIGHT = 1e-7  # rad, travel below which a given start may, by rounding, be on the wrong side and is not used
+TYPICAL = 1e-6  # m, penetration at which the stiffness of non-linear springs is taken
 
 
 def spring_forces(contacts: ContactSet, law: AbstractContact) -> Callable[[Array], Array]:
     """Forces of the contacts as a function of their overlap, shape (contact,) both."""
     springs = contacts.springs
     assert springs is not None
-    assert not isinstance(springs, CoupledSprings)  # the force of each hangs on the others
+    assert not isinstance(springs, CoupledSprings)  # the force of a coupled spring depends on the other forces
     return lambda overlap: springs.force(law.penetration(overlap))
 
 
 def last_steps(contacts: ContactSet, law: AbstractContact) -> int:
-    """How many steps of Newton's method from the end of a search carry first and second derivatives: a velocity is a
-    first one, whose gradient is a second one. One is enough where forces are straight lines between changes of contact.
+    """Number of Newton steps after a search that carry its first and second derivatives.
+
+    A velocity is a first derivative, and its gradient a second one. One step is enough if the forces are piecewise
+    linear.
     """
     return 1 if isinstance(contacts.springs, LinearSprings) and isinstance(law, HardContact) else 2
 
@@ -41,13 +44,13 @@ def last_steps(contacts: ContactSet, law: AbstractContact) -> int:
 def newton(
     move: Callable[[Array], Array], start: Float[Array, "..."], travel: Float[Array, "..."]
 ) -> tuple[Array, Bool[Array, "..."]]:
-    """Roots of sums that never fall, and where they were found.
+    """Roots of sums that never decrease with the position, and whether each root was found.
 
     Args:
-        move: Newton's step at a position, to be taken off it [rad]; it has the sign of the sum. One array of one
-            program: whatever else is worked out from the same terms would be worked out by itself.
-        start: positions to start from, of any shape [rad].
-        travel: typical change of the position, that accuracy counts with [rad].
+        move: function that returns the Newton step at a position, which is to be subtracted [rad]; the step has the
+            sign of the sum. It returns a single array: XLA would calculate the common terms of several results again.
+        start: start positions, of any shape [rad].
+        travel: typical change of the position, which the accuracy refers to [rad].
     """
     accuracy = float(jnp.finfo(start.dtype).eps) ** ACCURACY
 
@@ -63,7 +66,7 @@ def newton(
         new = position - jnp.clip(back, -LONGEST, LONGEST)
         new = jnp.where(
             (new > low) & (new < high), new, 0.5 * (low + high)
-        )  # a step leaves only bounds that are finite
+        )  # the bounds are finite here, because a step cannot pass an infinite bound
         done = done | small | ~(low < high)
         return jnp.where(done, position, new), low, high, done, step + 1
 
@@ -74,16 +77,16 @@ def newton(
 
 
 def _ratio(excess: Array, slope: Array, steepness: Array) -> Array:
-    """Newton's step, the longest one where the slope tells nothing: from there, contacts open one after the other."""
+    """Newton step, or a very long step if the slope is too small; from far away, contacts open one after the other."""
     return excess / jnp.where(slope > FLATTEST * steepness, slope, jnp.finfo(slope.dtype).tiny)
 
 
 def search(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> tuple[Scalar, Array, Array]:
-    """Position where the contacts carry the load, their forces, and whether it was found.
+    """Position in which the contacts carry the load, their forces, and whether the position was found.
 
     Args:
-        contacts: candidate contacts, with a stiffness; their gaps count from where the load closes the first contact,
-            and so does the position [rad].
+        contacts: candidate contacts with a stiffness. Their gaps and the position [rad] are counted from the position
+            at which the load closes the first contact.
         applied: generalised force on the output [N m].
         law: contact law.
     """
@@ -105,7 +108,7 @@ def search(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> tuple
     position = jnp.where(ended, position, 0.0)
     for _ in range(last_steps(contacts, law)):
         excess, slope = sums(contacts, applied, position)
-        # without a closed contact nothing is carried, and the first contact just touches
+        # without a closed contact there is no load, and the first contact just touches at zero
         position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)
     return jnp.where(ended, position, jnp.nan), jnp.where(ended, forces, 0.0), ended
@@ -114,9 +117,9 @@ def search(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> tuple
 def closed_side(
     lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], applied: Float[Array, " lane"]
 ) -> Float[Array, " lane"]:
-    """Positions of the equilibrium as if all two-sided contacts of the loaded side were closed [rad]; zero without any.
+    """Equilibrium positions if all contacts with a lever of the loaded side were closed [rad]; zero without any.
 
-    Arguments as of `hard_balance`.
+    The arguments are those of `hard_balance`.
     """
     loaded = jnp.where(jnp.where(applied[None] > 0, lever > 0, lever < 0), lever, 0.0)
     steepness = (loaded * loaded).sum(axis=0)
@@ -132,26 +135,29 @@ def hard_balance(
     applied: Float[Array, " lane"],
     start: Float[Array, " lane"],
 ) -> Float[Array, " lane"]:
-    """Positions of the equilibrium of two-sided linear springs by the hard law, of several gear sets, or angles.
+    """Equilibrium positions of contacts with equal linear springs and levers of either sign, by the hard contact law.
+
+    A lane is one problem of a batch: one gear set or one input angle.
 
     Args:
-        lever: of each contact, shape (contact, lane), or (contact, 1) for all [m/rad].
-        gap: of each contact [m].
-        applied: generalised force on the output over the stiffness of a contact, the same for all [m^2/rad]; at zero
-            the side that holds against a positive torque touches.
-        start: positions to start from [rad].
+        lever: lever of each contact, shape (contact, lane), or (contact, 1) if it is the same in all lanes [m/rad].
+        gap: gap of each contact [m].
+        applied: generalised force on the output divided by the stiffness of a contact, which is the same for all
+            contacts [m^2/rad]; at zero, the side that holds against a positive torque touches.
+        start: start positions [rad].
 
     Returns:
-        The positions [rad], nan where no contact can carry the load.
+        The positions [rad], nan if no contact can carry the load.
     """
-    applied = jnp.where(applied == 0, -jnp.finfo(applied.dtype).tiny, applied)  # in play, nothing is not yet carried
+    # zero load would be balanced anywhere in the play; the smallest negative load closes the first contact
+    applied = jnp.where(applied == 0, -jnp.finfo(applied.dtype).tiny, applied)
     squared = lever * lever
     sides = [jnp.where(side, squared, 0.0).sum(axis=0) for side in (lever > 0, lever < 0)]
     steepness = jnp.where(applied > 0, *sides)
     safe = jnp.where(steepness > 0, steepness, 1.0)
 
     def move(position: Array) -> Array:
-        # all that a contact has to do with read anew: what does not change would be worked out before, one by one
+        # without the barrier, XLA would calculate constant terms of each contact before the loop, one by one
         excess, slope = _sums(*jax.lax.optimization_barrier((lever, gap, applied, position)))
         return _ratio(excess, slope, safe)
 
@@ -178,9 +184,9 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 def _sums(lever: Array, gap: Array, applied: Array, position: Array) -> tuple[Array, Array]:
-    """What the contacts carry beyond the load, and its slope, both over the stiffness of a contact.
+    """Sum of the contact forces on the output minus the load, and its slope, both divided by the contact stiffness.
 
-    Contacts are written out as one array each, which is what vectorises.
+    Each contact is an array of its own in the program, because this form vectorises.
     """
     moment = slope = jnp.zeros_like(position)
     for arm, at in zip(lever, gap, strict=True):

@@ -1,4 +1,4 @@
-"""Slices of contact lines: where on the plane of action of a pair on parallel axes its contacts are."""
+"""Slices of contact lines: places of the contacts of a pair on parallel axes on its plane of action."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,13 +8,13 @@ from gearjax.typing import Array, Float
 
 
 class Slices(eqx.Module):
-    """Contacts that are slices of contact lines: in blocks by side, in each of them pair by pair, across the face.
+    """Contacts that are slices of contact lines, in the order side (block), pair, place across the face.
 
     Args:
         pair: the gears.
         roll: lengths of roll of gear 1 and of gear 2 at the contacts, shape (block, pair, slice) [m].
-        across: their places from the middle of the face, shape (block, pair, slice) [m].
-        share: of each slice that touches where the flanks do, shape (block, pair, slice) [-].
+        across: places of the contacts from the middle of the face, shape (block, pair, slice) [m].
+        share: share of each slice that is on the path of contact, shape (block, pair, slice) [-].
     """
 
     pair: InvolutePair
@@ -24,14 +24,16 @@ class Slices(eqx.Module):
 
     @property
     def lengths(self) -> Float[Array, " contact"]:
-        """Lengths of contact line that the contacts stand for, of a whole slice ``b / (n cos beta_b)`` [m]."""
+        """Length of contact line of each contact, ``b / (n cos beta_b)`` for a whole slice [m]."""
         whole = self.pair.face_width / self.share.shape[-1] / jnp.cos(self.pair.base_helix_angle)
         return (whole * self.share).ravel()
 
     @property
     def curvature(self) -> Float[Array, "block pair slice"]:
-        """Relative curvature of the flanks across the contact lines, ``cos beta_b (1 / rho_1 + 1 / rho_2)``, of an
-        internal gear the difference (ISO 21771) [1/m]."""
+        """Relative curvature of the flanks at right angles to the contact lines (ISO 21771) [1/m].
+
+        It is ``cos beta_b (1 / rho_1 + 1 / rho_2)``, with the difference for an internal gear.
+        """
         first, second = self.roll
         other = -1 / second if self.pair.internal else 1 / second
         return jnp.cos(self.pair.base_helix_angle) * (1 / first + other)

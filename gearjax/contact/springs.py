@@ -1,4 +1,4 @@
-"""Springs of the contacts by type: one by one in proportion, one by one as line contacts, coupled by a matrix."""
+"""Types of springs of the contacts: independent linear springs, independent line contacts, and coupled springs."""
 
 import equinox as eqx
 import jax
@@ -6,44 +6,44 @@ import jax.numpy as jnp
 
 from gearjax.typing import Array, Float
 
-STEPS = 6  # of Newton's method, from a start within a few per cent
-LAST = 1.5  # level less the logarithm of the force up to which the formula is gone by
-SHALLOWEST = 1e-26  # m, below which an approach counts as none
+STEPS = 6  # steps of Newton's method, from a start within a few per cent
+LAST = 1.5  # smallest ``level - ln F`` at which the formula is used; at higher forces it is continued linearly
+SHALLOWEST = 1e-26  # m, smallest approach that makes a force
 
 
 class LinearSprings(eqx.Module):
-    """Springs one by one, whose force is in proportion to the approach.
+    """Independent springs whose force is proportional to the approach.
 
     Args:
-        stiffness: shape (contact,) [N/m].
+        stiffness: stiffness of each contact, shape (contact,) [N/m].
     """
 
     stiffness: Float[Array, " contact"]
 
     def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        """Force of an approach [N]."""
+        """Force at an approach [N]."""
         return self.stiffness * penetration
 
 
 class CoupledSprings(eqx.Module):
-    """Springs where a force on one contact moves the others too: teeth of one body, slices of one face.
+    """Coupled springs: a force on one contact moves the others too, such as teeth of one body or slices of one face.
 
     Args:
-        blocks: approach of each contact per force on each of its block, symmetric and positive definite, shape (block,
-            own, own) [m/N]. Contacts of different blocks, such as pairs of teeth, do not move each other. A matrix of
-            all is one block, and may be given as it is, shape (contact, contact).
+        blocks: approach of each contact per force on each contact of its block, symmetric and positive definite, shape
+            (block, own, own) [m/N]. Contacts of different blocks, such as pairs of teeth, are not coupled. A matrix of
+            all contacts is a single block and may be given with the shape (contact, contact).
     """
 
     blocks: Float[Array, "block own own"] = eqx.field(converter=lambda given: given if given.ndim > 2 else given[None])
 
     @property
     def influence(self) -> Float[Array, "*lane contact contact"]:
-        """Approach of each contact per force on each, shape (contact, contact) [m/N]."""
+        """Influence matrix: approach of each contact per force on each contact, shape (contact, contact) [m/N]."""
         return block_diagonal(self.blocks)
 
 
 def block_diagonal(blocks: Float[Array, "*lane block own own"]) -> Float[Array, "*lane contact contact"]:
-    """The matrix of contacts in blocks that do not move each other, shape (block * own, block * own) [m/N]."""
+    """Block-diagonal influence matrix from its blocks, shape (block * own, block * own) [m/N]."""
     *many, number, own, _ = blocks.shape
     if number == 1:
         return blocks[..., 0, :, :]
@@ -52,12 +52,13 @@ def block_diagonal(blocks: Float[Array, "*lane block own own"]) -> Float[Array, 
 
 
 class LineSprings(eqx.Module):
-    """Line contacts whose approach under a force is ``slope F (level - ln F)``: Hertz' contact of cylinders, and
-    formulas like it.
+    """Independent line contacts with the approach ``slope F (level - ln F)`` under a force F.
+
+    Hertzian contact of cylinders and similar formulas have this form.
 
     Args:
-        slope: shape (contact,) [m/N].
-        level: shape (contact,) [-], of forces in N.
+        slope: slope of each contact, shape (contact,) [m/N].
+        level: level of each contact for forces in N, shape (contact,) [-].
     """
 
     slope: Float[Array, " contact"]
@@ -69,10 +70,11 @@ class LineSprings(eqx.Module):
         return jnp.where(force > 0, self.slope * safe * (self.level - jnp.log(safe)), 0.0)
 
     def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        """Force of an approach [N]; none where the bodies are apart.
+        """Force at an approach [N]; zero if the bodies do not touch.
 
-        Newton's method in the logarithm of the force; its last two steps carry derivatives, the second ones
-        too. Approaches beyond all elasticity, where the formula turns back, go on in a straight line.
+        Newton's method solves for the logarithm of the force. Its last two steps carry first and second derivatives. At
+        forces far beyond the elastic range the formula's approach would decrease; there the force is continued
+        linearly.
         """
         end = jnp.exp(self.level - LAST)
         furthest = LAST * self.slope * end

@@ -1,15 +1,16 @@
-"""Equilibrium of contacts between bodies that give way at their supports: several coordinates at once.
+"""Equilibrium of contacts between bodies on elastic supports, in several coordinates at once.
 
-The positions of the output and of shafts that turn freely, and the displacements of the bodies, together ``q``, solve
+The coordinates ``q`` are the positions of the output and of shafts that turn freely, and the displacements of the
+bodies. They solve
 
     K q + J^T f(J q - gap) = Q
 
-with the stiffness ``K`` of supports and shafts, none for what only contacts hold. The left side is the slope of a
-convex function, the energy of the supports and the springs: Newton's method on it, going no further than it falls, ends
-at its only minimum. Memory grows with the number of contacts. Where springs are coupled by a matrix, what the supports
-give way by is a part of it instead: ``S + J_s K_s^-1 J_s^T``.
+with the stiffness ``K`` of supports and shafts, which is zero for free coordinates. The left side is the gradient of a
+convex function, the energy of the supports and springs. Newton's method with a line search on this energy ends at its
+only minimum. Memory grows with the number of contacts. If springs are coupled by a matrix, the compliance of the
+supports is added to this matrix instead: ``S + J_s K_s^-1 J_s^T``.
 
-The search does not take part in derivatives: more steps of Newton's method from its end carry them (`last_steps`).
+The search itself is not differentiated: further Newton steps at its end carry the derivatives (`last_steps`).
 """
 
 import jax
@@ -22,15 +23,15 @@ from gearjax.contact.search import ACCURACY, TYPICAL, last_steps, spring_forces
 from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_STEPS = 100
-HALVINGS = 50  # of the length of a step, at most
-FINE = 1e-3  # of the length of a step, that it is found to
-ENOUGH = 0.5  # of the slope along a step, that is left at its end where the whole step is taken
-ROUNDING = 4.0  # spacings of the numbers that are added up
-SLIGHTLY = 1e-9  # of all loaded contacts, that count in a step: without any the output would not be held
+HALVINGS = 50  # most bisections of the length of a step
+FINE = 1e-3  # relative accuracy of the length of a step
+ENOUGH = 0.5  # share of the slope along a step that may be left at its end if the whole step is taken
+ROUNDING = 4.0  # rounding of a sum, in units in the last place of its terms
+SLIGHTLY = 1e-9  # share of the stiffness of all loaded contacts in each step, so that the output is always held
 
 
 def with_supports(contacts: ContactSet, influence: Float[Array, "contact contact"]) -> Float[Array, "contact contact"]:
-    """What forces on the contacts make them approach, supports included [m/N]."""
+    """Influence matrix of the contacts including their supports [m/N]."""
     if contacts.supports is None:
         return influence
     moving = contacts.jacobian[:, contacts.free :]
@@ -38,7 +39,7 @@ def with_supports(contacts: ContactSet, influence: Float[Array, "contact contact
 
 
 def moved_by(contacts: ContactSet, forces: Float[Array, " contact"]) -> Float[Array, " support"]:
-    """Displacements of the bodies under forces of the contacts [m]."""
+    """Displacements of the bodies on their supports under forces of the contacts [m]."""
     assert contacts.supports is not None
     return -cho_solve(cho_factor(contacts.supports, lower=True), contacts.jacobian[:, contacts.free :].T @ forces)
 
@@ -46,17 +47,18 @@ def moved_by(contacts: ContactSet, forces: Float[Array, " contact"]) -> Float[Ar
 def supported(
     contacts: ContactSet, applied: Scalar, law: AbstractContact
 ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"], Int[Array, ""]]:
-    """Displacements where the contacts and supports balance a load, the forces, and a result code.
+    """Displacements at which contacts and supports balance a load, the contact forces, and a result code.
 
     Args:
-        contacts: with springs one by one; their gaps count from where the load closes the first contact of each mesh,
-            and so do the positions of the output and of shafts that turn freely.
+        contacts: contacts with independent springs. Their gaps, and the positions of the output and of shafts that turn
+            freely, are counted from where the load closes the first contact of each mesh.
         applied: generalised force on the output [N m].
         law: contact law.
 
     Returns:
-        Displacements in all coordinates, the output's first [rad, m]; forces [N]; 0 for found, 1 where no
-        contact can carry the load, 3 where the search did not end; nan and zeros with 1 and 3.
+        Displacements in all coordinates, that of the output first [rad, m]; forces [N]; result code: 0 if found, 1 if
+        no contact can carry the load, 3 if the search did not end. With 1 and 3 the displacements are nan and the
+        forces zero.
     """
     frozen, weight = jax.lax.stop_gradient((contacts, applied))
     unloaded = weight == 0
@@ -84,7 +86,7 @@ def supported(
 def _search(
     contacts: ContactSet, applied: Scalar, law: AbstractContact, start: Array, whole: Array, scale: Array
 ) -> tuple[Array, Array]:
-    """Displacements at the minimum, and whether they were found."""
+    """Displacements at the minimum of the energy, and whether the search found them."""
     accuracy = float(jnp.finfo(start.dtype).eps) ** ACCURACY
 
     def unfinished(state: tuple) -> Array:
@@ -112,7 +114,7 @@ def _search(
             low, high, halved = state
             return far & (high - low > FINE * high) & (halved < HALVINGS)
 
-        # a loop that is not begun where the whole step is taken; over many angles, a choice would look for all shares
+        # this loop does not start if the whole step is taken; a conditional over many angles would search in all cases
         share = jax.lax.while_loop(rough, halve, (zero, one, 0))[1]
         small = jnp.abs(way * scale).max() <= accuracy * jnp.abs(place * scale).max()
         return place + share * way, small | _balanced(contacts, applied, law, place, excess), step + 1
@@ -122,7 +124,7 @@ def _search(
 
 
 def _balanced(contacts: ContactSet, applied: Scalar, law: AbstractContact, place: Array, excess: Array) -> Array:
-    """Whether what is left is no more than rounding, which very stiff shafts beside soft bearings bring about."""
+    """Whether the excess is within rounding, which is large if very stiff shafts are on soft bearings."""
     forces = jnp.abs(spring_forces(contacts, law)(contacts.jacobian @ place - contacts.gap))
     size = (jnp.abs(contacts.jacobian).T @ forces).at[0].add(jnp.abs(applied))
     if contacts.supports is not None:
@@ -133,7 +135,7 @@ def _balanced(contacts: ContactSet, applied: Scalar, law: AbstractContact, place
 def _excess(
     contacts: ContactSet, applied: Scalar, law: AbstractContact, place: Float[Array, " coordinate"]
 ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
-    """What supports and contacts carry beyond the load, and the stiffness of each contact there."""
+    """Generalised force of supports and contacts minus the load, and the stiffness of each contact."""
     overlap = contacts.jacobian @ place - contacts.gap
     forces, stiffness = jax.jvp(spring_forces(contacts, law), (overlap,), (jnp.ones_like(overlap),))
     carried = contacts.jacobian.T @ forces
@@ -145,7 +147,7 @@ def _excess(
 
 
 def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float[Array, "coordinate coordinate"]:
-    """Slope of `_excess` along the coordinates."""
+    """Jacobian of `_excess` by the coordinates."""
     matrix = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
     if contacts.supports is None:
         return matrix
@@ -153,6 +155,6 @@ def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float
 
 
 def _solve(matrix: Array, right: Array, scale: Array) -> Array:
-    """Solution of a positive definite system, whose coordinates are brought to one size first."""
+    """Solution of a positive definite system, after its coordinates are scaled to similar sizes."""
     level = matrix / (scale[:, None] * scale[None, :])
     return cho_solve(cho_factor(level, lower=True), right / scale) / scale

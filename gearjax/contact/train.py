@@ -1,7 +1,8 @@
 """Trains: meshes in series, with shafts between them that turn freely.
 
-Motion is handed on from the input: the flanks of the first mesh that touch tell where the first shaft is, those of the
-next where the next one is, at last where the output is. Which flanks these are, the sign of the torque tells.
+Motion is transmitted from the input. The touching flanks of the first mesh determine the position of the first shaft,
+the touching flanks of the next mesh the position of the next shaft, and finally the position of the output. The sign of
+the torque decides which flanks touch.
 """
 
 import jax.numpy as jnp
@@ -13,10 +14,10 @@ from gearjax.typing import Array, Float, Scalar
 
 
 def touching(contacts: ContactSet, law: AbstractContact, side: int) -> Float[Array, " free"]:
-    """Positions of the output and of shafts that turn freely at which the flanks of one side just touch.
+    """Positions of the output and of shafts that turn freely, at which the flanks of one side just touch.
 
     Args:
-        contacts: of a train, its sides known.
+        contacts: contacts of a train whose sides are known.
         law: contact law.
         side: 1 for the driving flanks, -1 for the back flanks.
     """
@@ -29,8 +30,10 @@ def touching(contacts: ContactSet, law: AbstractContact, side: int) -> Float[Arr
 
 
 def closed_first(contacts: ContactSet, applied: Scalar) -> tuple[Float[Array, " free"], Float[Array, " contact"]]:
-    """Where a load brings the first contact of each mesh to touch, and the gaps counted from there, those contacts' own
-    exactly zero: the forces of a tiny torque are not lost in rounding."""
+    """Positions at which a load closes the first contact of each mesh, and the gaps counted from these positions.
+
+    The gaps of these first contacts are exactly zero, so that the forces of a tiny torque are not lost in rounding.
+    """
 
     def first(side: int) -> tuple[Array, Array]:
         place, zero = jnp.zeros((contacts.free,), contacts.gap.dtype), jnp.zeros(contacts.gap.shape, bool)
@@ -49,7 +52,11 @@ def closed_first(contacts: ContactSet, applied: Scalar) -> tuple[Float[Array, " 
 
 
 def _each(contacts: ContactSet, side: int):
-    """Each coordinate of a train in turn, its contacts on one side, and where they touch as the others stand."""
+    """Each coordinate of a train in turn, its contacts on one side, and a function for the positions at which they
+    touch.
+
+    The function takes the positions of the other coordinates as given.
+    """
     sides = np.asarray(contacts.layout.side)
     for column, members in contacts.stages:
         own = members[sides[members] == side]

@@ -1,4 +1,4 @@
-"""Errors of the bodies: each adds to the gaps of the contacts."""
+"""Errors of the bodies. Each error adds to the gaps of the contacts."""
 
 from gearjax.errors.base import AbstractError
 from gearjax.errors.eccentricity import Eccentricity

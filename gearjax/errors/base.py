@@ -1,4 +1,4 @@
-"""What every error offers to a scene."""
+"""The interface between an error and a scene."""
 
 import abc
 from collections.abc import Callable
@@ -16,23 +16,24 @@ class AbstractError(eqx.Module):
     kind: eqx.AbstractClassVar[str]
     body: eqx.AbstractVar[str]
     on_rim: ClassVar[bool] = False
-    """Whether it is of single pins or teeth, which not every body has."""
+    """Whether it is an error of single pins or teeth, which not every body has."""
 
     @abc.abstractmethod
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        """Change of the gaps, shape (contact,) [m]."""
+        """Change of the gaps that the error makes, shape (contact,) [m]."""
 
     def check(self, size: Callable[[], GearSize | None]) -> None:
-        """Refuse what cannot be on its gear.
+        """Refuse an error that its gear cannot have.
 
         Args:
-            size: gives that of the gear, if the gear set tells it; worked out for errors that ask.
+            size: function that returns the sizes of the gear, or ``None`` if the gear set does not give them. It is
+                called only by errors that need them.
 
         Raises:
-            ParameterError: naming the key, what was given and what would be right.
+            ParameterError: a value is wrong; the message names the key, the given value and what would be right.
         """
         del size
 
     def proportional(self) -> "AbstractError":
-        """The same error by numbers that its gaps are in proportion to, where there are such."""
+        """The same error described by numbers that its gaps are proportional to; without such numbers, itself."""
         return self

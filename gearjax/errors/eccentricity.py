@@ -12,12 +12,13 @@ from gearjax.typing import Array, Float, Number
 
 
 class Eccentricity(AbstractError):
-    """An axis that is off its axis of rotation: a vector that turns with its body. Along a line of action it moves the
-    flank by ``e sin(angle + phase)`` (Wang et al. 2020, eqs. 1-4).
+    """Eccentricity of a body: its axis is off its axis of rotation, by a vector that turns with the body.
+
+    Along a line of action the eccentricity moves the flank by ``e sin(angle + phase)`` (Wang et al. 2020, eqs. 1-4).
 
     Args:
-        body: body of the system that carries it.
-        amplitude: eccentricity e, half of the run-out that a dial gauge or a drawing tells [m].
+        body: body of the system that carries the error.
+        amplitude: eccentricity e, half of the run-out that a dial gauge or a drawing shows [m].
         phase: phase at input angle zero [rad].
     """
 
@@ -30,7 +31,7 @@ class Eccentricity(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        # by components: a batch of amplitudes and phases shares the sines of the view
+        # a batch of amplitudes and phases, written as components, shares the sines of the view
         return self.proportional().gap(view)
 
     def proportional(self) -> "Displacement":
@@ -38,10 +39,10 @@ class Eccentricity(AbstractError):
 
 
 class Displacement(AbstractError):
-    """An `Eccentricity` by its components, sines and cosines worked out; of the rim, a wave of displacements around it.
+    """An `Eccentricity` given by its components, or a wave of displacements around the rim of a body.
 
     Args:
-        body: body of the system that carries it.
+        body: body of the system that carries the error.
         sine, cosine: ``amplitude cos(phase)`` and ``amplitude sin(phase)`` [m].
         waves: number of waves around the body, 0 for a displacement of the whole body.
     """
@@ -61,10 +62,10 @@ class Displacement(AbstractError):
 
 
 def rim_of(body: str, view: BodyView) -> Rim:
-    """The rim of a body.
+    """The rim of a body, from its view.
 
     Raises:
-        ParameterError: it has none.
+        ParameterError: the body has no rim.
     """
     if view.rim is None:
         raise ParameterError("body", body, "has no rim of pins or teeth to carry this error")

@@ -15,12 +15,15 @@ SIDES = ("both", "low", "high")
 
 
 class HelixSlope(AbstractError):
-    """Slope deviation of the helix f_Hb across the face: positive where the tooth has more material at its high end,
-    along the axis about which the pinion turns; nothing in the middle (ISO 1328-1).
+    """Helix slope deviation f_Hb across the face, zero in the middle of the face (ISO 1328-1).
+
+    A positive value means more material at the high end of the face, counted along the axis about which the pinion
+    turns.
 
     Args:
-        body: gear that carries it.
-        slope: from one end of the face to the other, shape (tooth,), or one value for all [m].
+        body: gear that carries the error.
+        slope: helix slope deviation from one end of the face to the other: one value per tooth, shape (tooth,), or one
+            for all [m].
     """
 
     kind: ClassVar[str] = "helix_slope"
@@ -37,12 +40,13 @@ class HelixSlope(AbstractError):
 
 
 class Crowning(AbstractError):
-    """Material removed towards both ends of the face, ``amount (2 z / b)^2`` with the place z from its middle (ISO
-    21771: C_b).
+    """Crowning: material removed towards both ends of the face, ``amount (2 z / b)^2`` (ISO 21771: C_b).
+
+    Here z is the place across the face, counted from its middle, and b is the face width.
 
     Args:
-        body: gear that carries it.
-        amount: at the ends, shape (tooth,), or one value for all [m].
+        body: gear that carries the modification.
+        amount: material removed at both ends of the face: one value per tooth, shape (tooth,), or one for all [m].
     """
 
     kind: ClassVar[str] = "crowning"
@@ -59,15 +63,17 @@ class Crowning(AbstractError):
 
 
 class EndRelief(AbstractError):
-    """Material removed towards the ends of the face, ``amount (1 - s / length)^exponent`` with the distance s from an
-    end (ISO 21771: C_bI, C_bII).
+    """End relief: material removed towards the ends of the face (ISO 21771: C_bI, C_bII).
+
+    It is ``amount (1 - s / length)^exponent`` at the distance s from an end of the face.
 
     Args:
-        body: gear that carries it.
-        amount: at the end, shape (tooth,), or one value for all [m].
-        length: across the face over which it runs out [m].
-        exponent: 1 or more.
-        end: ``"both"``, or the ``"low"`` or the ``"high"`` one along the axis about which the pinion turns.
+        body: gear that carries the modification.
+        amount: material removed at the end of the face: one value per tooth, shape (tooth,), or one for all [m].
+        length: length across the face over which the relief runs out [m].
+        exponent: exponent of the relief, 1 or more.
+        end: end of the face that is relieved: ``"both"``, or the ``"low"`` or the ``"high"`` end along the axis about
+            which the pinion turns.
     """
 
     kind: ClassVar[str] = "end_relief"
@@ -84,14 +90,14 @@ class EndRelief(AbstractError):
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         place = profile_of(self.body, view)
         across, width = _across(self.body, view), place.width
-        assert width is not None  # the gears tell of their face
+        assert width is not None  # `_across` has refused gears without a face width
         ends = {"low": (0.5 + across,), "high": (0.5 - across,), "both": (0.5 + across, 0.5 - across)}[self.end]
         shares = [running_out(from_end * width, self.length, self.exponent) for from_end in ends]
         return place.seen(spread("amount", self.amount, view) * sum(shares[1:], shares[0]))
 
 
 def _across(body: str, view: BodyView) -> Float[Array, " contact"]:
-    """Places across the face from its middle, parts of its width.
+    """Places of the contacts across the face, from its middle, in face widths [-].
 
     Raises:
         ParameterError: the body's contacts have no place across the face.

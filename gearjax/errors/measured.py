@@ -1,4 +1,4 @@
-"""Flanks and pitches of single teeth as a measuring machine tells them (ISO 1328-1; Guo and Fang 2018)."""
+"""Flanks and pitches of single teeth from a measuring machine (ISO 1328-1; Guo and Fang 2018)."""
 
 from collections.abc import Callable
 from typing import ClassVar
@@ -18,19 +18,19 @@ from gearjax.parameters import check_parameters, name, series
 from gearjax.typing import Array, Float, Int, Number
 from gearjax.units import mm
 
-ON_FACE = 0.01  # of half of the width, that places may be beyond its ends
+ON_FACE = 0.01  # share of half of the face width that places may lie beyond its ends
 FLANKS = {"driving": 1, "back": -1}
 
 
 class AbstractMeasured(AbstractError):
-    """Deviations of flanks that were measured, of driving flanks, back flanks or both."""
+    """Measured deviations of driving flanks, back flanks or both."""
 
     on_rim: ClassVar[bool] = True
     deviation: eqx.AbstractVar[Number]
     flank: eqx.AbstractVar[str]
 
     def of_flank(self, place: ProfilePlace, gap: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        """The gaps of the contacts on the flank that was measured; nothing on the other."""
+        """Changes of gap at contacts on the flank that was measured, zero at contacts on the other flank."""
         if self.flank == "both":
             return gap
         if place.side is None:
@@ -38,7 +38,7 @@ class AbstractMeasured(AbstractError):
         return jnp.where(place.side == FLANKS[self.flank], gap, 0.0)
 
     def tells_of(self, flank: str) -> bool:
-        """Whether it is of driving or of back flanks."""
+        """Whether the deviations apply to a flank, ``"driving"`` or ``"back"``."""
         return self.flank in (flank, "both")
 
     def check(self, size: Callable[[], GearSize | None]) -> None:
@@ -52,31 +52,33 @@ class AbstractMeasured(AbstractError):
         self.check_places(gear)
 
     def check_places(self, gear: GearSize) -> None:
-        """Refuse places and teeth that are not on the gear; raises as `check`."""
+        """Refuse places and teeth that the gear does not have; raises as `check`."""
         del gear
 
 
 class MeasuredFlank(AbstractMeasured):
-    """Flanks from a measuring machine: deviations on a grid over length of roll and face, for one tooth or several, and
-    bicubic splines between (Guo and Fang 2018, section 2.1). A configuration may name a CSV file instead of roll,
-    across, deviation and teeth: file = "pinion.csv", with the columns roll [mm], deviation [um] and, where there are
-    such, across [mm], tooth and flank.
+    """Measured flanks: deviations on a grid over length of roll and face, for one tooth or several.
 
-    Where nothing was measured, beyond the grid, the flank is as at the nearest measured place; a tooth that was not
-    measured has the mean of those that were. One place across the face tells a profile that is the same over all of
-    it, one length of roll a helix that is the same at all heights.
+    Bicubic splines interpolate between the places of the grid (Guo and Fang 2018, section 2.1). A configuration may
+    name a CSV file instead of roll, across, deviation and teeth: file = "pinion.csv", with the columns roll in mm,
+    deviation in um and, if needed, across in mm, tooth and flank.
+
+    Beyond the grid, the deviation is the deviation at the nearest measured place. A tooth that was not measured has the
+    mean of the measured teeth. With one place across the face, the profile is the same over the whole face. With one
+    length of roll, the helix is the same at all heights.
 
     Args:
-        body: gear that carries it.
-        roll: lengths of roll from the base circle, in rising order, shape (row,) [m].
-        across: places from the middle of the face, in rising order along the axis about which the pinion turns, shape
-            (column,) [m].
-        deviation: material beyond the ideal flank, along the base tangent of a transverse section, shape (tooth * row *
-            column,), columns counting fastest [m].
-        teeth: numbers of the teeth that were measured, from 0, in the order of ``deviation``; without them one is for
-            all, or each tooth has its own.
-        flank: ``"both"``, ``"driving"`` or ``"back"``: which of them touch as the pinion drives, or the others.
-        ends: of the splines, ``"not_a_knot"``, or as in the paper ``"double_vertices"``.
+        body: gear that carries the error.
+        roll: lengths of roll of the grid, counted from the base circle, in rising order, shape (row,) [m].
+        across: places of the grid across the face, counted from its middle, in rising order along the axis about which
+            the pinion turns, shape (column,) [m].
+        deviation: material beyond the ideal flank, along the base tangent of a transverse section: one list of all
+            teeth, rows and columns in this order, shape (tooth * row * column,), columns counting fastest [m].
+        teeth: numbers of the measured teeth, from 0, in the order of ``deviation``. Without them, ``deviation`` has
+            either one tooth, which counts for all teeth, or all teeth of the gear.
+        flank: flanks that were measured: ``"driving"``, those that touch while the pinion drives, ``"back"``, the
+            others, or ``"both"``.
+        ends: end condition of the splines, ``"not_a_knot"``, or ``"double_vertices"`` as in the paper.
     """
 
     kind: ClassVar[str] = "measured_flank"
@@ -139,7 +141,7 @@ class MeasuredFlank(AbstractMeasured):
         return self.of_flank(place, place.seen(-surface(*splines, values, grid, (place.roll, place.across))))
 
     def _of_teeth(self, view: BodyView) -> tuple[Float[Array, "grid row column"], Int[Array, " contact"]]:
-        """Grids, and which one each contact is on."""
+        """Grids of deviations, and the number of the grid that each contact is on."""
         grid, rim = self.grid, view.rim
         if self.grids == 1:
             return grid, jnp.zeros(view.influence.shape, jnp.int32)
@@ -156,15 +158,17 @@ class MeasuredFlank(AbstractMeasured):
 
 
 class MeasuredPitch(AbstractMeasured):
-    """Cumulative pitch deviations of single teeth from a measuring machine (ISO 1328-1): how far each flank is ahead,
-    as its gear turns, along the reference circle. A configuration may name a CSV file instead of deviation: file =
-    "pitch.csv", with the columns tooth and cumulative [um], or single [um] for the deviations from each tooth to the
-    next, and flank where there are both.
+    """Measured cumulative pitch deviations of single teeth (ISO 1328-1).
+
+    A positive deviation means that the flank is ahead along the reference circle, in the sense in which its gear turns.
+    A configuration may name a CSV file instead of deviation: file = "pitch.csv", with the columns tooth and cumulative
+    in um, or single in um for the deviations from each tooth to the next, and flank if both flanks were measured.
 
     Args:
-        body: gear that carries it.
-        deviation: shape (tooth,), or one value for all [m].
-        flank: ``"both"``, ``"driving"`` or ``"back"``: which of them touch as the pinion drives, or the others.
+        body: gear that carries the error.
+        deviation: cumulative pitch deviation: one value per tooth, shape (tooth,), or one for all [m].
+        flank: flanks that were measured: ``"driving"``, those that touch while the pinion drives, ``"back"``, the
+            others, or ``"both"``.
     """
 
     kind: ClassVar[str] = "measured_pitch"

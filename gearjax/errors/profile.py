@@ -15,7 +15,7 @@ from gearjax.typing import Array, Float, Number, Scalar
 
 
 class AbstractRelief(AbstractError):
-    """Material removed towards one end of the profile; a subclass says from where on lengths of roll count."""
+    """Material removed towards one end of the profile; a subclass defines this end."""
 
     on_rim: ClassVar[bool] = True
     body: str = name()
@@ -29,7 +29,7 @@ class AbstractRelief(AbstractError):
     @staticmethod
     @abc.abstractmethod
     def from_end(place: ProfilePlace) -> Float[Array, " contact"]:
-        """Length of roll from the end to each contact, shape (contact,) [m]."""
+        """Length of roll from that end of the profile to each contact, shape (contact,) [m]."""
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         place = profile_of(self.body, view)
@@ -38,14 +38,15 @@ class AbstractRelief(AbstractError):
 
 
 class TipRelief(AbstractRelief):
-    """Material removed towards the tip, ``amount (1 - s / length)^exponent`` with the length of roll s from the tip
-    (ISO 21771: C_a over L_Ca; 1 is a straight line, 2 a parabola).
+    """Tip relief: material removed towards the tip, ``amount (1 - s / length)^exponent`` (ISO 21771: C_a over L_Ca).
+
+    Here s is the length of roll from the tip.
 
     Args:
-        body: gear that carries it.
-        amount: at the tip, shape (tooth,), or one value for all [m].
-        length: of roll along the path of contact over which it runs out [m].
-        exponent: 1 or more.
+        body: gear that carries the modification.
+        amount: material removed at the tip: one value per tooth, shape (tooth,), or one for all [m].
+        length: length of roll along the path of contact over which the relief runs out [m].
+        exponent: exponent of the relief, 1 or more: 1 is a straight line, 2 a parabola.
     """
 
     kind: ClassVar[str] = "tip_relief"
@@ -56,14 +57,16 @@ class TipRelief(AbstractRelief):
 
 
 class RootRelief(AbstractRelief):
-    """Material removed towards the root, ``amount (1 - s / length)^exponent`` with the length of roll s from where the
-    path of contact ends there (ISO 21771: C_f over L_Cf; 1 is a straight line, 2 a parabola).
+    """Root relief: material removed towards the root, ``amount (1 - s / length)^exponent`` (ISO 21771: C_f over L_Cf).
+
+    Here s is the length of roll from the end of the path of contact at the root.
 
     Args:
-        body: gear that carries it.
-        amount: at the end of the path of contact, shape (tooth,), or one value for all [m].
-        length: of roll along the path of contact over which it runs out [m].
-        exponent: 1 or more.
+        body: gear that carries the modification.
+        amount: material removed at the end of the path of contact: one value per tooth, shape (tooth,), or one for all
+            [m].
+        length: length of roll along the path of contact over which the relief runs out [m].
+        exponent: exponent of the relief, 1 or more: 1 is a straight line, 2 a parabola.
     """
 
     kind: ClassVar[str] = "root_relief"
@@ -74,12 +77,14 @@ class RootRelief(AbstractRelief):
 
 
 class ProfileSlope(AbstractError):
-    """Slope deviation of the profile f_Ha over the part that may touch: positive where the tip has more material, the
-    root less; nothing in the middle (ISO 1328-1).
+    """Profile slope deviation f_Ha over the part of the profile that may touch (ISO 1328-1).
+
+    It is zero in the middle of that part; a positive value means more material at the tip and less at the root.
 
     Args:
-        body: gear that carries it.
-        slope: from one end to the other, shape (tooth,), or one value for all [m].
+        body: gear that carries the error.
+        slope: profile slope deviation from one end of the profile to the other: one value per tooth, shape (tooth,), or
+            one for all [m].
     """
 
     kind: ClassVar[str] = "profile_slope"
@@ -96,13 +101,15 @@ class ProfileSlope(AbstractError):
 
 
 class ProfileForm(AbstractError):
-    """Form deviation of the profile, a wave along the part that may touch: ``amplitude cos(2 pi waves s / length)``
-    with the length of roll s from the tip, material added where positive (ISO 1328-1: half of f_fa).
+    """Profile form deviation: a wave along the part of the profile that may touch (ISO 1328-1).
+
+    It is ``amplitude cos(2 pi waves s / length)`` at the length of roll s from the tip; a positive value means more
+    material. The length is that of the part that may touch, and the amplitude is half of f_fa.
 
     Args:
-        body: gear that carries it.
-        amplitude: shape (tooth,), or one value for all [m].
-        waves: along the profile.
+        body: gear that carries the error.
+        amplitude: amplitude of the wave: one value per tooth, shape (tooth,), or one for all [m].
+        waves: number of waves along the profile.
     """
 
     kind: ClassVar[str] = "profile_form"
@@ -121,15 +128,18 @@ class ProfileForm(AbstractError):
 
 
 def running_out(distance: Array, length: Scalar, exponent: int) -> Array:
-    """Share of a relief at distances from where it is full, any shape [m]: ``(1 - distance / length)^exponent``."""
+    """Share of a relief at distances from its deepest point, ``(1 - distance / length)^exponent`` [-].
+
+    The distances [m] may have any shape; the share is zero beyond the length.
+    """
     return jnp.clip(1 - distance / length, 0.0, 1.0) ** exponent
 
 
 def profile_of(body: str, view: BodyView) -> ProfilePlace:
-    """Where along its profile the contacts of a body are.
+    """Places of the contacts along the involute profile of a body.
 
     Raises:
-        ParameterError: it has no such profile.
+        ParameterError: the body has no involute profile.
     """
     if view.flank is None:
         raise ParameterError("body", body, "has no involute profile to carry this error")

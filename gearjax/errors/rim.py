@@ -1,4 +1,4 @@
-"""Errors of single pins or teeth, and of the pitch around a body."""
+"""Errors of single pins or teeth, and errors of the pitch around a body."""
 
 from typing import ClassVar
 
@@ -14,14 +14,17 @@ from gearjax.typing import Array, Float, Number
 
 
 class Positions(AbstractError):
-    """Places of the single pins or teeth of a body: ``outward`` along the radius, ``around`` along the circumference.
+    """Displacements of the single pins or teeth of a body, along the radius and along the circumference.
 
-    One value for all is the radius of the circle that they sit on, or a common turn (Hu et al. 2020, eqs. 7 and 11).
+    A single value of ``outward`` changes the radius of the circle of pins or teeth; a single value of ``around`` turns
+    all of them together (Hu et al. 2020, eqs. 7 and 11).
 
     Args:
-        body: body of the system that carries them.
-        outward: shape (element,), one value for all, or empty for none [m].
-        around: shape (element,), one value for all, or empty for none [m].
+        body: body of the system that carries the pins or teeth.
+        outward: displacement along the radius, positive outwards: one value per pin or tooth, shape (element,), or one
+            for all; empty for none [m].
+        around: displacement along the circumference: one value per pin or tooth, shape (element,), or one for all;
+            empty for none [m].
     """
 
     kind: ClassVar[str] = "positions"
@@ -43,12 +46,15 @@ class Positions(AbstractError):
 
 
 class Sizes(AbstractError):
-    """Radii of the single pins of a body: a larger pin closes its gap (Hu et al. 2020, eq. 8); half of a clearance
-    between pin and groove, negative, opens it (eq. 9).
+    """Deviations of the radii of the single pins of a body.
+
+    A larger pin closes its gap (Hu et al. 2020, eq. 8). A clearance between pin and groove opens the gap: give minus
+    one half of it (eq. 9).
 
     Args:
-        body: body of the system that carries them.
-        larger: by how much each radius is too large, shape (element,), or one value for all [m].
+        body: body of the system that carries the pins.
+        larger: deviation of the radius, positive if the pin is too large: one value per pin, shape (element,), or one
+            for all [m].
     """
 
     kind: ClassVar[str] = "sizes"
@@ -64,13 +70,15 @@ class Sizes(AbstractError):
 
 
 class CumulativePitch(AbstractError):
-    """Cumulative pitch error, a wave around the body: a tooth at the angle ``eta`` on it is displaced by
-    ``amplitude sin(waves eta + phase)`` along the circumference (Hu et al. 2020, eq. 12: half of F_p, one wave).
+    """Cumulative pitch error as a wave around the body (Hu et al. 2020, eq. 12: half of F_p, one wave).
+
+    A tooth at the angle ``eta`` on the body is displaced by ``amplitude sin(waves eta + phase)`` along the
+    circumference.
 
     Args:
-        body: body of the system that carries it.
+        body: body of the system that carries the error.
         amplitude: half of the total cumulative pitch error [m].
-        phase: [rad].
+        phase: phase of the wave at the angle zero on the body [rad].
         waves: number of waves around the body.
     """
 
@@ -93,10 +101,10 @@ class CumulativePitch(AbstractError):
 
 
 def spread(key: str, values: Float[Array, " given"], view: BodyView) -> Float[Array, " contact"]:
-    """One value per contact from one per tooth of its body, or one for all.
+    """One value per contact, from one value per tooth of its body or from one value for all teeth.
 
     Raises:
-        ParameterError: another number of them, or the body has no teeth that are told apart.
+        ParameterError: the number of values is another one, or the contacts do not state their teeth.
     """
     if view.rim is None:
         return jnp.broadcast_to(values, view.influence.shape)
@@ -104,7 +112,7 @@ def spread(key: str, values: Float[Array, " given"], view: BodyView) -> Float[Ar
 
 
 def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, " contact"]:
-    """One value per contact from one per element, or one for all."""
+    """One value per contact, from one value per element of the rim or from one value for all."""
     contacts = rim.sine.shape[0]
     if values.shape == (1,):
         return jnp.broadcast_to(values, (contacts,))
@@ -114,5 +122,5 @@ def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, 
         raise ParameterError(key, f"{values.size} values", f"needs {rim.elements}, one for each, or one for all")
     if rim.element is not None:
         return values[rim.element]
-    # by broadcasting, which fuses, unlike concatenation
+    # broadcasting, unlike concatenation, fuses with the operations around it
     return jnp.broadcast_to(values, (contacts // rim.elements, rim.elements)).reshape(contacts)

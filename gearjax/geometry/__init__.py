@@ -1,4 +1,4 @@
-"""Pure functions of gear geometry and kinematics."""
+"""Gear geometry and kinematics, as pure functions and immutable classes."""
 
 from gearjax.geometry.helical_pair import BasicRack, InvolutePair
 from gearjax.geometry.involute import InvoluteGear, base_radius, internal_centre_distance

@@ -1,8 +1,9 @@
-"""Geometric transmission error of a cycloidal stage at the contact of the longest lever, as closed formulas.
+"""Geometric transmission error of a cycloidal stage, by closed formulas for the contact with the longest lever.
 
-The contributions of Hu, Li, Zhu and Cui (2020), eqs. 5-17, derived from the gaps of the two contacts whose lever is
-the whole rolling radius (``cos u = K1``), their sensitivities (Table 2), and the compensation model (eq. 27). Errors
-are lengths [m] by name, see `FACTORS`; transmission errors are in rad, positive where the output may lag.
+The contributions to the error follow Hu, Li, Zhu and Cui (2020), eqs. 5-17. They are derived from the gaps of the two
+contacts whose lever is the whole rolling radius (``cos u = K1``). The module also has their sensitivities (Table 2) and
+the compensation model (eq. 27). Errors are lengths [m] by name, see `FACTORS`. Transmission errors are in rad, positive
+if the output may lag.
 """
 
 from collections.abc import Mapping
@@ -25,21 +26,21 @@ FACTORS = {
     "cumulative_pitch": "cumulative pitch F_p of the disc (eq. 12)",
     "throw": "eccentricity of the crank (eq. 13)",
 }
-"""The errors of Table 2, in its order."""
+"""The errors of Table 2, in the order of that table."""
 
 
 def geometric_error(disc: Cycloid, errors: Mapping[str, ArrayLike]) -> Scalar:
-    """Lag of the output that modification and errors make: travel between both flanks [rad].
+    """Lag of the output due to modification and errors: travel between both flanks [rad].
 
-    Gap over lever of the contacts at ``cos u = K1``, both flanks added; the run-out, which closes one as it opens the
-    other, counts on one.
+    It is the sum over both flanks of gap over lever of the contacts at ``cos u = K1``. The run-out counts on one flank
+    only, because it closes one gap while it opens the other.
 
     Args:
-        disc: the disc; its modifications count.
-        errors: deviations by name, of `FACTORS` [m].
+        disc: the disc, including its modifications.
+        errors: deviations by name, from `FACTORS` [m].
 
     Raises:
-        ParameterError: an unknown error.
+        ParameterError: the name of an error is unknown.
     """
     for name in errors:
         if name not in FACTORS:
@@ -51,7 +52,7 @@ def geometric_error(disc: Cycloid, errors: Mapping[str, ArrayLike]) -> Scalar:
         shifting=disc.shifting + given["shifting"],
         throw=disc.throw + given["throw"],
     )
-    # where the lever is longest; that the shifting moves it is of second order
+    # place of the longest lever; its displacement by the shifting has only a second-order effect
     short = disc._replace(shifting=jax.lax.stop_gradient(disc.shifting)).modified_short_width
     at = touch(short, jnp.arccos(short))
     gap = disc.isometric + (given["pin_circle"] - disc.shifting) * at.outward
@@ -61,8 +62,10 @@ def geometric_error(disc: Cycloid, errors: Mapping[str, ArrayLike]) -> Scalar:
 
 
 def printed_coefficients(disc: Cycloid) -> dict[str, Scalar]:
-    """Error coefficients over ``1 / (a z_c)``, the diagonal of A (Hu et al. 2020, eq. 24); that of the throw is
-    ``2 |k_n|`` in rad/mm, as the paper has it."""
+    """Error coefficients divided by ``1 / (a z_c)``, the diagonal of A (Hu et al. 2020, eq. 24).
+
+    The coefficient of the throw is ``2 |k_n|`` in rad/mm, as printed in the paper.
+    """
     short = disc.modified_short_width
     side = jnp.sqrt(1 - short * short)
     values = 2 * side, -2.0, 1.0, 0.5, 2 * short, 2.0, -2 * side, -short, 2 * printed_throw_coefficient(disc)
@@ -70,7 +73,7 @@ def printed_coefficients(disc: Cycloid) -> dict[str, Scalar]:
 
 
 def printed_throw_coefficient(disc: Cycloid) -> Scalar:
-    """``-|k_n|`` of Hu et al. (2020), eq. 14, in rad/mm, with the signs that give the printed number."""
+    """Coefficient ``-|k_n|`` of Hu et al. (2020), eq. 14, in rad/mm, with the signs that give the printed number."""
     mm = 1e-3
     throw, circle = disc.throw / mm, disc.pin_circle / mm
     isometric, shifting, teeth = disc.isometric / mm, disc.shifting / mm, disc.teeth
@@ -81,14 +84,14 @@ def printed_throw_coefficient(disc: Cycloid) -> Scalar:
 
 
 def coefficients(disc: Cycloid) -> dict[str, Scalar]:
-    """Error coefficients over ``1 / (a z_c)`` as derivatives of `geometric_error` [-]."""
+    """Error coefficients divided by ``1 / (a z_c)``, from the derivatives of `geometric_error` [-]."""
     zeros = dict.fromkeys(FACTORS, jnp.zeros_like(disc.throw))
     slopes = jax.grad(lambda errors: geometric_error(disc, errors))(zeros)
     return {name: slope * disc.rolling_radius for name, slope in slopes.items()}
 
 
 def sensitivity_indices(disc: Cycloid) -> dict[str, Scalar]:
-    """Coefficients over that of the pin circle's radius (Hu et al. 2020, eq. 22) [-]."""
+    """Error coefficients divided by the coefficient of the pin circle's radius (Hu et al. 2020, eq. 22) [-]."""
     by_error = coefficients(disc)
     return {name: value / by_error["pin_circle"] for name, value in by_error.items()}
 
@@ -96,8 +99,10 @@ def sensitivity_indices(disc: Cycloid) -> dict[str, Scalar]:
 def mean_and_tolerance(
     disc: Cycloid, means: Mapping[str, ArrayLike], tolerances: Mapping[str, ArrayLike]
 ) -> tuple[Scalar, Scalar]:
-    """Mean geometric error and its tolerance, contributions added and root of their squares added (Hu et al. 2020,
-    eqs. 15-17) [rad]."""
+    """Mean geometric error and its tolerance (Hu et al. 2020, eqs. 15-17) [rad].
+
+    The mean is the sum of the contributions, the tolerance the root of the sum of their squares.
+    """
     slopes = coefficients(disc)
     mean = geometric_error(disc, means)
     parts = [slopes[name] / disc.rolling_radius * jnp.asarray(size) for name, size in tolerances.items()]
@@ -105,11 +110,11 @@ def mean_and_tolerance(
 
 
 def compensation(disc: Cycloid, shares: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Deviations that take away shares of a transmission error (Hu et al. 2020, eq. 27) [m].
+    """Deviations that compensate parts of a transmission error (Hu et al. 2020, eq. 27) [m].
 
     Args:
         disc: the disc.
-        shares: error to take away by each factor [rad].
+        shares: transmission error that each factor is to compensate, by name [rad].
     """
     slopes = coefficients(disc)
     return {name: -jnp.asarray(share) * disc.rolling_radius / slopes[name] for name, share in shares.items()}

@@ -1,4 +1,4 @@
-"""The involute first stage that drives the cranks of an RV reducer: its sun, and planet wheels on the output."""
+"""The involute first stage that drives the cranks of an RV reducer: a sun, and planet wheels on the output."""
 
 from fractions import Fraction
 
@@ -10,12 +10,12 @@ NAMES = ("sun_teeth", "planet_teeth", "first_stage_module")
 
 
 class FirstStage:
-    """What a first stage adds to a reducer whose cranks are its input without one.
+    """First stage of a reducer; without it, the cranks would be the input.
 
     Args:
-        sun_teeth, planet_teeth: tooth numbers.
-        module: [m].
-        pressure_angle: [rad].
+        sun_teeth, planet_teeth: tooth numbers of the sun and of the planet wheels.
+        module: module [m].
+        pressure_angle: pressure angle of the rack [rad].
     """
 
     def __init__(self, sun_teeth: int, planet_teeth: int, module: Scalar, pressure_angle: Scalar):
@@ -26,10 +26,10 @@ class FirstStage:
     def of(
         cls, sun_teeth: int | None, planet_teeth: int | None, module: Scalar | None, pressure_angle: Scalar
     ) -> "FirstStage | None":
-        """The stage, or none where none of its numbers is given.
+        """The first stage, or ``None`` if none of its numbers is given.
 
         Raises:
-            ParameterError: some of them are given and others not.
+            ParameterError: some of the numbers are given and others are not.
         """
         given = dict(zip(NAMES, (sun_teeth, planet_teeth, module), strict=True))
         missing = [key for key, value in given.items() if value is None]
@@ -46,9 +46,13 @@ class FirstStage:
 
     @property
     def with_output(self) -> float:
-        """Turn of the cranks per turn of the output while the sun is held, ``1 + z_1 / z_2``."""
+        """Turns of the cranks per turn of the output while the sun is held, ``1 + z_1 / z_2``."""
         return 1 + self.sun_teeth / self.planet_teeth
 
     def ratio(self, crank: Fraction) -> Fraction:
-        """Turns of the sun per turn of the output, against which the cranks turn ``crank`` times, seen from it."""
+        """Turns of the sun per turn of the output.
+
+        Args:
+            crank: turns of the cranks relative to the output, against its sense, per turn of the output.
+        """
         return 1 + Fraction(self.planet_teeth, self.sun_teeth) * crank

@@ -1,4 +1,4 @@
-"""Whether two gears on parallel axes fit into each other: what is wrong, where, and what would be right."""
+"""Checks whether two gears on parallel axes fit into each other: what is wrong, and which value would be right."""
 
 from collections.abc import Iterator
 
@@ -10,18 +10,20 @@ from gearjax.geometry.helical_pair import InvolutePair
 from gearjax.geometry.internal_checks import ROUNDING, Fault, form_roll, tooth_faults
 from gearjax.typing import Scalar
 
-JAMMED = 0.02  # normal modules of overlap that rounded shifts and distances explain
+JAMMED = 0.02  # overlap, in normal modules, that may come from rounded profile shifts and centre distances
 
 
 def misfits(pair: InvolutePair) -> Iterator[Fault]:
-    """What cannot be, the first one first: tips inside base circles or pointed, teeth that jam, tips in roots, no
-    continuous contact. Numbers must be known.
+    """Faults that make a pair impossible, the most basic one first.
+
+    They are tips inside base circles or pointed teeth, teeth that jam, tips that reach the roots, and no continuous
+    contact.
 
     Args:
-        pair: the gears.
+        pair: the gears, with concrete (not traced) numbers.
 
     Returns:
-        Faults, whose parameters are those of `InvolutePair`.
+        Faults; their parameters are those of `InvolutePair`.
     """
     for name, gear in zip(("gear 1", "gear 2"), pair.gears, strict=True):
         for key, _, words in tooth_faults(name, gear):
@@ -43,24 +45,26 @@ def misfits(pair: InvolutePair) -> Iterator[Fault]:
 
 
 def longer_contact(pair: InvolutePair) -> str:
-    """What would make teeth touch for longer."""
-    if float(pair.tight_pressure_angle) <= 0:  # no distance at which these teeth are tight
+    """Advice on how to lengthen the path of contact."""
+    if float(pair.tight_pressure_angle) <= 0:  # these teeth have backlash at every centre distance
         return "raise a tip or the profile shifts"
     return f"raise a tip or go nearer to {_mm(pair.tight_centre_distance)}"
 
 
 def faults(pair: InvolutePair) -> Iterator[Fault]:
-    """All that is wrong with a pair, `misfits` first: undercut, tips that touch below the involute, and of an internal
-    pair tips that cut each other away from the contact (`internal_checks`). Numbers must be known.
+    """All faults of a pair, `misfits` first.
+
+    The other faults are undercut, tips that touch below the involute and, for an internal pair, tips that cut each
+    other away from the contact (`internal_checks`). The numbers must be concrete (not traced).
 
     Returns:
-        Faults, whose parameters are those of `InvolutePair`.
+        Faults; their parameters are those of `InvolutePair`.
     """
     wrong = list(misfits(pair))
     yield from wrong
     yield from _undercut(pair)
     if wrong:
-        return  # the rest would be a consequence
+        return  # further faults would only be consequences of these
     if pair.internal:
         for key, _, words in internal_checks.faults(pair.internal_pair, _rounding(pair, 0)):
             yield _tip(pair, key.startswith("internal"), words)
@@ -69,7 +73,7 @@ def faults(pair: InvolutePair) -> Iterator[Fault]:
 
 
 def _roots(pair: InvolutePair) -> Iterator[Fault]:
-    """Tips that reach the roots of the other gear."""
+    """Faults of tips that reach the roots of the other gear."""
     distance = float(pair.centre_distance)
     tips, roots = ([0.5 * float(size) for size in sizes] for sizes in (pair.tip_diameters, pair.root_diameters))
     # of an internal gear both circles lie around the other gear
@@ -85,7 +89,7 @@ def _roots(pair: InvolutePair) -> Iterator[Fault]:
 
 
 def _undercut(pair: InvolutePair) -> Iterator[Fault]:
-    """External gears whose involute the rack cuts away at the base circle."""
+    """Faults of external gears whose involute is undercut by the rack."""
     gears = pair.gears[:1] if pair.internal else pair.gears
     for i, gear in enumerate(gears):
         scale = float(pair.normal_module / pair.transverse_module)
@@ -98,7 +102,7 @@ def _undercut(pair: InvolutePair) -> Iterator[Fault]:
 
 
 def _below_involute(pair: InvolutePair) -> Iterator[Fault]:
-    """Tips that touch the other gear where it has no involute any more."""
+    """Faults of tips that touch the other gear below the beginning of its involute."""
     tangent = float(pair.tangent_length)
     for i, gear in enumerate(pair.gears):
         other = pair.gears[1 - i]
@@ -112,13 +116,13 @@ def _below_involute(pair: InvolutePair) -> Iterator[Fault]:
 
 
 def _rounding(pair: InvolutePair, i: int) -> float:
-    """Depth that the rounding of a gear's rack takes, ``rho (1 - sin alpha_n)``, in transverse modules."""
+    """Depth of the tip rounding of a gear's rack, ``rho (1 - sin alpha_n)``, in transverse modules."""
     rounded = pair.racks[i].fillet_radius * (1 - jnp.sin(pair.normal_pressure_angle))
     return float(rounded * pair.normal_module / pair.transverse_module)
 
 
 def _tip(pair: InvolutePair, second: bool, words: str) -> Fault:
-    """A fault of a gear's tips, whether their diameter was given or follows from the rack."""
+    """A fault of the tips of a gear; their diameter was given or follows from the rack."""
     return f"tip_diameters[{int(second)}]", _mm(pair.tip_diameters[int(second)]), words
 
 

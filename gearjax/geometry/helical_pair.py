@@ -1,11 +1,11 @@
-"""Two involute gears on parallel axes, spur or helical, external or internal: geometry of the pair (ISO 21771).
+"""Geometry of two involute gears on parallel axes, spur or helical, external or internal (ISO 21771).
 
-All that happens in a transverse section is that of two `InvoluteGear` with transverse module and pressure angle, whose
-shifts and heights count in transverse modules. The helix turns that section along the face.
+In a transverse section the pair is a pair of two `InvoluteGear` with transverse module and transverse pressure angle;
+their profile shifts and tooth heights are in transverse modules. The helix turns this section along the face.
 
-Lengths on the line of action count from the point where it touches the base circle of gear 1: they are lengths of roll
-of gear 1. A tooth pair in the middle of the face moves along it by ``r_b1`` times the turn of gear 1, and its contact
-line is inclined by the base helix angle:
+Lengths on the line of action are counted from the point where the line touches the base circle of gear 1: they are
+lengths of roll of gear 1. The contact point in the middle of the face moves along the line by ``r_b1`` times the angle
+of gear 1, and the contact line is inclined by the base helix angle:
 
     xi(z) = xi + z tan(beta_b),   z: from the middle of the face
 """
@@ -23,19 +23,19 @@ from gearjax.geometry.involute import InvoluteGear, inverse_involute, involute
 from gearjax.parameters import as_leaf, check_parameters, number
 from gearjax.typing import Array, Number, Scalar
 
-NARROWEST = 1e-7  # overlap ratio below which a gear counts as one with so much of it: a spur gear's contact jumps
+NARROWEST = 1e-7  # smallest overlap ratio that is divided by: the contact line of a spur gear jumps in length
 
 
 class BasicRack(eqx.Module):
-    """The basic rack of a gear, all in normal modules (ISO 53).
+    """The basic rack of a gear; all its lengths are in normal modules (ISO 53).
 
     Args:
         addendum: height of the tips above the reference line, ``h_aP / m_n`` [-].
-        dedendum: depth of the roots below it, ``h_fP / m_n`` [-].
-        fillet_radius: at the root, ``rho_fP / m_n`` [-].
+        dedendum: depth of the roots below the reference line, ``h_fP / m_n`` [-].
+        fillet_radius: radius of the fillet at the root, ``rho_fP / m_n`` [-].
 
     Raises:
-        ParameterError: a height is not physical.
+        ParameterError: a value is not physical.
 
     Example:
         >>> import gearjax as gj
@@ -56,14 +56,14 @@ ISO_53 = {
     "ISO 53 C": (1.0, 1.25, 0.25),
     "ISO 53 D": (1.0, 1.4, 0.39),
 }
-"""Addendum, dedendum and fillet radius of the racks of ISO 53:1998, table 2, in normal modules."""
+"""Addendum, dedendum and fillet radius of the racks in ISO 53:1998, table 2, in normal modules."""
 
 
 def rack_of(rack: Any, key: str = "rack") -> BasicRack:
-    """A rack by its name in ISO 53, or as it is given.
+    """A basic rack from its name in ISO 53; a `BasicRack` is returned unchanged.
 
     Raises:
-        ParameterError: there is none of that name.
+        ParameterError: ISO 53 has no rack of that name.
     """
     if isinstance(rack, BasicRack):
         return rack
@@ -73,7 +73,7 @@ def rack_of(rack: Any, key: str = "rack") -> BasicRack:
 
 
 def racks_of(rack: Any) -> tuple[BasicRack, BasicRack]:
-    """The racks of both gears, from one of both or one of each."""
+    """The basic racks of both gears, from one common rack or from one rack for each gear."""
     if isinstance(rack, (tuple, list)):
         if len(rack) != 2:
             raise ParameterError("rack", rack, "must be one rack, or two: of gear 1 and of gear 2")
@@ -96,40 +96,43 @@ class ContactPath(NamedTuple):
 
 
 class InvolutePair(eqx.Module):
-    """An involute pair on parallel axes (ISO 21771). Gear 2 may be internal.
+    """A pair of involute gears on parallel axes (ISO 21771). Gear 2 may be internal.
 
-    Numbers of an internal gear have the package's own signs, as in `InvoluteGear`: its teeth are counted as positive,
-    and a positive profile shift takes its teeth outwards, away from its axis. In ISO 21771 and ISO 6336 its tooth
-    number is negative and a positive shift takes its teeth inwards: ``z_2 = -teeth[1]``, ``x_2 = -profile_shifts[1]``.
+    The numbers of an internal gear have the package's own signs, as in `InvoluteGear`: its tooth number is positive,
+    and a positive profile shift moves its teeth outwards, away from its axis. In ISO 21771 and ISO 6336 its tooth
+    number is negative and a positive shift moves its teeth inwards: ``z_2 = -teeth[1]``, ``x_2 = -profile_shifts[1]``.
     Diameters and the centre distance are positive here.
 
     Args:
-        teeth: of gear 1 and of gear 2.
-        normal_module: [m].
-        normal_pressure_angle: of the rack [rad].
-        helix_angle: at the reference circles [rad]; 0 for spur gears. Its sign, the hand of gear 1, changes no figure
-            here.
-        profile_shifts: of both gears, in normal modules [-].
-        face_width: common to both [m].
-        centre_distance: [m]; without one it is that of no backlash.
-        tip_diameters: of both gears [m]; without them they follow from rack and shift, not shortened.
-        rack: one of both gears or one of each: names of ISO 53, such as ``"ISO 53 A"``, or a `BasicRack`.
+        teeth: tooth numbers of gear 1 and of gear 2.
+        normal_module: normal module [m].
+        normal_pressure_angle: normal pressure angle of the rack [rad].
+        helix_angle: helix angle at the reference circles [rad]; 0 for spur gears. Its sign is the hand of gear 1 and
+            changes no result of this class.
+        profile_shifts: profile shifts of both gears, in normal modules [-].
+        face_width: common face width of both gears [m].
+        centre_distance: centre distance [m]; without it, the centre distance without backlash.
+        tip_diameters: tip diameters of both gears [m]; without them, they follow from rack and profile shift, without
+            tip shortening.
+        rack: common rack of both gears or one rack for each: a name of ISO 53, such as ``"ISO 53 A"``, or a
+            `BasicRack`.
         internal: whether gear 2 is an internal gear.
 
     Attributes:
-        transverse_module: ``m_t = m_n / cos beta`` [m]. Like the other attributes it is worked out once: what a gear
-            set shows at an angle asks for them many times.
+        transverse_module: ``m_t = m_n / cos beta`` [m]. Like the other attributes it is calculated only once, because
+            the pose of a gear set uses it many times.
         transverse_pressure_angle: ``tan alpha_t = tan alpha_n / cos beta`` [rad].
-        base_helix_angle: of the flanks at the base circles, ``sin beta_b = sin beta cos alpha_n`` [rad].
-        gears: both in a transverse section; their shifts and heights are in transverse modules.
-        base_distance: sum of the base radii; of an internal pair their difference [m].
-        base_pitch: distance of the flanks along the line of action in the transverse section,
+        base_helix_angle: helix angle at the base circles, ``sin beta_b = sin beta cos alpha_n`` [rad].
+        gears: both gears in a transverse section; their shifts and heights are in transverse modules.
+        base_distance: sum of the base radii, or their difference for an internal pair [m].
+        base_pitch: distance of successive flanks along the line of action in the transverse section,
             ``p_bt = pi m_t cos alpha_t`` [m].
-        working_pressure_angle: in the transverse section, ``cos alpha_wt = (r_b2 + r_b1) / a``; of an internal pair
-            with the difference [rad].
-        tangent_length: ``a sin alpha_wt``, of the line of action between the points where it touches the base circles
-            [m].
-        contact_path: A to E [m]: where tips let flanks touch, undercut or not (`helical_checks.faults` tells).
+        working_pressure_angle: working pressure angle in the transverse section, ``cos alpha_wt = (r_b2 + r_b1) / a``,
+            with the difference for an internal pair [rad].
+        tangent_length: length of the line of action between the points where it touches the base circles,
+            ``a sin alpha_wt`` [m].
+        contact_path: path of contact from A to E between the tips of both gears [m]. It does not consider undercut,
+            which `helical_checks.faults` reports.
     """
 
     teeth: tuple[int, int] = eqx.field(static=True)
@@ -171,7 +174,7 @@ class InvolutePair(eqx.Module):
         self.normal_pressure_angle, self.helix_angle = as_leaf(normal_pressure_angle), as_leaf(helix_angle)
         self.profile_shifts = as_leaf(profile_shifts[0]), as_leaf(profile_shifts[1])
         self.racks = racks_of(rack)
-        to_transverse = jnp.cos(self.helix_angle)  # transverse modules in a normal one
+        to_transverse = jnp.cos(self.helix_angle)  # transverse modules per normal module
         self.transverse_module = self.normal_module / to_transverse
         self.transverse_pressure_angle = jnp.arctan(jnp.tan(self.normal_pressure_angle) / to_transverse)
         self.base_helix_angle = jnp.arcsin(jnp.sin(self.helix_angle) * jnp.cos(self.normal_pressure_angle))
@@ -189,7 +192,7 @@ class InvolutePair(eqx.Module):
     def _gears(
         self, to_transverse: Scalar, tip_diameters: Sequence[Any] | Array | None
     ) -> tuple[InvoluteGear, InvoluteGear]:
-        """Both gears in a transverse section, as high as the rack makes them or as their tips are."""
+        """Both gears in a transverse section; their heights follow from the rack or from given tip diameters."""
 
         def gear(number: int) -> InvoluteGear:
             rack, internal = self.racks[number], self.internal and number == 1
@@ -203,7 +206,7 @@ class InvolutePair(eqx.Module):
         return gear(0), gear(1)
 
     def _work_out_contact(self) -> None:
-        """Angle, length and path of contact at the centre distance."""
+        """Set the working pressure angle, the length of the line of action and the path of contact."""
         distance, base, (first, second) = self.centre_distance, self.base_distance, self.gears
         self.working_pressure_angle = jnp.arccos(base / distance)
         self.tangent_length = jnp.sqrt((distance - base) * (distance + base))
@@ -213,32 +216,32 @@ class InvolutePair(eqx.Module):
 
     @property
     def _sign(self) -> int:
-        """Of gear 2's numbers: -1 of an internal gear."""
+        """Sign in the sums over both gears: -1 for an internal pair, else 1."""
         return -1 if self.internal else 1
 
     @property
     def internal_pair(self) -> InternalPair:
-        """The transverse section of a pair whose gear 2 is internal, with what nearly touching flanks need."""
+        """The transverse section of an internal pair, as the class that calculates nearly touching flanks."""
         return InternalPair(*self.gears, self.centre_distance)
 
     @property
     def reference_diameters(self) -> tuple[Scalar, Scalar]:
-        """``d = z m_n / cos beta`` [m]."""
+        """Reference diameters, ``d = z m_n / cos beta`` [m]."""
         return _both(2 * gear.reference_radius for gear in self.gears)
 
     @property
     def base_diameters(self) -> tuple[Scalar, Scalar]:
-        """``d_b = d cos alpha_t`` [m]."""
+        """Base diameters, ``d_b = d cos alpha_t`` [m]."""
         return _both(2 * gear.base_radius for gear in self.gears)
 
     @property
     def root_diameters(self) -> tuple[Scalar, Scalar]:
-        """As the rack makes them [m]."""
+        """Root diameters that the rack generates [m]."""
         return _both(2 * gear.root_radius for gear in self.gears)
 
     @property
     def tight_pressure_angle(self) -> Scalar:
-        """Working pressure angle without backlash [rad]; negative where shifts leave backlash at every distance."""
+        """Working pressure angle without backlash [rad]; negative if the shifts leave backlash at every distance."""
         shifts = self.profile_shifts[1] + self._sign * self.profile_shifts[0]
         teeth = self.teeth[1] + self._sign * self.teeth[0]
         own = involute(self.transverse_pressure_angle)
@@ -246,49 +249,53 @@ class InvolutePair(eqx.Module):
 
     @property
     def tight_centre_distance(self) -> Scalar:
-        """Centre distance without backlash [m], of ``inv alpha_wt = inv alpha_t + 2 tan alpha_n (x_1 + x_2) / (z_1 +
-        z_2)``. External gears have backlash at a longer one, an internal pair at a shorter one."""
+        """Centre distance without backlash [m].
+
+        It follows from ``inv alpha_wt = inv alpha_t + 2 tan alpha_n (x_1 + x_2) / (z_1 + z_2)``. External gears have
+        backlash at a longer centre distance, an internal pair at a shorter one.
+        """
         return self.base_distance / jnp.cos(self.tight_pressure_angle)
 
     @property
     def backlash(self) -> Scalar:
-        """Travel along the line of action between the flanks, in the transverse section [m]; negative where the teeth
-        do not fit."""
+        """Travel along the line of action between the flanks, in the transverse section [m]; negative if the teeth
+        overlap."""
         teeth = self.teeth[1] + self._sign * self.teeth[0]
         wider = involute(self.working_pressure_angle) - involute(self.tight_pressure_angle)
         return self._sign * teeth * self.transverse_module * jnp.cos(self.transverse_pressure_angle) * wider
 
     def other_roll(self, length: Array) -> Array:
-        """Lengths of roll of gear 2 where those of gear 1 are given, any shape [m]."""
+        """Lengths of roll of gear 2 at the contact points with given lengths of roll of gear 1, any shape [m]."""
         return self.tangent_length + length if self.internal else self.tangent_length - length
 
     @property
     def transverse_contact_ratio(self) -> Scalar:
-        """``eps_alpha``: length of the path of contact over the base pitch [-]."""
+        """Transverse contact ratio ``eps_alpha``: length of the path of contact over the base pitch [-]."""
         path = self.contact_path
         return (path.end - path.begin) / self.base_pitch
 
     @property
     def overlap_ratio(self) -> Scalar:
-        """``eps_beta = b sin |beta| / (pi m_n)`` [-]."""
+        """Overlap ratio ``eps_beta = b sin |beta| / (pi m_n)`` [-]."""
         return self.face_width * jnp.abs(jnp.sin(self.helix_angle)) / (jnp.pi * self.normal_module)
 
     @property
     def total_contact_ratio(self) -> Scalar:
-        """``eps_gamma = eps_alpha + eps_beta`` [-]."""
+        """Total contact ratio ``eps_gamma = eps_alpha + eps_beta`` [-]."""
         return self.transverse_contact_ratio + self.overlap_ratio
 
     def contact_line_length(self, angle: Array) -> Array:
-        """Length of all contact lines together, the parts that ends of teeth cut off left out [m].
+        """Total length of all contact lines within the path of contact and the face [m].
 
-        Over a slice of the face ``floor(e) - floor(a)`` pairs touch, where e and a tell by how many base pitches a pair
-        is ahead of the ends of the path; along the face both grow evenly, by the overlap ratio in all. The mean of a
-        fractional part over such a stretch has a closed form, so that the length is exact for any number of pairs,
-        continuous, and straight between the angles where a line meets a corner. Of spur gears it jumps there.
+        In a transverse section ``floor(e) - floor(a)`` pairs touch, where e and a are the distances of a pair from the
+        end and from the beginning of the path of contact, in base pitches. Along the face e and a change linearly, by
+        the overlap ratio in total. The mean of a fractional part over such a range has a closed form. The length is
+        therefore exact for any number of pairs, continuous, and linear between the angles at which a contact line
+        reaches a corner of the plane of action. For spur gears it jumps at these angles.
 
         Args:
-            angle: by which gear 1 is turned from where a pair of teeth touches at the pitch point, in the middle of the
-                face [rad], any shape.
+            angle: angle of gear 1 from the position in which a pair of teeth touches at the pitch point, in the middle
+                of the face [rad], any shape.
         """
         path = self.contact_path
         ahead = self.gears[0].base_radius * angle + path.pitch
@@ -300,19 +307,19 @@ class InvolutePair(eqx.Module):
 
 
 def _mean_fraction(place: Array, width: Scalar) -> Array:
-    """Mean of the fractional part over a stretch about a place."""
+    """Mean of the fractional part over a range of a given width about a place."""
     place = place - jnp.floor(place)  # small numbers keep their digits
-    # the number less the mean of its whole part: exact where the stretch holds no whole number, however short it is
+    # the place minus the mean integer part: exact if the range contains no integer, however short the range is
     return place - (_summed_whole(place + 0.5 * width) - _summed_whole(place - 0.5 * width)) / width
 
 
 def _summed_whole(place: Array) -> Array:
-    """Integral of the whole part from zero on."""
+    """Integral of the integer part from zero to a place."""
     whole = jnp.floor(place)
     return whole * (place - 0.5 * (whole + 1))
 
 
 def _both(parts: Any) -> tuple[Any, Any]:
-    """Of gear 1 and of gear 2."""
+    """The values of gear 1 and of gear 2 as a tuple."""
     first, second = parts
     return first, second

@@ -1,4 +1,4 @@
-"""Whether an external gear and an internal one fit into each other."""
+"""Checks whether an external gear and an internal gear fit into each other."""
 
 from collections.abc import Iterator
 
@@ -11,23 +11,24 @@ from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Scalar
 
-THINNEST = 0.05  # modules, of a tip
-ROUNDING = 1e-9  # m
-ROUNDED = 0.25  # modules, depth that the rounding of the rack of ISO 53 takes
-PLACES = 41  # along each flank where overlaps are looked for
-WIDE = 2001  # angles at which the assembly is looked at
+THINNEST = 0.05  # smallest thickness of a tip, in modules
+ROUNDING = 1e-9  # m, overlaps up to this length count as rounding errors
+ROUNDED = 0.25  # depth of the tip rounding of the rack of ISO 53, in modules
+PLACES = 41  # places along each flank at which overlaps are searched for
+WIDE = 2001  # angles at which the radial assembly is checked
 Fault = tuple[str, str, str]
-"""Name of the parameter, its value as shown, what would be right."""
+"""Name of the parameter, its value as text, and what would be right."""
 
 
 def faults(pair: InternalPair, rounding: float = ROUNDED) -> Iterator[Fault]:
-    """What does not fit, the first one first: each makes those after it meaningless.
+    """Faults of the pair, the most basic one first: each fault makes the later ones meaningless.
 
-    Pointed tips, tips that reach roots, tips that go around beyond the contact, contact below the involute.
+    The faults are pointed tips, tips that reach the roots of the other gear, contact below the involute, and tips that
+    cut each other away from the contact.
 
     Args:
         pair: the gears.
-        rounding: part of the external gear's dedendum that the rack's rounding takes, in modules.
+        rounding: part of the external gear's dedendum that the tip rounding of the rack takes, in modules.
     """
     external, internal = pair.external, pair.internal
     yield from tooth_faults("external", external)
@@ -49,7 +50,7 @@ def faults(pair: InternalPair, rounding: float = ROUNDED) -> Iterator[Fault]:
 
 
 def tooth_faults(name: str, gear: InvoluteGear) -> Iterator[Fault]:
-    """What is wrong with the tips of one gear, as faults of ``{name}_addendum``."""
+    """Faults of the tips of one gear, reported as faults of ``{name}_addendum``."""
     base, tip, root = (float(part) for part in (gear.base_radius, gear.tip_radius, gear.root_radius))
     if min(tip, root) <= 0 or (gear.internal and tip < base):
         words = f"the tip circle, {_mm(tip)}, is inside the base circle, {_mm(base)}: no involute flank is left there"
@@ -65,7 +66,7 @@ def tooth_faults(name: str, gear: InvoluteGear) -> Iterator[Fault]:
 
 
 def _path(pair: InternalPair, rounding: float) -> Iterator[Fault]:
-    """Flanks that do not meet, or not where they are involutes, or that cut each other beyond the path of contact."""
+    """Faults of the contact: no path of contact, contact below the involute, or tips that cut each other beyond it."""
     begin, end = (float(part) for part in pair.path)
     if begin >= end:
         words = "the tips leave no path of contact: raise an addendum, or go nearer to the tight centre distance, "
@@ -82,23 +83,27 @@ def _path(pair: InternalPair, rounding: float) -> Iterator[Fault]:
 
 
 def form_roll(gear: InvoluteGear, rounding: float = ROUNDED) -> float:
-    """Roll angle at which the involute of an external gear begins that a rack has cut, ``tan alpha - 4 (h - x) / (z sin
-    2 alpha)``, or zero (ISO 21771) [rad]; h: dedendum less what the rack's rounding takes of it, in modules."""
+    """Roll angle at which the involute of an external gear begins that is cut by a rack (ISO 21771) [rad].
+
+    It is ``tan alpha - 4 (h - x) / (z sin 2 alpha)``, but not below zero. Here h is the dedendum minus the depth of the
+    rack's tip rounding, in modules.
+    """
     depth = float(gear.dedendum) - rounding - float(gear.profile_shift)
     angle = float(gear.pressure_angle)
     return max(0.0, np.tan(angle) - 4 * depth / (gear.teeth * np.sin(2 * angle)))
 
 
 def tip_overlap(pair: InternalPair) -> float:
-    """By how much flanks cut each other anywhere, of all pairs of teeth that face each other [m]; ideal gears touch.
+    """Largest overlap of flanks among all pairs of teeth that face each other [m]; zero if ideal gears just touch.
 
     With few teeth difference the tips can meet far from the path of contact (ISO 21771: interference of tips).
     """
     return -min(0.0, float(_least_gap(pair)))
 
 
-@eqx.filter_jit  # one program: its single operations would each be compiled apart
+@eqx.filter_jit  # compiled as one program; without it, every single operation would be compiled separately
 def _least_gap(pair: InternalPair) -> Scalar:
+    """Smallest gap between the flanks of all pairs of teeth, zero at most [m]."""
     teeth = np.arange(-(pair.external.teeth // 2), pair.external.teeth // 2 + 1) * (2 * np.pi / pair.internal.teeth)
     roll = pair.roll_of_space(pair.space_of_roll(pair.middle) + jnp.asarray(teeth, pair.middle.dtype))
     begin, end = pair.ends(roll)
@@ -111,11 +116,11 @@ def _least_gap(pair: InternalPair) -> Scalar:
 
 
 def radial_assembly(pair: InternalPair) -> float:
-    """Least room beside a tip when the external gear is put in along the radius, a tooth in front [m]; negative where
-    tips are in the way, and it goes in along the axis only.
+    """Smallest room beside a tip if the external gear is inserted radially, with a tooth in front [m].
 
-    A tip edge of the external gear at the angle b passes the edge of its space where it lies less far from the middle,
-    ``r_a1 sin b_1 < r_a2 sin b_2``, all the way to the widest place.
+    The value is negative if tips collide; the external gear must then be inserted axially. A tip edge of the external
+    gear at the angle b_1 passes the edge of its space at the angle b_2 if it is nearer to the middle line,
+    ``r_a1 sin b_1 < r_a2 sin b_2``, for all teeth up to the widest place.
     """
     external, internal = pair.external, pair.internal
     tips = [float(gear.tip_radius) for gear in (external, internal)]

@@ -1,15 +1,16 @@
-"""An external involute gear inside an internal one, close to touching on many teeth: gaps, normals, where flanks end.
+"""An external involute gear inside an internal gear, nearly touching on many teeth: gaps, normals and ends of flanks.
 
-Seen with the throw, from the internal gear's centre to the external one's, along x. The flanks ahead of the external
-gear's teeth (counter-clockwise) touch along a line of action that is tangent to both base circles, its direction
-``(sin alpha_w, cos alpha_w)``. A flank point of roll angle ``t`` lies at
+The axes are those of the throw: x points from the centre of the internal gear to the centre of the external gear. The
+flanks ahead of the external gear's teeth (counter-clockwise) touch along a line of action that is tangent to both base
+circles and has the direction ``(sin alpha_w, cos alpha_w)``. A flank point with the roll angle ``t`` is at
 
     O + r_b (u(tau) + t n(tau)),   u = (cos tau, sin tau),   n = (-sin tau, cos tau)
 
-with the normal ``n``; on the line of action ``tau = -alpha_w``. Every pair of teeth touches there in the ideal motion,
-were its flanks long enough. Away from there, by ``delta`` in roll angle, flanks of different base circles part, by
-micrometres over many teeth: offsets from the point on the line are worked with, whose differences keep their digits.
-The other flanks are the mirror image about the throw.
+and its normal is ``n``; on the line of action ``tau = -alpha_w``. In the ideal motion every pair of teeth would touch
+on the line of action if its flanks were long enough. At a roll angle that differs by ``delta`` from this point, flanks
+of different base circles separate, over many teeth by micrometres only. The calculation therefore uses offsets from the
+point on the line of action, because small differences of offsets are not lost in rounding. The other flanks are the
+mirror image about the throw.
 """
 
 from typing import NamedTuple
@@ -21,18 +22,18 @@ import jax.numpy as jnp
 from gearjax.geometry.involute import InvoluteGear, inverse_involute, involute
 from gearjax.typing import Array, Float, Scalar
 
-STEPS = 2  # of Newton's method for equal radii; it begins within some micrometres
-SMALLEST = 1e-12  # under roots of numbers that vanish where a flank begins
+STEPS = 2  # steps of Newton's method for equal radii, which starts within some micrometres
+SMALLEST = 1e-12  # lower bound of squares that vanish at the beginning of a flank: the root has no derivative at zero
 
 
 class Turn(NamedTuple):
-    """An angle, and what differences of small ones need: each to its own rounding, arrays of one shape.
+    """An angle with functions of it that keep their relative accuracy for small angles; arrays of one shape.
 
     Args:
-        angle: [rad].
-        sine: of it.
-        less: one less its cosine.
-        late: the angle less its sine [rad].
+        angle: the angle [rad].
+        sine: its sine.
+        less: one minus its cosine.
+        late: the angle minus its sine [rad].
     """
 
     angle: Array
@@ -41,14 +42,14 @@ class Turn(NamedTuple):
     late: Array
 
     def towards(self, start: tuple[Scalar, Scalar]) -> tuple[Array, Array]:
-        """Sine and cosine of this angle added to one whose sine and cosine are given."""
+        """Sine and cosine of the sum of this angle and another one, whose sine and cosine are given."""
         sine, cosine = start
         return sine + (cosine * self.sine - sine * self.less), cosine - (cosine * self.less + sine * self.sine)
 
 
 @jax.custom_jvp
 def turned(angle: Array) -> Turn:
-    """The numbers of an angle [rad], whose derivatives are among them."""
+    """The `Turn` of an angle [rad]; its derivatives are calculated from its own numbers."""
     half = 0.5 * angle
     sine, cosine = jnp.sin(half), jnp.cos(half)
     whole, square = 2 * sine * cosine, angle * angle
@@ -63,12 +64,12 @@ def _turned_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Turn, Tu
 
 
 class FlankPoints(NamedTuple):
-    """Points where flanks of pairs of teeth face each other, arrays of one shape.
+    """Points at which the flanks of pairs of teeth face each other; arrays of one shape.
 
     Args:
         gap: base radius of the external gear times the angle between the flanks, at equal radius about its centre [m].
         roll: roll angles on the external and on the internal gear [rad].
-        beyond: how far the normals of both flanks are turned from the line of action, ``delta`` [rad].
+        beyond: angles ``delta`` of the normals of both flanks from the line of action [rad].
     """
 
     gap: Array
@@ -77,22 +78,23 @@ class FlankPoints(NamedTuple):
 
 
 class InternalPair(eqx.Module):
-    """An external gear in an internal one.
+    """An external gear in an internal gear.
 
     Args:
-        external, internal: the gears, of one module and one pressure angle.
-        centre_distance: [m].
+        external, internal: the gears, with the same module and pressure angle.
+        centre_distance: centre distance [m].
 
     Attributes:
-        base_radii: of the external and of the internal gear [m]. Like the other attributes they are worked out once:
-            what a gear set shows at an angle asks for them many times.
-        base_pitch: distance of flanks along the line of action [m].
-        base_difference: base radius of the internal gear less that of the external one [m].
-        offset: by how much the flank of the internal gear is further from its tangent point on the line of action [m].
-        operating_pressure_angle: ``cos alpha_w = (r_b2 - r_b1) / a`` [rad] (ISO 21771).
+        base_radii: base radii of the external and of the internal gear [m]. Like the other attributes they are
+            calculated only once, because the pose of a gear set uses them many times.
+        base_pitch: distance of successive flanks along the line of action [m].
+        base_difference: base radius of the internal gear minus base radius of the external gear [m].
+        offset: length of roll of the internal gear minus length of roll of the external gear, at a point of the line of
+            action [m].
+        operating_pressure_angle: operating pressure angle, ``cos alpha_w = (r_b2 - r_b1) / a`` [rad] (ISO 21771).
         tip_rolls: roll angles at the tips of the external and of the internal gear [rad].
-        path: roll angles on the external gear where contact on the line of action begins, at the internal gear's tip,
-            and ends, at its own [rad].
+        path: roll angles on the external gear at the beginning of the path of contact, at the tip of the internal gear,
+            and at its end, at the tip of the external gear [rad].
     """
 
     external: InvoluteGear
@@ -118,31 +120,31 @@ class InternalPair(eqx.Module):
 
     @property
     def tight_pressure_angle(self) -> Scalar:
-        """Operating pressure angle without backlash [rad] (ISO 21771),
+        """Operating pressure angle without backlash [rad] (ISO 21771).
 
-        ``inv alpha_w = inv alpha + 2 tan alpha (x_2 - x_1) / (z_2 - z_1)``.
+        It follows from ``inv alpha_w = inv alpha + 2 tan alpha (x_2 - x_1) / (z_2 - z_1)``.
         """
         angle = self.external.pressure_angle
         return inverse_involute(involute(angle) + jnp.tan(angle) * 2 * self.shift_difference / self.teeth_difference)
 
     @property
     def tight_centre_distance(self) -> Scalar:
-        """Centre distance without backlash [m]; a shorter one has backlash."""
+        """Centre distance without backlash [m]; a pair with a shorter centre distance has backlash."""
         return self.base_difference / jnp.cos(self.tight_pressure_angle)
 
     @property
     def teeth_difference(self) -> int:
-        """Teeth of the internal gear less those of the external one."""
+        """Tooth number of the internal gear minus tooth number of the external gear."""
         return self.internal.teeth - self.external.teeth
 
     @property
     def shift_difference(self) -> Scalar:
-        """Profile shift of the internal gear less that of the external one [-]."""
+        """Profile shift of the internal gear minus profile shift of the external gear, in modules [-]."""
         return self.internal.profile_shift - self.external.profile_shift
 
     @property
     def backlash(self) -> Scalar:
-        """Travel along the line of action between the flanks [m]; negative where the teeth do not fit."""
+        """Travel along the line of action between the flanks [m]; negative if the teeth overlap."""
         angle, half = self.external.pressure_angle, 0.5 * self.teeth_difference
         room = half * (involute(angle) - involute(self.operating_pressure_angle))
         return 2 * self.external.module * jnp.cos(angle) * (room + jnp.tan(angle) * self.shift_difference)
@@ -154,41 +156,43 @@ class InternalPair(eqx.Module):
 
     @property
     def contact_ratio(self) -> Scalar:
-        """Length of the path of contact of the rigid pair over the base pitch [-]."""
+        """Contact ratio: length of the path of contact of the rigid pair over the base pitch [-]."""
         begin, end = self.path
         return self.base_radii[0] * (end - begin) / self.base_pitch
 
     @property
     def line_of_action(self) -> tuple[Scalar, Scalar]:
-        """Sine and cosine of the operating pressure angle."""
+        """Direction of the line of action: sine and cosine of the operating pressure angle."""
         return self.offset / self.centre_distance, self.base_difference / self.centre_distance
 
     def roll_of_space(self, angle: Array) -> Array:
         """Roll angle on the external gear at which a tooth touches on the line of action [rad].
 
         Args:
-            angle: of the middle of the internal gear's space that it is in, from the throw [rad].
+            angle: angle from the throw to the middle of the internal gear's space that contains the tooth [rad].
         """
         internal = self.base_radii[1] * (angle + self.internal.base_half_angle + self.operating_pressure_angle)
         return (internal - self.offset) / self.base_radii[0]
 
     def space_of_roll(self, roll: Array) -> Array:
-        """The reverse of `roll_of_space` [rad]."""
+        """Inverse of `roll_of_space`: angle of the space from the roll angle [rad]."""
         internal = (self.base_radii[0] * roll + self.offset) / self.base_radii[1]
         return internal - self.internal.base_half_angle - self.operating_pressure_angle
 
     def ends(self, roll: Array) -> tuple[Array, Array]:
-        """Where the flanks of pairs begin and end to face each other, at the internal gear's tip and at the external
-        one's: roll angles of the external gear from the line of action [rad]. Those that begin beyond their end face
-        each other nowhere.
+        """Beginning and end of the part of the flanks of each pair that face each other [rad].
+
+        They are roll angles of the external gear, counted from the line of action: the beginning is at the tip of the
+        internal gear, the end at the tip of the external gear. If the beginning is beyond the end, the flanks do not
+        face each other anywhere.
 
         Args:
-            roll: of each pair on the line of action (`roll_of_space`) [rad].
+            roll: roll angle of each pair on the line of action (`roll_of_space`) [rad].
         """
         other, (own, theirs) = self._internal_roll(roll), self.base_radii
         along, across = (theirs * part for part in _offset(other, turned(self.tip_rolls[1] - other)))
-        further = 2 * (along + roll * across) / own + (along**2 + across**2) / own**2  # of the squares of rolls
-        # flanks begin at the base circle
+        further = 2 * (along + roll * across) / own + (along**2 + across**2) / own**2  # difference of squared rolls
+        # flanks begin at the base circle, where the square is zero
         begin = jnp.sqrt(jnp.maximum(roll**2 + further, SMALLEST)) - roll
         return begin, self.tip_rolls[0] - roll
 
@@ -196,16 +200,18 @@ class InternalPair(eqx.Module):
         """Points on the flanks of pairs of teeth that face each other (`ends`).
 
         Args:
-            roll: of each pair on the line of action [rad].
-            beyond: by how much the roll angle at each point is larger [rad], of one shape with it.
+            roll: roll angle of each pair on the line of action [rad].
+            beyond: roll angle at each point minus the roll angle on the line of action, of the same shape [rad].
         """
         ahead, other = turned(beyond), self._internal_roll(roll)
         gap, delta = facing(roll, other, ahead, *self.base_radii)
         return FlankPoints(gap, (roll + beyond, other + delta.angle), (ahead, delta))
 
     def share(self, points: FlankPoints) -> Array:
-        """Change of the gap per displacement of the internal gear along the normal of its flank [-]: near one, as the
-        gap counts about the centre of the external one."""
+        """Change of the gap per displacement of the internal gear along the normal of its flank [-].
+
+        It is not exactly one, because the gap is measured by an angle about the centre of the external gear.
+        """
         delta, own = points.beyond[1], self.base_radii[0]
         return own / (own + self.base_difference * delta.less + self.offset * delta.sine)
 
@@ -214,24 +220,26 @@ class InternalPair(eqx.Module):
 
 
 def _offset(roll: Array, beyond: Turn) -> tuple[Array, Array]:
-    """Place on a flank from its point on the line of action, in base radii: along ``u`` and along ``n`` there."""
+    """Offset of a flank point from the flank's point on the line of action, along ``u`` and ``n`` there, in base
+    radii."""
     whole = roll + beyond.angle
     return whole * beyond.sine - beyond.less, beyond.late - whole * beyond.less
 
 
 @jax.custom_jvp
 def facing(roll: Array, other: Array, beyond: Turn, own: Scalar, theirs: Scalar) -> tuple[Array, Turn]:
-    """The gap at points of an external flank, and by how much the internal one's normal is turned at as large a radius.
+    """Gap at points of an external flank, and the turn of the internal flank's normal at the same radius.
 
-    Newton's method for equal radii begins within the gap. A loop, whose results are worked out once for all that reads
-    them; derivatives are those of the conditions that they fulfil.
+    Newton's method finds the point of the internal flank with the same radius; its start differs by no more than the
+    gap. It is written as a loop, so that XLA calculates its results once and not again for each use. Derivatives are
+    those of the equations that the results fulfil.
 
     Args:
         roll, other: roll angles of the pair on the line of action, on the external and on the internal gear [rad].
-        beyond: of the points, in roll angle from there.
+        beyond: roll angles of the points, counted from the line of action.
         own, theirs: base radii of the external and of the internal gear [m].
     """
-    along, across = (own * part for part in _offset(roll, beyond))  # from the point on the line of action
+    along, across = (own * part for part in _offset(roll, beyond))  # offset from the point on the line of action
     square = 1 + (roll + beyond.angle) ** 2
     wanted = own**2 * (2 * roll * beyond.angle + beyond.angle**2)
     further = (2 * theirs * (along + other * across) + along**2 + across**2) / theirs**2
@@ -240,7 +248,7 @@ def facing(roll: Array, other: Array, beyond: Turn, own: Scalar, theirs: Scalar)
         delta: Array = state[0]
         at = turned(delta)
         ahead, aside = (theirs * part for part in _offset(other, at))
-        # turn between two points of one radius, by the product of their arms
+        # the angle between two points of equal radius follows from the cross product of their position vectors
         cross = own * ((aside - across) - roll * (ahead - along)) + along * aside - across * ahead
         missed = 2 * own * (ahead + roll * aside) + ahead**2 + aside**2 - wanted
         slope = (own + ahead) * (1 - at.less) - (own * roll + aside) * at.sine
@@ -255,12 +263,15 @@ def facing(roll: Array, other: Array, beyond: Turn, own: Scalar, theirs: Scalar)
 
 @facing.defjvp
 def _facing_jvp(primals: tuple, tangents: tuple) -> tuple[tuple[Array, Turn], tuple[Array, Turn]]:
-    """Of the points' places from the external gear's centre, along ``u`` and ``n`` of the line of action."""
+    """Derivatives of `facing`, from the places of both points relative to the centre of the external gear.
+
+    The places are components along ``u`` and ``n`` of the line of action.
+    """
     roll, other, beyond, own, theirs = primals
     roll_way, other_way, beyond_way, own_way, theirs_way = tangents
     gap, at = facing(*primals)
     (along, across), (ahead, aside) = _offset(roll, beyond), _offset(other, at)
-    # the internal flank's point from that centre and from the external one's, which is within the gap of it
+    # place of the internal flank's point from that centre, and its small distance from the external flank's point
     here, side = own + theirs * ahead, own * roll + theirs * aside
     apart, beside = theirs * ahead - own * along, theirs * aside - own * across
     whole = roll + beyond.angle
@@ -280,12 +291,12 @@ def _facing_jvp(primals: tuple, tangents: tuple) -> tuple[tuple[Array, Turn], tu
 def candidate_rolls(
     begin: Float[Array, " pair"], end: Float[Array, " pair"], points: int
 ) -> Float[Array, "pair point"]:
-    """Where on their flanks pairs may touch, as roll angles from the line of action [rad].
+    """Points of the flanks at which pairs may touch, as roll angles from the line of action [rad].
 
     Args:
-        begin, end: of each pair (`InternalPair.ends`) [rad].
-        points: for one, where its gap is least: on the line of action, or at the nearest end. Else evenly from end to
-            end, edges included.
+        begin, end: beginning and end of the facing flanks of each pair (`InternalPair.ends`) [rad].
+        points: number of points of each pair. A single point is where the gap is smallest: on the line of action, or at
+            the end nearest to it. Several points are spaced evenly from end to end, ends included.
     """
     if points == 1:
         return jnp.clip(0.0, begin, end)[:, None]

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 
 from gearjax.typing import Array, Scalar
 
-INVOLUTE_STEPS = 6  # of Newton's method
-ABOVE = 1e-9  # of the base radius, where a flank begins: at it slopes are endless
+INVOLUTE_STEPS = 6  # steps of Newton's method
+ABOVE = 1e-9  # height of the beginning of a flank, in base radii: at the base circle itself slopes are infinite
 
 
 def involute(angle: Array) -> Array:
@@ -16,10 +16,10 @@ def involute(angle: Array) -> Array:
 
 
 def inverse_involute(value: Array) -> Array:
-    """Pressure angle of an involute function, positive [rad]; to rounding, differentiable."""
+    """Pressure angle of an involute function [rad], of the same sign; exact to rounding and differentiable."""
     value = jnp.asarray(value)
     known = jax.lax.stop_gradient(value)
-    # of small angles tan a - a is a^3 / 3, of large ones a nears a quarter turn: between them within 10 %
+    # tan a - a is a^3 / 3 for small a, and a tends to a quarter turn for large values: this start is within 10 %
     small = jnp.cbrt(3 * known)
     angle = jnp.where(known < 1.8, small / (1 + 0.12 * small**2), 0.5 * jnp.pi - 1 / (known + 0.5 * jnp.pi))
     for _ in range(INVOLUTE_STEPS):
@@ -28,7 +28,7 @@ def inverse_involute(value: Array) -> Array:
 
 
 def _involute_step(angle: Array, value: Array) -> Array:
-    """One of Newton's method, whose slope is the square of the tangent."""
+    """One step of Newton's method; the derivative of the involute function is the squared tangent."""
     tangent = jnp.tan(angle)
     return angle - (tangent - angle - value) / (tangent * tangent)
 
@@ -42,7 +42,7 @@ def base_radius(teeth: int | float, module: Scalar, pressure_angle: Scalar) -> S
         pressure_angle: pressure angle of the cutting rack [rad].
 
     Returns:
-        The radius [m].
+        The base radius [m].
     """
     return 0.5 * teeth * module * jnp.cos(pressure_angle)
 
@@ -65,19 +65,21 @@ def internal_centre_distance(
 
 
 class InvoluteGear(eqx.Module):
-    """Flanks of a spur gear, external or internal (ISO 21771, with the tooth number and the shift of an internal gear
-    counted as positive: a positive shift takes its teeth outwards).
+    """Flanks of a spur gear, external or internal (ISO 21771).
+
+    Unlike in ISO 21771, the tooth number of an internal gear is positive, and a positive profile shift moves its teeth
+    outwards.
 
     Args:
         teeth: number of teeth.
-        module: [m].
-        pressure_angle: of the cutting rack [rad].
-        profile_shift: in modules [-].
+        module: module [m].
+        pressure_angle: pressure angle of the cutting rack [rad].
+        profile_shift: profile shift, in modules [-].
         addendum, dedendum: heights of tip and root from the shifted reference circle, in modules [-].
         internal: whether the teeth point inwards.
 
     Attributes:
-        base_radius: [m], worked out once, as most of what follows asks for it.
+        base_radius: base radius [m], calculated only once because most methods use it.
     """
 
     teeth: int = eqx.field(static=True)
@@ -105,25 +107,24 @@ class InvoluteGear(eqx.Module):
 
     @property
     def reference_radius(self) -> Scalar:
-        """[m]."""
+        """Radius of the reference circle [m]."""
         return 0.5 * self.teeth * self.module
 
     @property
     def tip_radius(self) -> Scalar:
-        """[m]."""
+        """Radius of the tip circle [m]."""
         height = self.profile_shift - self.addendum if self.internal else self.profile_shift + self.addendum
         return self.reference_radius + self.module * height
 
     @property
     def root_radius(self) -> Scalar:
-        """[m]."""
+        """Radius of the root circle [m]."""
         height = self.profile_shift + self.dedendum if self.internal else self.profile_shift - self.dedendum
         return self.reference_radius + self.module * height
 
     @property
     def base_half_angle(self) -> Scalar:
-        """Half of the angle between the flanks of a tooth, of a space of an internal gear, where they meet the base
-        circle [rad]."""
+        """Half of the angle of a tooth (external gear) or of a space (internal gear) at the base circle [rad]."""
         half = (0.5 * jnp.pi + 2 * self.profile_shift * jnp.tan(self.pressure_angle)) / self.teeth
         return half + involute(self.pressure_angle)
 
@@ -133,7 +134,7 @@ class InvoluteGear(eqx.Module):
         return self.roll_at(self.tip_radius)
 
     def roll_at(self, radius: Array) -> Array:
-        """Roll angle at a radius, ``tan alpha_R`` [rad], of radii of any shape [m]."""
+        """Roll angle at a radius, ``tan alpha_R`` [rad]; radii of any shape [m]."""
         ratio = radius / self.base_radius
         return jnp.sqrt((ratio - 1) * (ratio + 1))
 
@@ -142,27 +143,33 @@ class InvoluteGear(eqx.Module):
         return self.base_radius * jnp.sqrt(1 + roll**2)
 
     def pressure_angle_at(self, radius: Array) -> Array:
-        """Angle between radius and flank, ``cos alpha_R = r_b / R`` [rad], of radii of any shape [m]."""
+        """Pressure angle at a radius, between radius and flank, ``cos alpha_R = r_b / R`` [rad]; any shape [m]."""
         return jnp.arccos(self.base_radius / radius)
 
     def half_angle(self, radius: Array) -> Array:
-        """Half of the angle that the material of a tooth fills at a radius [rad], radii of any shape [m]."""
+        """Half of the angle that the material of a tooth fills at a radius [rad]; radii of any shape [m]."""
         filled = self.base_half_angle - involute(self.pressure_angle_at(radius))
         return jnp.pi / self.teeth - filled if self.internal else filled
 
     @property
     def first_radius(self) -> Scalar:
-        """Radius where a flank begins, just above the base circle [m]."""
+        """Radius at which a flank begins, just above the base circle [m]."""
         return self.base_radius * (1 + ABOVE)
 
     def section(self, radius: Array) -> tuple[Array, Array, Array]:
-        """Of a tooth at a point of its profile: distance from the gear's axis along the middle of the tooth, half of
-        the thickness there [m], and angle of the normal from straight across [rad]; radii of any shape [m]."""
+        """Section of a tooth at points of its profile, given by radii of any shape [m].
+
+        Returns:
+            Distance from the gear's axis along the middle of the tooth [m], half of the tooth thickness at that
+            distance [m], and inclination of the flank's normal against the direction across the tooth [rad].
+        """
         half, slant = self.half_angle(radius), self.pressure_angle_at(radius)
         return radius * jnp.cos(half), radius * jnp.sin(half), slant + half if self.internal else slant - half
 
     def half_thickness(self, level: Array) -> Array:
-        """Half of the thickness of a tooth at distances from the gear's axis along its middle, of any shape [m]; below
-        the base circle flanks go on along the radius."""
+        """Half of the tooth thickness at distances from the gear's axis along the middle of the tooth, any shape [m].
+
+        Below the base circle the flanks are radial.
+        """
         radius = level / jnp.cos(self.half_angle(jnp.maximum(level, self.first_radius)))
         return radius * jnp.sin(self.half_angle(jnp.maximum(radius, self.first_radius)))

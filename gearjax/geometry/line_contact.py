@@ -1,4 +1,4 @@
-"""Radii of a line contact of a pin and a flank."""
+"""Radii of curvature in the line contact of a pin and a flank."""
 
 from typing import NamedTuple
 
@@ -6,11 +6,11 @@ from gearjax.typing import Array, Float
 
 
 class Radii(NamedTuple):
-    """Bodies of line contacts where they touch.
+    """Radii of curvature of pins and flanks at their contacts.
 
     Args:
         pin: radius of the pins, shape (contact,) [m].
-        curvature: of the flanks, positive where they are convex, shape (contact,) [1/m].
+        curvature: curvature of the flanks, positive on convex flanks, shape (contact,) [1/m].
     """
 
     pin: Float[Array, " contact"]

@@ -1,17 +1,19 @@
 """Pitch curves of non-circular gears that roll on each other, and the flanks that a rack cuts along them.
 
-The driver turns evenly by ``t``, the driven gear by ``t2(t)``, the other way round. With ``i = dt2/dt`` and the
-distance of the axes a the pitch point is ``r1 = a i / (1 + i)`` from the driver's axis and ``r2 = a / (1 + i)`` from
-the driven gear's. Both curves have the parameter t of the driver: the point that is the pitch point at that angle.
+The driver turns by the angle ``t``, the driven gear by ``t2(t)`` in the opposite sense. With ``i = dt2/dt`` and the
+distance a of the axes, the pitch point is at ``r1 = a i / (1 + i)`` from the driver's axis and at ``r2 = a / (1 + i)``
+from the driven gear's axis. Both pitch curves have the parameter t, the angle of the driver at which a point of the
+curve is the pitch point.
 
-Directions are told from the line at right angles to that of the axes, on which the pitch point moves as gears turn
-ahead: the tangent of both curves leans by ``psi = atan(-r1' / r1)`` towards the driven gear, the drive flanks' normal
-by ``alpha0 + psi``, the back flanks' by ``alpha0 - psi`` (Dong et al. 2020, eqs. 9 and 11).
+Directions are measured from the line at right angles to the line of the axes, along which the teeth move at the pitch
+point when the gears turn ahead. The common tangent of both curves leans from this line towards the driven gear by
+``psi = atan(-r1' / r1)``, the normal of the drive flanks by ``alpha0 + psi`` and the normal of the back flanks by
+``alpha0 - psi`` (Dong et al. 2020, eqs. 9 and 11).
 
-A rack of the pressure angle alpha0 that rolls on a pitch curve touches a tooth on a line through the pitch point. That
-tooth's flank is ``P(t) + (s(t) - s_k) cos(alpha0) u(t)``: P the pitch point on the gear, s the arc length, s_k that at
-which the flank crosses the pitch curve, u the normal. Flanks of one side are therefore parallel curves, and those of
-both gears touch on the same line.
+A rack with the pressure angle alpha0 that rolls on a pitch curve touches a tooth on a line through the pitch point. The
+flank of this tooth is ``P(t) + (s(t) - s_k) cos(alpha0) u(t)``. P is the pitch point on the gear, s the arc length, s_k
+the arc length at which the flank crosses the pitch curve, and u the normal. The flanks of one side are therefore
+parallel curves, and the flanks of both gears touch on the same line.
 """
 
 import abc
@@ -24,18 +26,18 @@ import numpy as np
 
 from gearjax.typing import Array, Float, Scalar
 
-NODES = 8  # of a Gauss-Legendre rule
-PIECES = 128  # of a lobe's arc length, each by such a rule: to rounding up to eccentricities of 0.9
-STEPS = 8  # of Newton's method
-FURTHEST = 0.3  # rad, of one of them
-DEGREE = 5  # of splines through tables
+NODES = 8  # nodes of a Gauss-Legendre rule
+PIECES = 128  # pieces of a lobe, with one such rule each: exact to rounding up to eccentricities of 0.9
+STEPS = 8  # steps of Newton's method
+FURTHEST = 0.3  # rad, longest of these steps
+DEGREE = 5  # degree of splines through tables
 
 
 class AbstractRatio(eqx.Module):
-    """How a driven gear turns as its driver does.
+    """Angle of the driven gear as a function of the driver's angle.
 
-    Curves repeat with each lobe: ``driver_lobes`` of them pass while the driver turns once, ``driven_lobes`` while the
-    driven gear does.
+    The function repeats with each lobe: ``driver_lobes`` lobes pass in one turn of the driver, ``driven_lobes`` in one
+    turn of the driven gear.
     """
 
     driver_lobes: eqx.AbstractVar[int]
@@ -43,7 +45,7 @@ class AbstractRatio(eqx.Module):
 
     @abc.abstractmethod
     def driven_angle(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Angle of the driven gear at an angle of the driver, zero at zero [rad]."""
+        """Angle of the driven gear at an angle of the driver [rad]; it is zero at the angle zero."""
 
     def rates(self, t: Float[Array, "..."]) -> tuple[Array, Array, Array]:
         """The ratio ``i = dt2/dt`` and its first and second derivative by the driver's angle [-]."""
@@ -59,12 +61,14 @@ class AbstractRatio(eqx.Module):
 
 
 class EllipseRatio(AbstractRatio):
-    """The driver's pitch curve ``r1 = p / (1 - e cos(n t))``, an ellipse about a focus where it has one lobe
-    (Dong et al. 2020, eq. 1); the driven gear's one closes, and is the same ellipse where it has one lobe too.
+    """Ratio of a driver with the pitch curve ``r1 = p / (1 - e cos(n t))`` (Dong et al. 2020, eq. 1).
+
+    With one lobe the curve is an ellipse about a focus. The parameter p is chosen so that the pitch curve of the driven
+    gear closes; if both gears have one lobe, both curves are the same ellipse.
 
     Args:
-        eccentricity: e of the driver's curve [-].
-        driver_lobes, driven_lobes: n of both gears.
+        eccentricity: eccentricity e of the driver's pitch curve [-].
+        driver_lobes, driven_lobes: numbers of lobes n of both gears.
     """
 
     eccentricity: Scalar
@@ -73,16 +77,19 @@ class EllipseRatio(AbstractRatio):
 
     @property
     def parameter(self) -> Scalar:
-        """``p / a`` with which the driven gear's curve closes: ``(1 - e^2) / 2`` with as many lobes on both [-]."""
+        """Ratio ``p / a`` at which the driven gear's pitch curve closes [-].
+
+        It is ``(1 - e^2) / 2`` if both gears have the same number of lobes.
+        """
         share, e = (self.driven_lobes / self.driver_lobes) ** 2, self.eccentricity
         if share == 1:
             return 0.5 * (1 - e * e)
         return (1 - e * e) / (1 + jnp.sqrt(share + e * e * (1 - share)))
 
     def driven_angle(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
-        # tan(n2 t2 / 2) = k tan(n t / 2), without its jumps
+        # tan(n2 t2 / 2) = k tan(n t / 2), written in a form without jumps
         rest, e, turned = 1 - self.parameter, self.eccentricity, self.driver_lobes * t
-        # with as many lobes on both gears (rest - e) (rest + e) is the square of (1 - e^2) / 2, and b is e
+        # if both gears have the same number of lobes, (rest - e) (rest + e) is the square of (1 - e^2) / 2, and b is e
         alike = self.driver_lobes == self.driven_lobes
         b = e if alike else e / (rest + jnp.sqrt((rest - e) * (rest + e)))
         return (turned + 2 * jnp.arctan2(b * jnp.sin(turned), 1 - b * jnp.cos(turned))) / self.driven_lobes
@@ -97,13 +104,13 @@ class EllipseRatio(AbstractRatio):
 
 
 class TabulatedRatio(AbstractRatio):
-    """A ratio through values at even steps of the driver's angle over one lobe: a periodic spline of fifth degree.
+    """Ratio as a periodic spline of fifth degree through values at even steps of the driver's angle over one lobe.
 
-    The values are scaled so that the driven gear's curve closes; `closes_by` tells by how much.
+    The values are scaled by the factor `closes_by`, so that the driven gear's pitch curve closes.
 
     Args:
-        values: ``dt2/dt`` at ``2 pi k / (n N)``, of N values, shape (value,) [-].
-        driver_lobes, driven_lobes: lobes of both gears.
+        values: N values of ``dt2/dt`` at the angles ``2 pi k / (n N)``, shape (value,) [-].
+        driver_lobes, driven_lobes: numbers of lobes of both gears.
     """
 
     values: Float[Array, " value"]
@@ -112,12 +119,12 @@ class TabulatedRatio(AbstractRatio):
 
     @property
     def closes_by(self) -> Scalar:
-        """What the values have to be multiplied by so that the driven gear turns by whole lobes [-]."""
+        """Factor of the values with which the driven gear turns by one of its lobes per lobe of the driver [-]."""
         return self.driver_lobes / self.driven_lobes / self.values.mean()
 
     def driven_angle(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
         whole, share, pieces = self._piece(t)
-        # of each piece: what the ratio adds to its mean by its end, and up to a share of it
+        # integral of the ratio minus its mean: over all pieces before the angle's piece, and within that piece
         raised = pieces / np.arange(1.0, DEGREE + 2)[None].astype(pieces.dtype)
         passed = jnp.cumsum(raised.sum(axis=1)) - raised.sum(axis=1)
         near = jnp.mod(whole, pieces.shape[0])
@@ -138,8 +145,12 @@ class TabulatedRatio(AbstractRatio):
         return 2 * np.pi / (self.driver_lobes * self.values.shape[0])
 
     def _piece(self, t: Float[Array, "..."]) -> tuple[Array, Array, Array]:
-        """The piece of the spline that an angle is in, counted from zero, the share of it that has passed, and the
-        coefficients of all pieces for the ratio less its mean, by rising powers of that share."""
+        """Piece of the spline that contains an angle, with its coefficients.
+
+        Returns:
+            Number of the piece, counted from zero; share of the piece before the angle; coefficients of all pieces for
+            the ratio minus its mean, by rising powers of that share.
+        """
         swing = self.values * self.closes_by - self.driver_lobes / self.driven_lobes
         at = t / self._step
         whole = jnp.floor(jax.lax.stop_gradient(at))
@@ -147,23 +158,25 @@ class TabulatedRatio(AbstractRatio):
 
 
 def _pieces(values: Float[Array, " value"]) -> Float[Array, "value power"]:
-    """Pieces of the periodic spline of fifth degree through values at whole places, by rising powers of the share of
-    each piece."""
-    from scipy.interpolate import BSpline, PPoly  # 0.2 s that only tables take
+    """Coefficients of the periodic spline of fifth degree through values at whole numbers, piece by piece.
+
+    They are ordered by rising powers of the share of each piece.
+    """
+    from scipy.interpolate import BSpline, PPoly  # this import takes 0.2 s, and only tables need it
 
     whole = PPoly.from_spline(BSpline.basis_element(np.arange(DEGREE + 2)), extrapolate=False)
     basis = whole.c[::-1, np.searchsorted(whole.x, np.arange(DEGREE + 1) + 0.5) - 1]
     middle = np.zeros(values.shape[0])
-    np.add.at(middle, np.arange(-2, 3) % len(middle), basis[0, 1:])  # the basis at whole places
+    np.add.at(middle, np.arange(-2, 3) % len(middle), basis[0, 1:])  # the basis function at whole numbers
     turned = jnp.fft.rfft(values)
     weights = jnp.fft.irfft(turned / jnp.asarray(np.fft.rfft(middle), turned.dtype), values.shape[0])
-    # the basis that begins at a place has its k-th part on the piece that is k further on; its middle is at 3
+    # a basis function that begins at a place has its k-th part on the piece k places later; its middle is at 3
     shifted = jnp.stack([jnp.roll(weights, part - 3) for part in range(DEGREE + 1)], axis=-1)
     return shifted @ jnp.asarray(basis.T, values.dtype)
 
 
 def _polynomial(coefficients: list[Array], x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """A polynomial by rising powers."""
+    """Value of a polynomial at x, from its coefficients by rising powers."""
     total = coefficients[-1]
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient
@@ -171,14 +184,14 @@ def _polynomial(coefficients: list[Array], x: Float[Array, "..."]) -> Float[Arra
 
 
 class PitchPoint(NamedTuple):
-    """Where both pitch curves touch at an angle of the driver; all of the shape of that angle.
+    """Pitch point, where both pitch curves touch, at angles of the driver; all arrays have the shape of the angles.
 
     Args:
-        ratio: ``i = dt2/dt`` [-].
-        radius: of the pitch point about the driver's axis [m].
-        driven_radius: about the driven gear's axis [m].
-        lean: psi, of the common tangent towards the driven gear [rad].
-        lean_rate: its change with the driver's angle [-].
+        ratio: ratio ``i = dt2/dt`` [-].
+        radius: distance of the pitch point from the driver's axis [m].
+        driven_radius: distance of the pitch point from the driven gear's axis [m].
+        lean: angle psi by which the common tangent leans towards the driven gear [rad].
+        lean_rate: derivative of the lean by the driver's angle [-].
         speed: arc length per angle of the driver, ``ds/dt`` [m].
     """
 
@@ -191,8 +204,10 @@ class PitchPoint(NamedTuple):
 
     @property
     def curvatures(self) -> tuple[Array, Array]:
-        """Of the driver's and the driven gear's pitch curve, positive where convex [1/m]; their inverses are the radii
-        of Dong et al. (2020), eq. 12, with ``(i')^2`` in place of the printed ``(i'')^2``."""
+        """Curvatures of the driver's and of the driven gear's pitch curve, positive on convex parts [1/m].
+
+        Their inverses are the radii of Dong et al. (2020), eq. 12, with ``(i')^2`` in place of the printed ``(i'')^2``.
+        """
         return (1 + self.lean_rate) / self.speed, (self.ratio - self.lean_rate) / self.speed
 
 
@@ -200,9 +215,9 @@ class PitchCurves(eqx.Module):
     """Two pitch curves that roll on each other, and the rack that cuts teeth along them.
 
     Args:
-        ratio: how the driven gear turns.
-        centre_distance: of the axes, a [m].
-        pressure_angle: of the rack, alpha0 [rad].
+        ratio: angle of the driven gear as a function of the driver's angle.
+        centre_distance: distance a of the axes [m].
+        pressure_angle: pressure angle alpha0 of the rack [rad].
     """
 
     ratio: AbstractRatio
@@ -219,21 +234,23 @@ class PitchCurves(eqx.Module):
         return PitchPoint(ratio, driven * ratio, driven, lean, rate, driven * ratio / jnp.cos(lean))
 
     def normal_angle(self, t: Float[Array, "..."], side: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Pressure angle in motion of drive flanks (side 1) and back flanks (-1), ``alpha0 + side psi``
-        (Dong et al. 2020, eq. 11) [rad]."""
+        """Operating pressure angle of drive flanks (side 1) and back flanks (side -1) [rad].
+
+        It is ``alpha0 + side psi`` (Dong et al. 2020, eq. 11).
+        """
         return self.pressure_angle + side * self.at(t).lean
 
     def arc_length(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Arc length of both pitch curves from angle zero [m]."""
+        """Arc length of the pitch curves from the angle zero, the same on both gears [m]."""
         return self._rolled(t)[0]
 
     def turns(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The same in perimeters of the driver: teeth pass by arc length, not by angle [-]."""
+        """Arc length from the angle zero in perimeters of the driver [-]; teeth are spaced by arc length, not angle."""
         arc, lobe = self._rolled(t)
         return arc / (self.ratio.driver_lobes * lobe)
 
     def _rolled(self, t: Float[Array, "..."]) -> tuple[Array, Array]:
-        """Arc length from angle zero, and that of a lobe [m]."""
+        """Arc length from the angle zero, and arc length of a lobe [m]."""
         lobe = 2 * np.pi / self.ratio.driver_lobes
         passed = jnp.concatenate([jnp.zeros(1, t.dtype), jnp.cumsum(self._pieces(t.dtype))])
         whole = jnp.floor(jax.lax.stop_gradient(t) / lobe)
@@ -243,7 +260,7 @@ class PitchCurves(eqx.Module):
 
     @property
     def perimeter(self) -> Scalar:
-        """Of the driver's pitch curve [m]."""
+        """Perimeter of the driver's pitch curve [m]."""
         return self.ratio.driver_lobes * self._pieces(jnp.result_type(self.centre_distance)).sum()
 
     def _pieces(self, dtype: jnp.dtype) -> Float[Array, " piece"]:
@@ -254,22 +271,22 @@ class PitchCurves(eqx.Module):
         return half * (self.at(jnp.asarray(nodes, dtype)).speed @ jnp.asarray(weights, dtype))
 
     def between(self, start: Float[Array, "..."], end: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Arc length between angles that are not far apart [m]."""
+        """Arc length between two angles, by a single Gauss rule that needs angles near each other [m]."""
         places, weights = np.polynomial.legendre.leggauss(NODES)
         half, middle = 0.5 * (end - start), 0.5 * (end + start)
         nodes = jnp.stack([middle + half * float(place) for place in places], axis=-1)
         return half * (self.at(nodes).speed @ jnp.asarray(weights, half.dtype))
 
     def displaced_gaps(self, placed: "Placed", side: Float[Array, "..."]) -> tuple[Array, Array]:
-        """Distance of the flanks of both gears along their common normal, wherever the gears are, and its change with
-        the driven gear's angle [m, m/rad].
+        """Distance of the flanks of both displaced gears along their common normal, and its derivative [m, m/rad].
 
-        Flanks of a side are parallel curves, so that it is the same for all teeth. Two unknowns, the parameters of both
-        curves whose normals lie on one line, by Newton's method; the distance is stationary in both. One more step
-        carries their derivatives.
+        The derivative is by the driven gear's angle. The flanks of one side are parallel curves, so that the distance
+        is the same for all teeth. Newton's method finds two unknowns: the parameters of both pitch curves at which the
+        normals of the flanks lie on one line. The distance is stationary in both parameters. One more step carries
+        their derivatives.
 
         Args:
-            placed: where the gears are.
+            placed: positions of both gears.
             side: 1 for drive flanks, -1 for back flanks.
         """
         frozen = jax.lax.stop_gradient((self, placed))
@@ -286,14 +303,14 @@ class PitchCurves(eqx.Module):
 
 
 class Placed(NamedTuple):
-    """Where both gears are, wherever that is.
+    """Positions of both gears, at any angles and with displaced centres.
 
     Args:
         driver: angle of the driver [rad].
         driven: angle of the driven gear [rad].
-        centres: displacement of each gear's centre from where it would be, x along the line of the axes towards the
-            driven gear, y ahead [m].
-        carried: change of the driven gear's displacement with its angle [m/rad].
+        centres: displacement of each gear's centre from its ideal place; x points along the line of the axes towards
+            the driven gear, y in the direction in which the teeth move at the mesh [m].
+        carried: derivative of the driven gear's displacement by its angle [m/rad].
     """
 
     driver: Array
@@ -303,13 +320,13 @@ class Placed(NamedTuple):
 
 
 class _Lines:
-    """The normals of both pitch curves' flanks at two parameters, wherever the gears are.
+    """Normals of the flanks of both gears at given parameters of both pitch curves, for displaced gears.
 
     Args:
         curves: the pitch curves.
-        placed: where the gears are.
+        placed: positions of both gears.
         side: 1 for drive flanks, -1 for back flanks.
-        own, other: parameter of the driver's and of the driven gear's pitch curve [rad].
+        own, other: parameters of the driver's and of the driven gear's pitch curve [rad].
     """
 
     def __init__(self, curves: PitchCurves, placed: Placed, side: Array, own: Array, other: Array):
@@ -330,13 +347,13 @@ class _Lines:
 
     @property
     def slopes(self) -> tuple[Array, Array, Array, Array]:
-        """Change of both conditions with both parameters."""
+        """Jacobian of both conditions by both parameters."""
         sine = jnp.sin(self.curves.pressure_angle)
         turns, other = 1 + self.at.lean_rate, self.beyond.ratio - self.beyond.lean_rate
         return turns, other, -self.at.speed * sine - self.along * turns, self.beyond.speed * sine
 
     def stepped(self, slopes: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
-        """Parameters after a step of Newton's method to where both normals have one direction and lie on one line."""
+        """Parameters after a Newton step towards two normals that have the same direction and lie on one line."""
         first = self.lean - self.beyond.lean - self.ahead
         second = self.apart[0] * self.normal[1] - self.apart[1] * self.normal[0]
         a, b, c, d = slopes
@@ -347,7 +364,7 @@ class _Lines:
 
     @property
     def distance(self) -> tuple[Array, Array]:
-        """Of the flanks on that line, and its change with the driven gear's angle."""
+        """Distance of the flanks on that line, and its derivative by the driven gear's angle [m, m/rad]."""
         passed = self.side * jnp.cos(self.curves.pressure_angle) * self.curves.between(*self.place)
         (x, y), (carried_x, carried_y) = self.normal, self.placed.carried
         return self.along + passed, (self.arm[1] + carried_x) * x + (self.arm[0] + carried_y) * y

@@ -1,4 +1,4 @@
-"""Outlines of non-circular gears, tooth by tooth, for drawings and for CAD. Numbers must be known."""
+"""Outlines of non-circular gears, tooth by tooth, for drawings and CAD. Numbers must be concrete (not traced)."""
 
 import math
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from gearjax.geometry.noncircular import PitchCurves
 from gearjax.geometry.noncircular_teeth import offset_points, reach
 from gearjax.typing import Array
 
-ROOT = 0.25  # modules, by which roots lie below the tips of the other gear
-LOOKED_AT = 256  # places of each tooth that flanks are looked for between
+ROOT = 0.25  # clearance of the roots below the tips of the other gear, in modules
+LOOKED_AT = 256  # places per tooth between which the ends of flanks are interpolated
 
 
 class Teeth(NamedTuple):
@@ -20,10 +20,11 @@ class Teeth(NamedTuple):
 
     Args:
         curves: the pitch curves.
-        number: of teeth of the driver, and of the driven gear.
-        module: of the rack [m].
-        addendum: height above the pitch curves, in modules.
-        backlash: between the back flanks, along their normal, half of it taken from the teeth of each gear [m].
+        number: tooth numbers of the driver and of the driven gear.
+        module: module of the rack [m].
+        addendum: height of the teeth above the pitch curves, in modules.
+        backlash: distance between the back flanks along their normal; one half of it is taken from the teeth of each
+            gear [m].
     """
 
     curves: PitchCurves
@@ -39,12 +40,12 @@ class Teeth(NamedTuple):
 
 
 class _Ends(NamedTuple):
-    """Where flanks of one side end, by the arc length at which they cross the pitch curve: in rising order.
+    """Ends of the flanks of one side, in rising order of the arc length at which the flanks cross the pitch curve.
 
     Args:
-        crossing: that arc length, shape (place,) [m].
-        parameter: of the pitch point that the end is cut from, shape (place,) [rad].
-        below: parameter of the pitch curve below that end, shape (place,) [rad].
+        crossing: arc length at which the flank crosses the pitch curve, shape (place,) [m].
+        parameter: parameter of the pitch point from which the end is cut, shape (place,) [rad].
+        below: parameter of the pitch curve below the end, shape (place,) [rad].
     """
 
     crossing: np.ndarray
@@ -52,29 +53,31 @@ class _Ends(NamedTuple):
     below: np.ndarray
 
     def at(self, crossing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both parameters of the end of flanks that cross the pitch curve at given arc lengths, by interpolation."""
         return np.interp(crossing, self.crossing, self.parameter), np.interp(crossing, self.crossing, self.below)
 
 
 def outline(pieces: list[np.ndarray]) -> np.ndarray:
-    """The outline that pieces of teeth (`tooth_points`) make, once around, shape (n, 2) [m]."""
+    """Outline of a gear once around, joined from the pieces of its teeth (`tooth_points`), shape (n, 2) [m]."""
     return np.concatenate([piece for tooth in zip(*pieces, strict=True) for piece in tooth])
 
 
 def tooth_points(teeth: Teeth, gear: int, points: int) -> list[np.ndarray]:
-    """First flank, tip, second flank and root after it of each tooth, by rising arc length of the pitch curve, in axes
-    that turn with the gear, x towards the other gear at input angle zero; each of shape (tooth, point, 2) [m].
+    """Pieces of the outline of a gear: first flank, tip, second flank and following root of each tooth.
 
-    Flanks are those that a rack cuts, down to where the tips of the other gear reach. Below, to roots 0.25 modules
-    deeper, they are drawn straight: the fillet is not modelled.
+    Each piece has the shape (tooth, point, 2) [m]. The teeth are in the order of rising arc length of the pitch curve.
+    The axes turn with the gear; x points towards the other gear at input angle zero. The flanks are cut by a rack, as
+    far down as the tips of the other gear reach. From there to the roots, which are 0.25 modules deeper, they are drawn
+    straight: the fillet is not modelled.
 
     Args:
-        teeth: of the pair.
-        gear: 0 the driver, 1 the driven gear.
-        points: of each piece.
+        teeth: teeth of the pair.
+        gear: 0 for the driver, 1 for the driven gear.
+        points: number of points of each piece.
     """
     way = 1 if gear == 0 else -1
     height = teeth.addendum * teeth.module
-    crossing = teeth.pitch * np.arange(teeth.number[gear])  # of the flanks that drive
+    crossing = teeth.pitch * np.arange(teeth.number[gear])  # arc lengths at which drive flanks cross the pitch curve
     slope = math.cos(float(teeth.curves.pressure_angle))
     thick = 0.5 * teeth.pitch - 0.5 * teeth.backlash / slope
     begins = {1: crossing, -1: crossing + way * thick}
@@ -96,12 +99,15 @@ def tooth_points(teeth: Teeth, gear: int, points: int) -> list[np.ndarray]:
 
 
 def flank(curves: PitchCurves, gear: int, side: int, t: np.ndarray, crossing: np.ndarray) -> np.ndarray:
-    """Points of flanks that cross the pitch curve at an arc length, cut from the pitch points of the angles t [rad], in
-    axes of the gear: ``P(t) + (s(t) - s_k) cos(alpha0) u(t)`` (Dong et al. 2020, eqs. 6 and 7), shape (..., 2) [m]."""
+    """Points of flanks in axes of the gear, ``P(t) + (s(t) - s_k) cos(alpha0) u(t)``, shape (..., 2) [m].
+
+    The points are cut from the pitch points at the angles t [rad] (Dong et al. 2020, eqs. 6 and 7); ``crossing`` is the
+    arc length s_k at which the flank crosses the pitch curve [m].
+    """
     return np.asarray(_flank(curves, gear, side, jnp.asarray(t), jnp.asarray(crossing)))
 
 
-@eqx.filter_jit  # one program each: single operations would each be compiled apart
+@eqx.filter_jit  # compiled as one program; without it, every single operation would be compiled separately
 def _flank(curves: PitchCurves, gear: int, side: int, t: Array, crossing: Array) -> Array:
     (x, y), lean = offset_points(curves, gear, t, 0.0)
     slant = curves.pressure_angle + side * lean
@@ -111,8 +117,10 @@ def _flank(curves: PitchCurves, gear: int, side: int, t: Array, crossing: Array)
 
 @eqx.filter_jit
 def _crossings(curves: PitchCurves, gear: int, side: int, tips: bool, t: Array, height: Array) -> tuple[Array, Array]:
-    """Arc length at which flanks cross the pitch curve that end on the normals of pitch points, and the parameters of
-    the pitch curve next to those ends."""
+    """Arc lengths at which flanks cross the pitch curve, and parameters of the pitch curve next to the flanks' ends.
+
+    The ends of these flanks are on the normals of the pitch points at the angles t.
+    """
     way, slope = (1 if gear == 0 else -1), jnp.cos(curves.pressure_angle)
     along, below = reach(curves, gear if tips else 1 - gear, t, side, height)
     if not tips:
@@ -127,7 +135,7 @@ def _offset(curves: PitchCurves, gear: int, t: Array, height: Array) -> Array:
 
 
 def _ends(teeth: Teeth, gear: int, side: int, height: float, tips: bool) -> _Ends:
-    """Ends of flanks at their own tips, or where the other gear's tips reach, beyond both ends of its turn."""
+    """Ends of flanks at their own tips, or where the tips of the other gear reach; a little more than once around."""
     curves = teeth.curves
     around = 2 * math.pi * teeth.number[gear] / teeth.number[0]
     beyond = around * (1 + 4 / teeth.number[gear])
@@ -137,14 +145,14 @@ def _ends(teeth: Teeth, gear: int, side: int, height: float, tips: bool) -> _End
 
 
 def _curve(curves: PitchCurves, gear: int, ends: tuple | list, share: np.ndarray, height: float) -> np.ndarray:
-    """Points of an offset curve between parameters, shape (tooth, point, 2) [m]."""
+    """Points of a curve at a height from the pitch curve, between two parameters, shape (tooth, point, 2) [m]."""
     first, last = ends
     t = first[:, None] + (last - first)[:, None] * share
     return np.asarray(_offset(curves, gear, jnp.asarray(t), jnp.asarray(height)))
 
 
 def placed(points: np.ndarray, gear: int, turned: float, centre_distance: float) -> np.ndarray:
-    """Points of a gear where they are once it has turned [rad], x from the driver's axis to the driven gear's [m]."""
+    """Points of a gear after a turn by an angle [rad]; x points from the driver's to the driven gear's axis [m]."""
     angle = turned if gear == 0 else -turned
     cosine, sine = math.cos(angle), math.sin(angle)
     x, y = points[..., 0], points[..., 1]

@@ -1,4 +1,4 @@
-"""Teeth of non-circular gears: how far they reach, contact ratio, flanks and tips, and what cannot be."""
+"""Teeth of non-circular gears: line of action up to the tips, contact ratio, tip thickness and faults."""
 
 import dataclasses
 import math
@@ -16,17 +16,20 @@ from gearjax.geometry.noncircular import FURTHEST, STEPS, AbstractRatio, Ellipse
 from gearjax.typing import Array, Float, Scalar
 
 MOST_LEAN = 65 * units.deg
-"""Largest pressure angle in motion; beyond it gears may lock themselves (Dong et al. 2020, section 3)."""
-PLACES = 1440  # around a gear, where it is looked at
-NEAR = 0.1  # modules, and of contact ratios: circular gears stand for others up to there
+"""Largest operating pressure angle; beyond it the gears may be self-locking (Dong et al. 2020, section 3)."""
+PLACES = 1440  # places around a gear at which it is checked
+NEAR = 0.1  # distance of tip thickness [modules] and contact ratio from their limits at which circular gears suffice
 GEARS = ("driver", "driven gear")
 
 
 def offset_points(
     curves: PitchCurves, gear: int, t: Float[Array, "..."], height: Scalar | float
 ) -> tuple[tuple[Array, Array], Array]:
-    """Points of the curve that is a height outside a gear's pitch curve, in axes that turn with that gear, x towards
-    the other one at angle zero, and the direction of its tangent there, from the y axis to the x axis [m, rad]."""
+    """Points of the curve at a height outside a gear's pitch curve, and the direction of its tangent [m, rad].
+
+    The axes turn with the gear; x points towards the other gear at the angle zero. The direction of the tangent is
+    counted from the y axis to the x axis.
+    """
     at, turned = curves.at(t), curves.ratio.driven_angle(t)
     lean = at.lean + (t if gear == 0 else -turned)
     if gear == 0:
@@ -39,15 +42,16 @@ def offset_points(
 def reach(
     curves: PitchCurves, gear: int, t: Float[Array, "..."], side: int, height: Scalar | float
 ) -> tuple[Array, Array]:
-    """How far the line of action runs from the pitch point to where teeth of a height end, and the parameter of the
-    pitch curve below that place.
+    """Distance along the line of action from the pitch point to the tips of a gear [m].
+
+    The second result is the parameter of the pitch curve below that point of the tips [rad].
 
     Args:
         curves: the pitch curves.
-        gear: 0 the driver, 1 the driven gear.
+        gear: 0 for the driver, 1 for the driven gear.
         t: angle of the driver, shape (...) [rad].
         side: 1 for drive flanks, -1 for back flanks.
-        height: of the teeth above the pitch curve [m].
+        height: height of the teeth above the pitch curve [m].
     """
     (x0, y0), start = offset_points(curves, gear, t, 0.0)
     slant = curves.pressure_angle + side * start
@@ -72,8 +76,10 @@ def reach(
 
 
 def _circular_reach(bend: Array, pressure_angle: Scalar, height: Scalar | float) -> Array:
-    """How far the line of action runs from the pitch point to tips of a height, of a circular gear of a curvature
-    [1/m]: L of Dong et al. (2020), eq. 12, without its cancellation [m]."""
+    """Distance along the line of action from the pitch point to the tips of a circular gear of a given curvature [m].
+
+    It is L of Dong et al. (2020), eq. 12, in a form without cancellation; the curvature is in [1/m].
+    """
     sine, more = jnp.sin(pressure_angle), height * (2 + bend * height)
     return more / (sine + jnp.sqrt(sine * sine + bend * more))
 
@@ -81,20 +87,21 @@ def _circular_reach(bend: Array, pressure_angle: Scalar, height: Scalar | float)
 def contact_ratio(
     curves: PitchCurves, t: Float[Array, "..."], side: int, module: Scalar, addendum: Scalar
 ) -> Float[Array, "..."]:
-    """Contact ratio: arc length that passes while a flank touches, from the tips of the driven gear to those of the
-    driver, over the pitch [-].
+    """Contact ratio: arc length that passes while a flank is in contact, over the pitch [-].
+
+    The contact is limited by the tips of the driven gear and by the tips of the driver.
 
     Args:
         curves: the pitch curves.
-        t: angle of the driver at which that flank crosses the pitch curves [rad].
+        t: angle of the driver at which the flank crosses the pitch curves [rad].
         side: 1 for drive flanks, -1 for back flanks.
-        module: of the rack [m].
+        module: module of the rack [m].
         addendum: height of the teeth above the pitch curves, in modules.
     """
     slope = jnp.cos(curves.pressure_angle)
 
     def passed(gear: int) -> Array:
-        """Arc length from the pitch point to where contact ends at the tips of a gear, backwards of the driven one."""
+        """Arc length from the pitch point to the end of contact at the tips of a gear, backwards on the driven gear."""
         way = side if gear == 0 else -side
 
         def step(_: Any, state: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -110,15 +117,17 @@ def contact_ratio(
 def circular_contact_ratio(
     curves: PitchCurves, t: Float[Array, "..."], module: Scalar, addendum: Scalar
 ) -> Float[Array, "..."]:
-    """The same of the circular gears that fit the pitch curves there (Dong et al. 2020, eqs. 12 and 13)."""
+    """Contact ratio of circular gears with the pitch curves' curvatures (Dong et al. 2020, eqs. 12 and 13) [-]."""
     bends = curves.at(t).curvatures
     along = sum(_circular_reach(bend, curves.pressure_angle, addendum * module) for bend in bends)
     return along / (math.pi * module * jnp.cos(curves.pressure_angle))
 
 
 def tip_thickness(curves: PitchCurves, gear: int, module: float, addendum: float) -> np.ndarray:
-    """Thickness of the tips around a gear, along the curve that they lie on, negative where flanks meet below it,
-    shape (place,) [m]. Numbers must be known."""
+    """Thickness of the tips around a gear along the tip curve, negative if flanks meet below it, shape (place,) [m].
+
+    Numbers must be concrete (not traced).
+    """
     t = jnp.linspace(0.0, 2 * math.pi, PLACES + 1)
     height, slope = addendum * module, float(jnp.cos(curves.pressure_angle))
     way = 1 if gear == 0 else -1
@@ -126,8 +135,9 @@ def tip_thickness(curves: PitchCurves, gear: int, module: float, addendum: float
     names, below = {}, {}
     for side in (1, -1):
         along, place = (np.asarray(part) for part in reach(curves, gear, t, side, height))
-        names[side], below[side] = arc - way * side * along / slope, place  # where its flank crosses the pitch curve
-    # the back flank of the same tooth crosses half a pitch behind, of the driven gear half a pitch ahead
+        # a flank is identified by the arc length at which it crosses the pitch curve
+        names[side], below[side] = arc - way * side * along / slope, place
+    # the back flank of the same tooth crosses half a pitch later on the driver and half a pitch earlier on the other
     other = names[1] + way * math.pi * module / 2
     turns = np.floor((other - names[-1][0]) / whole)
     far = np.interp(other - turns * whole, names[-1], below[-1]) + turns * 2 * math.pi
@@ -138,7 +148,7 @@ def tip_thickness(curves: PitchCurves, gear: int, module: float, addendum: float
 
 
 def closing_centre_distance(ratio: AbstractRatio, teeth: int, module: Scalar) -> Scalar:
-    """Distance of the axes at which the driver's pitch curve is ``pi m z`` long [m]."""
+    """Distance of the axes at which the driver's pitch curve has the length ``pi m z`` [m]."""
     one = PitchCurves(ratio, jnp.ones_like(module), jnp.zeros_like(module))
     return math.pi * module * teeth / one.perimeter
 
@@ -146,8 +156,10 @@ def closing_centre_distance(ratio: AbstractRatio, teeth: int, module: Scalar) ->
 def closing_eccentricity(
     ratio: EllipseRatio, centre_distance: float, teeth: int, module: float, pressure_angle: float
 ) -> float | None:
-    """Eccentricity with which the driver's pitch curve is ``pi m z`` long, ``None`` where gears of none do not lock
-    themselves."""
+    """Eccentricity at which the driver's pitch curve has the length ``pi m z``.
+
+    It is ``None`` if no eccentricity without self-locking gives this length.
+    """
     from scipy.optimize import brentq
 
     def short_by(e: float) -> float:
@@ -158,20 +170,23 @@ def closing_eccentricity(
     if short_by(ends[0]) * short_by(ends[1]) > 0:
         return None
     root = brentq(short_by, *ends, xtol=1e-13)
-    assert isinstance(root, float)  # as nothing else was asked for
+    assert isinstance(root, float)  # brentq returns more only on request
     return root
 
 
 def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Fault]:
-    """What is wrong with a pair of gears, the first one first: gears that lock themselves, undercut, pointed teeth, no
-    continuous contact. Numbers must be known; keys are those of the gear sets."""
+    """Faults of a pair of gears, the most basic one first: self-locking, undercut, pointed teeth, no continuous
+    contact.
+
+    Numbers must be concrete (not traced); the parameter names are those of the gear sets.
+    """
     t, numbers = np.linspace(0.0, 2 * math.pi, PLACES + 1), (jnp.asarray(module), jnp.asarray(addendum))
     leans, bends, rounded_ratio = (np.asarray(part) for part in _looked_at(curves, *numbers))
     wrong = _locks(curves, t, leans) or _sharp(curves, t, bends, module, addendum)
     if wrong is not None:
         yield wrong
         return
-    # by the circular gears that fit the pitch curves, and where that comes near, by the gears themselves
+    # circular gears of the same curvature are a fast check; near the limit the non-circular gears are checked
     rounded = _circular_thickness(bends, float(curves.pressure_angle), module, addendum).min(axis=1)
     for gear, name in enumerate(GEARS):
         thinnest = rounded[gear] / module
@@ -193,7 +208,7 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
 
 
 def _locks(curves: PitchCurves, t: np.ndarray, leans: np.ndarray) -> Fault | None:
-    """Gears whose pressure angle grows so large that they may lock themselves."""
+    """Fault of gears whose pressure angle becomes so large that they may be self-locking."""
     alpha, worst = float(curves.pressure_angle), int(np.abs(leans).argmax())
     largest = alpha + abs(float(leans[worst]))
     if largest <= MOST_LEAN * (1 + 1e-6):
@@ -209,15 +224,21 @@ def _locks(curves: PitchCurves, t: np.ndarray, leans: np.ndarray) -> Fault | Non
 
 
 def most_eccentricity(ratio: EllipseRatio, pressure_angle: float) -> float:
-    """Largest eccentricity with which gears do not lock themselves, by ``tan psi = n e / sqrt(1 - e^2)`` where the
-    tangent leans most (Dong et al. 2020, eq. 27, of one lobe)."""
+    """Largest eccentricity at which the gears are not self-locking.
+
+    It follows from ``tan psi = n e / sqrt(1 - e^2)`` at the largest lean of the tangent (Dong et al. 2020, eq. 27, for
+    one lobe).
+    """
     slope = math.tan(MOST_LEAN - pressure_angle)
     return slope / math.hypot(ratio.driver_lobes, slope)
 
 
 def _sharp(curves: PitchCurves, t: np.ndarray, bends: np.ndarray, module: float, addendum: float) -> Fault | None:
-    """Pitch curves that bend so much that teeth are undercut: where they are convex, below the curve, where they are
-    concave, above it, as of internal gears, whose flanks end at their own base circle there."""
+    """Fault of pitch curves whose curvature is so large that teeth are undercut.
+
+    Convex parts are undercut below the pitch curve. Concave parts are undercut above it, as in internal gears, whose
+    flanks end at their own base circle there.
+    """
     alpha, height = float(curves.pressure_angle), addendum * module
     shares = math.sin(alpha) ** 2, 1 - math.cos(alpha)
     for name, sharp in zip(GEARS, bends, strict=True):
@@ -232,23 +253,23 @@ def _sharp(curves: PitchCurves, t: np.ndarray, bends: np.ndarray, module: float,
 
 
 def _floored(number: float, digits: int) -> str:
-    """A limit that may be kept to its last digit."""
+    """A number as text, rounded down, so that the text itself does not exceed the limit."""
     return f"{math.floor(number * 10**digits) / 10**digits:.{digits}f}"
 
 
 @eqx.filter_jit
 def _looked_at(curves: PitchCurves, module: Scalar, addendum: Scalar) -> tuple[Array, Array, Array]:
-    """Lean of the tangent, curvatures of both pitch curves and contact ratio by them, over a turn of the driver."""
+    """Lean of the tangent, curvatures of both pitch curves, and contact ratio from these, over a turn of the driver."""
     t = jnp.asarray(np.linspace(0.0, 2 * math.pi, PLACES + 1), jnp.result_type(curves.centre_distance))
     at = curves.at(t)
     return at.lean, jnp.stack(at.curvatures), circular_contact_ratio(curves, t, module, addendum)
 
 
-_contact = eqx.filter_jit(contact_ratio)  # one program: single operations would each be compiled apart
+_contact = eqx.filter_jit(contact_ratio)  # one program; without it, every single operation would be compiled separately
 
 
 def _circular_thickness(bend: np.ndarray, pressure_angle: float, module: float, addendum: float) -> np.ndarray:
-    """Tip thickness of circular gears of a curvature, ``2 r_a (pi m / (4 r) + inv alpha - inv alpha_a)`` [m]."""
+    """Tip thickness of circular gears with a curvature, ``2 r_a (pi m / (4 r) + inv alpha - inv alpha_a)`` [m]."""
     radius = 1 / np.maximum(bend, 1e-9)
     tip = radius + addendum * module
     at_tip = np.arccos(np.clip(radius * math.cos(pressure_angle) / tip, -1.0, 1.0))

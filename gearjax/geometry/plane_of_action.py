@@ -1,18 +1,19 @@
-"""Where teeth on parallel axes touch: pairs of teeth on the plane of action, cut across the face into slices.
+"""Contact of teeth on parallel axes: pairs of teeth on the plane of action, cut across the face into slices.
 
-In a frame with gear 1 at the origin, its axis along z and gear 2 on the x axis, gear 1 turns from x to y. Its driving
-flanks press along ``n = (sin alpha_wt cos beta_b, cos alpha_wt cos beta_b, -sin beta_b)``, its back flanks along the
-mirror image ``(.., -.., +..)``: by ``side`` = 1 or -1. A pair of teeth p, counted in the order in which they come into
-mesh, has its contact in the middle of the face at the length of roll of gear 1
+The frame has gear 1 at the origin with its axis along z, and gear 2 on the x axis; gear 1 turns from x to y. Its
+driving flanks (``side`` = 1) press along ``n = (sin alpha_wt cos beta_b, cos alpha_wt cos beta_b, -sin beta_b)``, its
+back flanks (``side`` = -1) along the mirror image ``(.., -.., +..)``. Pairs of teeth p are counted in the order in
+which they come into mesh. In the middle of the face the contact of a pair is at the length of roll of gear 1
 
-    xi = xi_C + side (u - p) p_bt,     u = r_b1 theta / p_bt, of back flanks r_b1 (theta - psi_1) / p_bt
+    xi = xi_C + side (u - p) p_bt,     u = r_b1 theta / p_bt, for back flanks r_b1 (theta - psi_1) / p_bt
 
-with the thickness psi_1 of its teeth at the working circle, and at a place z across the face at
-``xi + side z tan beta_b``. Tooth p of gear 1 drives tooth p of gear 2, and its back flank faces tooth p + 1.
+Here psi_1 is the angular thickness of the teeth of gear 1 at the working circle. At a place z across the face the
+contact is at ``xi + side z tan beta_b``. Tooth p of gear 1 drives tooth p of gear 2; its back flank faces tooth p + 1.
 
-Beyond the path of contact the corner of a tip may still touch the other flank. With both flanks counted clockwise from
-the line of centres, at a roll t [rad] they are at ``psi_i(t) = alpha_wt - t_i + t - atan t``, where ``t_i`` is where
-they would touch; the distance is the angle between corner and flank at the corner's radius, times the base radius.
+Beyond the path of contact the corner of a tip may still touch the other flank. With angles counted clockwise from the
+line of centres, the flank point with the roll angle t [rad] is at ``psi_i(t) = alpha_wt - t_i + t - atan t``; ``t_i``
+is the roll angle at which the flanks would touch. The distance is the angle between corner and flank at the radius of
+the corner, times the base radius.
 """
 
 from typing import NamedTuple
@@ -23,19 +24,20 @@ from gearjax.geometry.helical_pair import NARROWEST, InvolutePair
 from gearjax.typing import Array, Float, Int, Scalar
 
 CORNERS = 0.3  # base pitches beyond the path of contact to which corners are followed
-SHALLOWEST = 1e-12  # of a squared roll
+SHALLOWEST = 1e-12  # lower bound of a squared roll angle, whose root has no derivative at zero
 
 
 class SlicePoints(NamedTuple):
-    """Slices of the pairs of teeth that may touch, of one side.
+    """Slices of the pairs of teeth that may touch on one side.
 
     Args:
         tooth: number of each pair in the order of meshing, shape (pair,).
-        roll: lengths of roll of gear 1 and of gear 2 where slices touch, on their flanks, shape (pair, slice) [m].
-        across: places of these from the middle of the face, shape (pair, slice) [m].
-        share: of each slice that is on the path of contact, shape (pair, slice) [-].
+        roll: lengths of roll of gear 1 and of gear 2 at the contact of each slice, shape (pair, slice) [m].
+        across: place of this contact from the middle of the face, shape (pair, slice) [m].
+        share: share of each slice that is on the path of contact, shape (pair, slice) [-].
         beyond: distance of each slice from the path of contact, shape (pair, slice) [m].
-        gap: in a transverse section, between corner and flank of those beyond it, shape (pair, slice) [m].
+        gap: gap between corner and flank in a transverse section, for slices beyond the path of contact, shape (pair,
+            slice) [m].
     """
 
     tooth: Int[Array, " pair"]
@@ -47,7 +49,7 @@ class SlicePoints(NamedTuple):
 
 
 def _middles(pair: InvolutePair, slices: int) -> Float[Array, " slice"]:
-    """Middles of even slices from the middle of the face on [m]."""
+    """Middles of slices of equal width, counted from the middle of the face [m]."""
     middles = (jnp.arange(slices, dtype=pair.face_width.dtype) + 0.5) / slices
     return pair.face_width * (middles - 0.5)
 
@@ -57,12 +59,13 @@ def slice_points(pair: InvolutePair, angle: Scalar, side: int, pairs: int, slice
 
     Args:
         pair: the gears.
-        angle: by which gear 1 is turned from where pair 0 touches at the pitch point, in the middle of the face [rad].
+        angle: angle of gear 1 from the position in which pair 0 touches at the pitch point, in the middle of the face
+            [rad].
         side: 1 for driving flanks, -1 for back flanks.
-        pairs: how many of them; slot i has every ``pairs``-th one.
-        slices: across the face.
-        corners: whether slices beyond the path of contact are at the corner of a tip; else what touches of a slice is
-            what is on the path, and its place is the middle of that.
+        pairs: number of pairs; entry i always has one of every ``pairs``-th pair.
+        slices: number of slices across the face.
+        corners: whether slices beyond the path of contact touch at the corner of a tip. If not, only the part of a
+            slice that is on the path touches, and the place of the slice is the middle of that part.
     """
     path, pitch = pair.contact_path, pair.base_pitch
     gear = pair.gears[0]
@@ -83,7 +86,7 @@ def slice_points(pair: InvolutePair, angle: Scalar, side: int, pairs: int, slice
         gap = _corner_gap(pair, length, beyond)
         beyond = jnp.maximum(beyond - CORNERS * pitch, 0.0)
     else:
-        # the part of each slice that is on the path; those of spur gears all but at once
+        # the part of each slice that is on the path; slices of spur gears enter and leave the path almost at once
         reach = jnp.maximum(half * jnp.abs(lean), NARROWEST * pitch)
         low, high = (jnp.clip(end - length, -reach, reach) for end in (path.begin, path.end))
         share, shift = 0.5 * (high - low) / reach, 0.5 * (high + low)
@@ -97,32 +100,34 @@ def _corner_gap(pair: InvolutePair, length: Array, beyond: Array) -> Array:
     """Turn of gear 2 until the corner of a tip touches the other flank, times its base radius [m].
 
     Args:
-        length: of roll of gear 1 where the flanks would touch, went they on [m].
-        beyond: of that from the path of contact [m].
+        pair: the gears.
+        length: length of roll of gear 1 at which the flanks would touch if they did not end [m].
+        beyond: distance of this point from the path of contact [m].
     """
     path, (first, second) = pair.contact_path, pair.gears
     far = jnp.minimum(beyond, CORNERS * pair.base_pitch)
     distance, sign = pair.centre_distance, -1.0 if pair.internal else 1.0
 
     def corner(gear_tip: Scalar, base: Scalar, touching: Array) -> tuple[Array, Array]:
+        """Place of the corner of a tip, along the line of centres and across it [m]."""
         tip = gear_tip / base
         turned = pair.working_pressure_angle - touching / base + tip - jnp.arctan(tip)
         radius = base * jnp.sqrt(1 + tip * tip)
         return radius * jnp.cos(turned), radius * jnp.sin(turned)
 
     def to_flank(base: Scalar, touching: Array, along: Array, across: Array) -> tuple[Array, Array]:
-        """Distance of a point to a flank, and the angle of the flank's normal there, as alpha_wt is that at contact."""
+        """Distance from a point to a flank [m], and angle of the flank's normal, which is alpha_wt at contact [rad]."""
         squared = (along * along + across * across) / base**2 - 1
         roll = jnp.sqrt(jnp.maximum(squared, SHALLOWEST))
         place = jnp.arctan2(across, along)
         flank = pair.working_pressure_angle - touching / base + roll - jnp.arctan(roll)
         return base * (flank - place), place + jnp.arctan(roll)
 
-    # behind the end: the corner of gear 1 on the flank of gear 2
+    # beyond the end of the path: the corner of gear 1 touches the flank of gear 2
     at = path.end + far
     along, across = corner(path.end, first.base_radius, at)
     last, _ = to_flank(second.base_radius, pair.other_roll(at), distance - sign * along, -sign * across)
-    # before the beginning: the corner of gear 2 on the flank of gear 1, whose normal has another lever on gear 2
+    # before the beginning: the corner of gear 2 touches the flank of gear 1, whose normal has another lever on gear 2
     at = path.begin - far
     along, across = corner(pair.other_roll(path.begin), second.base_radius, pair.other_roll(at))
     start, leans = to_flank(first.base_radius, at, sign * (distance - along), -sign * across)

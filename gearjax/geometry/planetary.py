@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 
 class FewTeethDifference(NamedTuple):
-    """A two-stage few-teeth-difference train: ring fixed, carrier is the output.
+    """A two-stage few-teeth-difference train whose ring is fixed and whose carrier is the output.
 
-    Stage one turns the crank through an external pair on the carrier, stage two rolls the planet in the
-    ring. All speeds are turns per turn of the output, counted in the sense of the output.
+    The first stage, an external pair on the carrier, turns the crank. The second stage rolls the planet in the ring.
+    All speeds are turns per turn of the output, counted in the sense of the output.
     """
 
     sun_teeth: int

@@ -1,10 +1,11 @@
-"""Cubic splines through the values of a grid, in one direction or two: B-splines on the grid's own places.
+"""Cubic B-splines through the values of a grid, in one direction or two.
 
-A spline through n values is ``sum_i c_i B_i(x)`` with as many coefficients, which follow from the values by the
-collocation matrix ``B_i(x_j)`` (de Boor 1978, chapters IX and XIII). "Not a knot" leaves the second and the last but
-one place out of the knots; three places then make a parabola, two a straight line, one a constant. The ends of Guo and
-Fang (2018, appendix) repeat the outermost vertices instead, of splines whose parameter runs from 0 to 1 between any two
-places, even or not: of first order only near the ends, and smooth only where places are even.
+A spline through n values is ``sum_i c_i B_i(x)`` with n coefficients, which follow from the values by the collocation
+matrix ``B_i(x_j)`` (de Boor 1978, chapters IX and XIII). The end condition "not a knot" omits the second place and the
+last place but one from the knots. Three places then give a parabola, two a straight line and one a constant. The end
+condition of Guo and Fang (2018, appendix) repeats the outermost vertices instead. Their splines have a parameter from 0
+to 1 between any two places, evenly spaced or not. They are accurate to first order only near the ends, and smooth only
+on evenly spaced places.
 """
 
 import equinox as eqx
@@ -21,8 +22,8 @@ class GridSpline(eqx.Module):
     """A spline over the places of a grid in one direction.
 
     Args:
-        places: in rising order, shape (place,).
-        ends: ``"not_a_knot"`` or ``"double_vertices"``.
+        places: places of the grid in rising order, shape (place,).
+        ends: end condition, ``"not_a_knot"`` or ``"double_vertices"``.
     """
 
     places: Float[Array, " place"]
@@ -30,7 +31,7 @@ class GridSpline(eqx.Module):
 
     @property
     def degree(self) -> int:
-        """3 where there are four places or more, else as many places as there are less one."""
+        """Degree of the spline: 3 with four places or more, else the number of places minus one."""
         return min(CUBIC, self.places.shape[0] - 1)
 
     def coefficients(self, values: Float[Array, "place ..."]) -> Float[Array, "coefficient ..."]:
@@ -39,7 +40,7 @@ class GridSpline(eqx.Module):
         if self.degree < 1:
             return values
         if self._doubled:
-            # the equations of the ends, V_0 = V_1 and V_n-1 = V_n, put into those of the values
+            # the end conditions V_0 = V_1 and V_n-1 = V_n are substituted into the equations of the values
             matrix = np.diag(np.full(number, 4.0)) + np.diag(np.ones(number - 1), 1) + np.diag(np.ones(number - 1), -1)
             matrix[0, 0] = matrix[-1, -1] = 5.0
             inner = jnp.linalg.solve(jnp.asarray(matrix / 6, values.dtype), values.reshape(number, -1))
@@ -51,8 +52,10 @@ class GridSpline(eqx.Module):
         return jnp.linalg.solve(matrix, values.reshape(number, -1)).reshape(values.shape)
 
     def weights(self, at: Float[Array, " point"]) -> tuple[Int[Array, " point"], Float[Array, "point weight"]]:
-        """First coefficient that counts at each point, and the weights of it and the next ones; beyond the ends those
-        at the end."""
+        """Number of the first coefficient that acts at each point, and the weights of it and the following ones.
+
+        Points beyond the ends have the weights of the end.
+        """
         places, degree = self.places, self.degree
         if degree < 1:
             return jnp.zeros(at.shape, jnp.int32), jnp.ones((*at.shape, 1), at.dtype)
@@ -75,8 +78,10 @@ class GridSpline(eqx.Module):
 def _weights(
     knots: Float[Array, " knot"], at: Float[Array, " point"], last: Int[Array, " point"], degree: int
 ) -> Float[Array, "point weight"]:
-    """Values of the B-splines that do not vanish at points between the knots ``last`` and ``last + 1``, by the
-    recurrence of Cox and de Boor (de Boor 1978, chapter X)."""
+    """Values of the non-vanishing B-splines at points between the knots ``last`` and ``last + 1``.
+
+    They follow from the recurrence of Cox and de Boor (de Boor 1978, chapter X).
+    """
     weights = [jnp.ones_like(at)]
     for order in range(1, degree + 1):
         carried, raised = jnp.zeros_like(at), []
@@ -90,13 +95,13 @@ def _weights(
 
 
 def _even_weights(s: Float[Array, " point"]) -> Float[Array, "point weight"]:
-    """Weights of four vertices of a cubic spline on even places, at a share of one span."""
+    """Weights of four vertices of a cubic spline on evenly spaced places, at a share s of one interval."""
     whole = [(1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3]
     return jnp.stack(whole, axis=-1) / 6
 
 
 def _next(first: Int[Array, " point"], number: int) -> Int[Array, "point number"]:
-    """A whole number and those that follow it."""
+    """Each first number and the numbers that follow it, shape (point, number)."""
     return first[:, None] + jnp.arange(number, dtype=first.dtype)[None, :]
 
 
@@ -107,13 +112,13 @@ def surface(
     grid: Int[Array, " point"],
     at: tuple[Float[Array, " point"], Float[Array, " point"]],
 ) -> Float[Array, " point"]:
-    """Splines through the values of grids that share their places, at points of one grid each.
+    """Values of bicubic splines at points; each point belongs to one of several grids that share their places.
 
     Args:
         rows, columns: splines over the places of the grids in both directions.
-        values: of the grids.
-        grid: which one each point is of.
-        at: place of each point in the direction of the rows' places and of the columns'.
+        values: values on the grids.
+        grid: number of the grid that each point belongs to.
+        at: place of each point in the direction of the rows' places and in that of the columns' places.
     """
     along = rows.coefficients(jnp.moveaxis(values, 1, 0))  # row, grid, column
     both = columns.coefficients(jnp.moveaxis(along, 2, 0))  # column, row, grid

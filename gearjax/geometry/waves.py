@@ -1,4 +1,4 @@
-"""A curve that repeats, as a mean and waves."""
+"""A periodic curve as a Fourier series."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,11 +7,11 @@ from gearjax.typing import Array, Float, Scalar
 
 
 class Waves(eqx.Module):
-    """A curve of an angle that repeats after 2 pi: ``mean + sum_n c_n cos(n psi) + s_n sin(n psi)``.
+    """A curve with the period 2 pi as a Fourier series, ``mean + sum_n c_n cos(n psi) + s_n sin(n psi)``.
 
     Args:
-        mean: its mean.
-        cosine, sine: of each harmonic, shape (harmonic,).
+        mean: mean of the curve.
+        cosine, sine: amplitudes c_n and s_n of each harmonic, shape (harmonic,).
     """
 
     mean: Scalar
@@ -20,17 +20,19 @@ class Waves(eqx.Module):
 
     @classmethod
     def of(cls, samples: Float[Array, " n"], harmonics: int) -> "Waves":
-        """The waves of evenly spaced samples of one period, its end left out; of more than twice as many samples as
-        harmonics."""
+        """Fourier series of evenly spaced samples of one period without its end point.
+
+        The number of samples must be more than twice the number of harmonics.
+        """
         lines = jnp.fft.rfft(samples)[: harmonics + 1] / samples.shape[0]
         return cls(lines[0].real, 2 * lines[1:].real, -2 * lines[1:].imag)
 
     def at(self, angle: Float[Array, " n"]) -> Float[Array, " n"]:
-        """The curve at some angles [rad]."""
+        """Values of the curve at some angles [rad]."""
         turned = angle[:, None] * jnp.arange(1, self.cosine.shape[0] + 1, dtype=angle.dtype)[None]
         return self.mean + jnp.cos(turned) @ self.cosine + jnp.sin(turned) @ self.sine
 
     @property
     def reach(self) -> Scalar:
-        """A bound on how far it is from its mean."""
+        """Upper bound of the distance of the curve from its mean."""
         return jnp.hypot(self.cosine, self.sine).sum()

@@ -1,4 +1,4 @@
-"""From the test bench: recordings, their comparison with a scene, and the errors that explain them."""
+"""Recordings of a test bench: their comparison with a scene, and the identification of errors that explain them."""
 
 from gearjax.identification.advice import Suggestion
 from gearjax.identification.compare import Comparison, OrderBeside, RecordBeside, compare

@@ -1,4 +1,4 @@
-"""Which further recording would show what recordings so far do not."""
+"""Suggestions for further recordings that would determine what the recordings so far hide."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from gearjax.units import deg
 ROWS = 2000
 TURN = 90 * deg
 LIGHT = 0.1  # of the smallest torque so far
-TOLD_APART = 30.0  # variances of a row, by which another solution must be off
+TOLD_APART = 30.0  # variances of a row: sum of squares by which another solution must differ to be distinguished
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Suggestion:
 
     Args:
         words: what to record.
-        hidden: directions that stay hidden with it.
-        shows: what it would show, in words.
+        hidden: number of directions that stay hidden with this recording.
+        shows: what the recording would show, in words.
     """
 
     words: str
@@ -37,9 +37,10 @@ class Suggestion:
 def suggestions(
     model: Model, fit: Fit, told: Visible, records: Sequence[Measurement], progress: Progress = silent
 ) -> list[Suggestion]:
-    """Further recordings that show hidden directions, or tell other solutions apart; the best first.
+    """Further recordings that would show hidden directions, or distinguish between solutions; the best first.
 
-    Each is tried on the model: rows of it at the solution, with the noise found, are added to those that were measured.
+    Each recording is tried on the model: its rows are computed at the solution, with the noise found, and added to the
+    measured rows.
     """
     if not len(told.hidden) and not len(fit.others):
         return []
@@ -64,7 +65,7 @@ def suggestions(
 
 
 def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[tuple[str, Measurement]]:
-    """Recordings that may be made."""
+    """Recordings to try, with a description of each."""
     first = records[0]
     theta = np.linspace(first.theta.min(), first.theta.max(), min(ROWS, first.theta.size))
     flat = np.zeros(theta.shape)
@@ -91,13 +92,13 @@ def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[
 
 
 def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, int]:
-    """Directions hidden with a further recording, and how many of the other solutions it shows to be wrong."""
+    """Directions that stay hidden with a further recording, and the number of other solutions that it distinguishes."""
     size = len(model.unknowns.each)
     rows = rows_of([record], model.scene, [], False)
     problem = Problem(model.beside([record]), rows)
     curve, jacobian = problem.curve(fit.values[: size + 1])
     more = np.zeros((rows.theta.size, fit.values.size))
-    more[:, :size] = jacobian[:, :size] - jacobian[:, :size].mean(axis=0)  # its own offset may be any
+    more[:, :size] = jacobian[:, :size] - jacobian[:, :size].mean(axis=0)  # the recording has an unknown offset
     whole = dataclasses.replace(fit, matrix=fit.matrix + more.T @ more)
     apart = sum(_off(problem.curve(other[: size + 1])[0] - curve) > TOLD_APART * fit.sigma**2 for other in fit.others)
     return hidden_directions(whole, size), apart

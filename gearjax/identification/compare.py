@@ -1,4 +1,4 @@
-"""A measured transmission error beside the computed one."""
+"""Comparison of a measured transmission error with the computed one."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,24 +17,24 @@ from gearjax.scene import Scene
 from gearjax.units import arcmin
 
 LISTED = 12  # orders
-START_ANGLES = 720  # that are tried over a cycle
+START_ANGLES = 720  # tried over a cycle, at least
 SHIFTS = ("none", "find")
-POLISHED = 24  # of the lowest ones: waves of bodies leave many nearly alike
+POLISHED = 24  # best start angles that are refined: because bodies repeat, many are nearly alike
 CLOSE = {"xatol": 1e-6}  # rad
-MOST_ROWS = 200_000  # of a recording; more are averaged, some that follow each other
+MOST_ROWS = 200_000  # of a recording; more rows are averaged in groups, or thinned out in motion
 MOST_ANGLES = 1 << 17  # of a computed curve
-ANGLES_PER_CURVE = 4000  # angles at which the computed curve is known when it is shifted
+ANGLES_PER_CURVE = 4000  # angles of the computed curve that is shifted, at least
 
 
 @dataclasses.dataclass(frozen=True)
 class OrderBeside:
-    """An order of a measured curve beside that of the computed one.
+    """One order of a measured curve and of the computed curve.
 
     Args:
         order: cycles per turn of the input.
-        name: what turns at it.
+        name: body or mesh that has this order.
         measured, computed: amplitudes [rad].
-        phase_measured, phase_computed: of cosines at input angle zero [rad].
+        phase_measured, phase_computed: phases of the cosines at input angle zero [rad].
     """
 
     order: float
@@ -47,16 +47,16 @@ class OrderBeside:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecordBeside:
-    """One recording beside the computed curve.
+    """One recording with the computed curve.
 
     Args:
-        name: of the recording.
+        name: name of the recording.
         theta: input angle [rad].
-        measured: TE as measured [rad].
-        computed: TE of the scene at those angles, with the offset and the start angle of the recording [rad].
-        offset: what the encoders' zeros add [rad].
-        start: input angle of the scene where that of the recording is zero [rad].
-        orders: the largest ones of both.
+        measured: measured TE [rad].
+        computed: TE of the scene at these angles, with the offset and the start angle of the recording [rad].
+        offset: offset of the TE by the zeros of the encoders [rad].
+        start: input angle of the scene at the zero of the recording's input angle [rad].
+        orders: the largest orders of both curves.
     """
 
     name: str
@@ -69,12 +69,12 @@ class RecordBeside:
 
     @property
     def explained(self) -> float:
-        """Share of the measured variance that the computed curve explains; below zero where it makes it worse."""
+        """Share of the measured variance that the computed curve explains; negative if the difference varies more."""
         return float(1 - np.var(self.measured - self.computed) / max(np.var(self.measured), 1e-300))
 
     @property
     def metrics(self) -> dict[str, tuple[float, float]]:
-        """Peak-to-peak and standard deviation of both, measured first [rad]."""
+        """Peak-to-peak and standard deviation of both curves, measured first [rad]."""
         pair = self.measured - self.offset, self.computed - self.offset
         told = {"peak_to_peak": np.ptp, "std": np.std}
         return {name: (float(of(pair[0])), float(of(pair[1]))) for name, of in told.items()}
@@ -82,14 +82,14 @@ class RecordBeside:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Comparison:
-    """Recordings beside a scene.
+    """Comparison of recordings with a scene.
 
     Args:
         scene: the scene.
-        records: each beside its computed curve.
-        lost_motion: mean of measured and computed lost motion [rad], of a recording of each direction; ``None``
-            without.
-        notes: what a reader should know.
+        records: the recordings, each with its computed curve.
+        lost_motion: mean lost motion, measured and computed [rad]; ``None`` without recordings of both flanks under
+            torques of the same size.
+        notes: remarks for the reader.
     """
 
     scene: Scene
@@ -98,7 +98,7 @@ class Comparison:
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """For a file, in arcmin and degrees."""
+        """The comparison for a file, in arcmin and degrees."""
         return {
             "records": [
                 {
@@ -141,21 +141,22 @@ def _a_shift(name: str, value: Any) -> None:
 def compare(
     scene: Scene, measured: Measurement | Sequence[Measurement], *, shift: str = "none", analysis: str = "static"
 ) -> Comparison:
-    """Recordings beside the transmission error that a scene computes: curves, orders with phases, metrics.
+    """Compare recordings with the transmission error computed for a scene: curves, orders with phases, metrics.
 
-    Recordings under torque stand beside the static TE, others beside the no-load TE, of an input that turns back that
-    of the back flanks. The encoders' zeros are taken off as one offset of each recording.
+    Recordings under torque are compared with the static TE, others with the no-load TE (of the back flanks if the input
+    turns backward). The zeros of the encoders are removed as one offset per recording.
 
     Args:
         scene: the scene.
         measured: one recording, or several.
-        shift: ``"find"`` also looks for the start angle, where zero of the input angle is not that of the phases.
-        analysis: ``"static"``, or ``"dynamic"`` for recordings of a gear set that runs: those under torque stand beside
-            the dynamic TE at their speed. A start angle is found by the static TE all the same.
+        shift: ``"find"`` also searches the start angle, for a recording whose input angle does not count from the zero
+            of the phases; ``"none"`` does not.
+        analysis: ``"static"``, or ``"dynamic"`` for recordings at speed: recordings under torque are then compared with
+            the dynamic TE at their speed. The start angle is found with the static TE in both cases.
 
     Raises:
         GearjaxError: a recording cannot be of this gear set.
-        SceneError: the scene lacks what a recording needs.
+        SceneError: the scene lacks a part that a recording needs.
 
     Example:
         >>> import gearjax as gj
@@ -192,7 +193,7 @@ def compare(
 
 
 def _computed(scene: Scene, record: Measurement, theta: np.ndarray) -> np.ndarray:
-    """TE of a scene as a recording has it, at any input angles, shape (n,) [rad]."""
+    """TE of a scene under the torque of a recording, at any input angles, shape (n,) [rad]."""
     order = np.argsort(theta, kind="stable")
     angles, back = np.unique(theta[order], return_inverse=True)
     loads = record.loads
@@ -207,7 +208,7 @@ def _computed(scene: Scene, record: Measurement, theta: np.ndarray) -> np.ndarra
 
 
 def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
-    """Start angle at which the computed curve is nearest to the measured one [rad]."""
+    """Start angle at which the computed curve is closest to the measured one [rad]."""
     from scipy import optimize
 
     cycle = scene.system.cycle
@@ -257,7 +258,7 @@ def _orders(scene: Scene, record: Measurement, te: np.ndarray, curve: np.ndarray
 
 
 def _lost_motion(records: list[Measurement], found: list[RecordBeside]) -> tuple[float, float] | None:
-    """Mean distance of two recordings on both flanks, under torques of the same size, or none."""
+    """Mean lost motion, measured and computed, between recordings of both flanks under torques of the same size."""
     for i, ahead in enumerate(records):
         for j, behind in enumerate(records):
             same = np.isclose(abs(np.median(ahead.loads)), abs(np.median(behind.loads)), rtol=0.05)

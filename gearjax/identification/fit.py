@@ -1,4 +1,7 @@
-"""A fit: many starts on means over steps of the angle, the best polished on all rows, outlying rows weighed down."""
+"""Fit of the unknowns: many starts on means over steps of the angle; the best are refined on all rows.
+
+Outlying rows get less weight.
+"""
 
 import dataclasses
 import functools
@@ -13,34 +16,34 @@ from gearjax.identification.rows import Rows, further
 from gearjax.identification.search import Known, descend
 from gearjax.scene import Scene
 
-BINS = 400  # of a turn of the output: means over them bias fast waves, so that they are for starts alone
-PER_TURN = 12  # rows per turn of what turns fastest, at least
+BINS = 400  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
+PER_TURN = 12  # steps per cycle of the highest order, at least
 MOST_BINS = 2000  # of one recording
 ROUGH_STEPS = 20
-NEAR = 0.5  # of the least cost on the means, by which that of a start that is polished may be above it
-POLISHED, FLATTEST = 4, 2  # starts: the best, and of those as good the ones that show least
-FAR = 4.0  # standard deviations beyond which a row counts less
-ROUNDS = 4  # of weighing
-NEAR_ZERO = 0.05  # of the spread of the other starts
-LARGEST = 1e4  # units of the search, of a start
-LEAST = 1e-6  # of the span of the TE, that a row is known to
-SAME = 12.0  # squared standard errors within which two ends are one, besides what nothing shows
-AS_GOOD = 12.0  # by which the sum of squares may be above the least, in variances of a row
+NEAR = 0.5  # of the least cost on the means: excess up to which a start is refined
+POLISHED, FLATTEST = 4, 2  # starts refined: the best, and those of the good ones whose sums have the lowest rank
+FAR = 4.0  # standard deviations beyond which a row gets less weight
+ROUNDS = 4  # of reweighting
+NEAR_ZERO = 0.05  # spread of every second start, over that of the others
+LARGEST = 1e4  # units of the search: spread of the starts, at most
+LEAST = 1e-6  # of the span of the TE: least standard deviation of a row
+SAME = 12.0  # squared standard errors within which two ends count as one, apart from hidden directions
+AS_GOOD = 12.0  # variances of a row by which the sum of squares of an equally good end may exceed the least one
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """The end of a fit.
+    """The result of a fit.
 
     Args:
         values: numbers in units of the search, shape (number,).
         cost: weighted sum of squares of the rows [arcmin^2].
         sigma: standard deviation of a row [arcmin].
-        weight: of each row, shape (n,).
-        matrix: ``J^T W J`` of all rows, without what is known before, shape (number, number).
-        others: ends that fit as well but are elsewhere, shape (k, number).
-        problem: all rows.
-        known: what is known before, in variances of a row.
+        weight: weight of each row, shape (n,).
+        matrix: ``J^T W J`` of all rows, without the priors, shape (number, number).
+        others: other solutions that fit equally well, shape (k, number).
+        problem: the problem of all rows.
+        known: the priors, their precisions multiplied by the variance of a row.
     """
 
     values: np.ndarray
@@ -59,18 +62,18 @@ class Fit:
 
 
 def noise_of(rows: Rows) -> float:
-    """Standard deviation of what changes from row to row, slow curves left out [arcmin]."""
+    """Standard deviation of the noise from row to row, without slow curves [arcmin]."""
     second = np.diff(rows.te, 2)[np.diff(rows.record, 2) == 0]
     return float(max(1.4826 * np.median(np.abs(second)) / np.sqrt(6), 1e-6)) if second.size else 1e-6
 
 
 def spread_of(values: np.ndarray) -> float:
-    """Standard deviation of the middle of values, which wild ones do not move."""
+    """Standard deviation estimated from the median absolute deviation, which outliers hardly change."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Sequence[float]) -> Rows:
-    """Means of the rows over even steps of the angle; the rows themselves where they are no more than that."""
+    """Means of the rows over even steps of the angle; the rows themselves if there are hardly more rows than steps."""
     turns = scene.system.orders
     per_input_turn = max(BINS * turns.get("output", 1.0), PER_TURN * scene.system.fastest_order)
     parts = []
@@ -101,12 +104,12 @@ def fitted(
     """The best end of several starts.
 
     Args:
-        model: of the recordings.
-        rows: all of them.
-        rough: their means; ``None`` where all starts are polished.
-        precision: means and precisions of what is known before, shape (number,) each; in units of the search.
-        starts: shape (start, number).
-        robust: whether outlying rows are weighed down.
+        model: the model of the recordings.
+        rows: all rows.
+        rough: the problem of their means; ``None`` if all starts are to be refined.
+        precision: means and precisions of the priors, in units of the search, shape (number,) each.
+        starts: numbers that the search starts from, shape (start, number).
+        robust: whether outlying rows get less weight.
     """
     positive = np.zeros(starts.shape[1], bool)
     positive[: len(model.unknowns.each)] = model.unknowns.reciprocals
@@ -147,7 +150,8 @@ def fitted(
     ends, cost, matrix = ends[order], sums.cost[order], sums.matrix[order]
     good = cost - cost[0] < AS_GOOD * sigma**2
     ends, matrix = ends[good], matrix[good]
-    # of ends as good, the one that shows least is the honest one: a search may stop at the rim of a flat valley
+    # of equally good ends, the one whose sums have the lowest rank is taken: a search may stop at the rim of a flat
+    # valley, where the recordings seem to determine more than they do
     ranks = [rank_of(part - np.diag(known.precision)) for part in matrix]
     best = int(np.argmin(ranks))
     first = [best, *(i for i in range(len(ends)) if i != best)]
@@ -157,7 +161,7 @@ def fitted(
 
 
 def _apart(ends: np.ndarray, matrix: np.ndarray, sigma: float) -> list[int]:
-    """Ends that are not the same, the first of each."""
+    """Indices of the distinct ends: of ends that count as one, the first."""
     chosen: list[int] = []
     for i in range(len(ends)):
         if all(not _is_same(ends[i], ends[j], matrix[i], matrix[j], sigma) for j in chosen):
@@ -166,26 +170,26 @@ def _apart(ends: np.ndarray, matrix: np.ndarray, sigma: float) -> list[int]:
 
 
 def _is_same(one: np.ndarray, other: np.ndarray, first: np.ndarray, second: np.ndarray, sigma: float) -> bool:
-    """Whether two ends differ by no more than what neither of both shows, or some standard errors."""
+    """Whether two ends differ by no more than a few standard errors, apart from directions hidden at both ends."""
     way = one - other
     return bool(max(way @ first @ way, way @ second @ way) < SAME * sigma**2)
 
 
 def rank_of(matrix: np.ndarray) -> int:
-    """Directions that sums of squares show, told apart from rounding."""
+    """Number of directions that the sums of squares determine beyond rounding."""
     values = np.linalg.eigvalsh(scaled(matrix)[0])
     return int((values > 1e-9 * max(values[-1], 1e-300)).sum())
 
 
 def without_further(matrix: np.ndarray, size: int) -> np.ndarray:
-    """Sums of the first numbers alone, whatever the further ones are: offsets and free orders eliminated."""
+    """Matrix of the first numbers with the further ones (offsets and free orders) eliminated: the Schur complement."""
     own, cross, beside = matrix[:size, :size], matrix[:size, size:], matrix[size:, size:]
     left = own - cross @ np.linalg.pinv(beside, hermitian=True) @ cross.T
     return 0.5 * (left + left.T)
 
 
 def scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A matrix of sums with ones on its diagonal, and what its numbers were divided by."""
+    """A matrix of sums scaled to ones on its diagonal, and the scale of each number."""
     diagonal = np.diag(matrix)
     scale = np.sqrt(np.where(diagonal > 1e-20 * max(diagonal.max(), 1e-300), diagonal, 1.0))
     whole = matrix / scale[:, None] / scale[None, :]
@@ -193,14 +197,14 @@ def scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def starts_of(model: Model, rough: Problem, number: int, seed: int) -> np.ndarray:
-    """Starts: the scene as it is, some near no errors at all, the others as large as the recordings can be of."""
+    """Starts: the scene itself, some with errors near zero, the others with errors as large as the TE allows."""
     each, start, rows = model.unknowns.each, model.unknowns.start, rough.rows
     further_numbers = rows.basis.shape[1]
     draws = np.random.default_rng(seed).standard_normal((number, len(each)))
     if number == 1:
         return np.concatenate([start, np.zeros(further_numbers)])[None]
     _, rate = rough.curve(np.concatenate([start, np.zeros(further_numbers)]))
-    moves = np.sqrt((rate[:, : len(each)] ** 2).mean(axis=0))  # of the curve, per unit
+    moves = np.sqrt((rate[:, : len(each)] ** 2).mean(axis=0))  # root mean square of the curve per unit of each unknown
     sizes = np.where(moves > 0, 0.5 * float(np.ptp(rows.te)) / np.where(moves > 0, moves, 1.0), 10.0)
     small = np.where(np.arange(number) % 2 == 1, NEAR_ZERO, 1.0)
     points = np.zeros((number, len(each) + further_numbers))

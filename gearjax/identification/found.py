@@ -1,4 +1,4 @@
-"""What recordings tell of a gear set: numbers with their errors, what is hidden, what else would fit."""
+"""The result of an identification: numbers with their errors, what is hidden, which other solutions fit."""
 
 import dataclasses
 import math
@@ -18,20 +18,20 @@ from gearjax.scene import Scene
 from gearjax.units import arcmin
 
 Z = 1.959964  # standard errors to either side of an interval of 95 %
-LOOSELY = 0.3  # of its value, that a hidden number is held to by
-SOFTEST = 0.05  # of a reciprocal, that is drawn
-OUTLYING = 0.99  # weight below which a row counts as lying off
+LOOSELY = 0.3  # of its value: assumed standard deviation of a hidden number that is no error
+SOFTEST = 0.05  # least reciprocal that is drawn, in units of the search
+OUTLYING = 0.99  # weight below which a row counts as an outlier
 
 
 @dataclasses.dataclass(frozen=True)
 class IdentifiedNumber:
-    """A number found.
+    """One identified number.
 
     Args:
-        name: such as ``errors.planet_1.cos``.
-        value: in its unit.
-        error: standard error, ``None`` where the recordings do not tell the number.
-        unit: of both.
+        name: name such as ``errors.planet_1.cos``.
+        value: value in ``unit``.
+        error: standard error in ``unit``; ``None`` if the recordings hide the number.
+        unit: unit of the value and its error.
     """
 
     name: str
@@ -41,24 +41,24 @@ class IdentifiedNumber:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Of 95 %, ``None`` where the recordings do not tell the number."""
+        """95 % interval; ``None`` if the recordings hide the number."""
         return None if self.error is None else (self.value - Z * self.error, self.value + Z * self.error)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Identification:
-    """What recordings tell of a gear set.
+    """The numbers of a gear set that were identified from recordings.
 
     Args:
-        scene: with the numbers found: the nearest to none where the recordings leave a choice.
+        scene: the scene with the numbers found; where the recordings leave a choice, the errors nearest to zero.
         records: the recordings.
-        unknowns: what was looked for.
-        fit: the end of the fit.
-        visible: what it tells and hides.
-        orders: waves that the gear set does not explain, found and set free; those asked for are among the names.
-        names: of all numbers: the scene's, offsets, free orders.
-        notes: what a reader should know.
-        suggestions: recordings that would show more.
+        unknowns: the unknowns.
+        fit: the result of the fit.
+        visible: what the fit determines and hides.
+        orders: unexplained waves that were found and set free; orders that the user set free are among ``names``.
+        names: names of all numbers: unknowns of the scene, offsets, free orders.
+        notes: remarks for the reader.
+        suggestions: further recordings that would show more.
     """
 
     scene: Scene
@@ -74,22 +74,22 @@ class Identification:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of what is left, per row [rad]."""
+        """Standard deviation of the residual per row [rad]."""
         return self.fit.sigma * arcmin
 
     @property
     def vectors(self) -> list[str]:
-        """Errors that were looked for as vectors: bodies that may be turned in their seats."""
+        """Errors that were identified as vectors: their bodies may be turned in their seats."""
         return list(self.unknowns.vectors)
 
     @property
     def is_hidden(self) -> np.ndarray:
-        """Numbers of the scene that the recordings do not tell, shape (unknown,)."""
+        """Whether the recordings hide each unknown, shape (unknown,)."""
         return self.visible.is_hidden(len(self.unknowns.each))
 
     @property
     def estimates(self) -> tuple[IdentifiedNumber, ...]:
-        """The numbers of the scene, then offsets and free orders [arcmin]."""
+        """Estimates of the unknowns of the scene, then of offsets and free orders [arcmin]."""
         size = len(self.unknowns.each)
         deviation = np.sqrt(np.maximum(np.diag(self.visible.covariance), 0.0))
         values = self.unknowns.shown(self.fit.values[:size])
@@ -103,10 +103,10 @@ class Identification:
         return (*found, *(IdentifiedNumber(name, float(value), float(error), "arcmin") for name, value, error in rest))
 
     def estimate(self, name: str) -> IdentifiedNumber:
-        """One of the numbers by its name.
+        """One of the estimates by its name.
 
         Raises:
-            ParameterError: there is none of that name.
+            ParameterError: no number has that name.
         """
         for each in self.estimates:
             if each.name == name:
@@ -115,19 +115,19 @@ class Identification:
 
     @property
     def alternatives(self) -> tuple[dict[str, float], ...]:
-        """Other values of the scene's numbers that explain the recordings as well, by name."""
+        """Other values of the unknowns that explain the recordings equally well, by name."""
         size = len(self.unknowns.each)
         shown = [self.unknowns.shown(values[:size]) for values in self.fit.others]
         return tuple(dict(zip(self.unknowns.names, map(float, each), strict=True)) for each in shown)
 
     @property
     def correlations(self) -> list[tuple[str, str, float]]:
-        """Pairs of numbers whose errors go together."""
+        """Pairs of unknowns whose errors are strongly correlated, with the correlation; the strongest first."""
         return strongest_correlations(self.unknowns, self.visible.covariance, ~self.is_hidden)
 
     @property
     def hidden(self) -> list[str]:
-        """What the recordings cannot tell, in words."""
+        """What the recordings cannot determine, in words."""
         words = hidden_in_words(self.unknowns, self.visible.hidden)
         shown = {each.name: each.value for each in self.estimates}
         for other in self.alternatives:
@@ -147,15 +147,14 @@ class Identification:
         return [(rows.theta[each], rows.te[each] * arcmin, curve[each] * arcmin) for each in own]
 
     def draws(self, number: int, key: int = 0, *, size: float | None = None) -> np.ndarray:
-        """Numbers of the scene drawn from what the recordings leave open, shape (draw, unknown), units of the search.
+        """Draw unknowns that the recordings leave possible, shape (draw, unknown), in units of the search.
 
-        Directions that the recordings hide are drawn from what was known before (``priors``), else from vectors as
-        large as those that were found.
+        Hidden directions are drawn from the priors, or else from vectors as large as those that were found.
 
         Args:
-            number: of draws.
-            key: seed.
-            size: standard deviation of hidden numbers, in units of the search.
+            number: number of draws.
+            key: seed of the draws.
+            size: standard deviation of hidden errors, in units of the search; by default that of the vectors found.
         """
         unknowns, rng = len(self.unknowns.each), np.random.default_rng(key)
         centre, root = self.gaussian(self.visible.inflation, size)
@@ -163,17 +162,19 @@ class Identification:
         soft = self.unknowns.reciprocals
         drawn[:, soft] = np.maximum(drawn[:, soft], SOFTEST)
         others = [values[:unknowns] for values in self.fit.others]
-        if others:  # ends that are as good, each with its share of the draws
+        if others:  # solutions that are equally good get an equal share of the draws each
             shifts = np.stack([np.zeros(unknowns), *(self._towards(other) for other in others)])
             drawn = drawn + shifts[np.arange(number) % len(shifts)]
         return drawn
 
     def held(self, size: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Means and precisions that hold what neither recordings nor priors tell, in units of the search, beside those
-        of the fit: vectors to none, as large as those found or as told; other numbers to about what the scene has.
+        """Assumed means and precisions of the unknowns that neither recordings nor priors determine.
+
+        They are in units of the search and add to the priors of the fit. Errors have a mean of zero and the size of the
+        vectors found as standard deviation; other numbers have the mean of the scene and 30 % of it as deviation.
 
         Args:
-            size: standard deviation of hidden vectors, in units of the search.
+            size: standard deviation of hidden errors, in units of the search; by default that of the vectors found.
         """
         unknowns = len(self.unknowns.each)
         mean, precision = np.zeros(self.fit.values.size), np.zeros(self.fit.values.size)
@@ -189,11 +190,11 @@ class Identification:
         return mean, precision
 
     def gaussian(self, inflation: float, size: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Centre of what the recordings leave open and a root of its covariance, in units of the search.
+        """Mean and a root of the covariance of the numbers that the recordings leave possible, in units of the search.
 
         Args:
-            inflation: of the variance of a row.
-            size: of hidden vectors, as of `held`.
+            inflation: factor on the variance of a row.
+            size: standard deviation of hidden errors, as in `held`.
         """
         mean, extra = self.held(size)
         told = self.fit.matrix / (self.fit.sigma**2 * inflation) + np.diag(self.fit.known.precision / self.fit.sigma**2)
@@ -201,12 +202,12 @@ class Identification:
         diagonal = np.diag(whole)
         scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
         values, vectors = np.linalg.eigh(whole / scale[:, None] / scale[None, :])
-        values = np.maximum(values, 1e-12 * values[-1])  # rounding, of recordings without noise
+        values = np.maximum(values, 1e-12 * values[-1])  # smaller ones are rounding, from recordings without noise
         pull = vectors.T @ ((told @ self.fit.values + extra * mean) / scale)
         return vectors @ (pull / values) / scale, vectors / np.sqrt(values) / scale[:, None]
 
     def shown(self, values: np.ndarray) -> np.ndarray:
-        """All numbers in the units that they are shown in, of those in units of the search, shape (..., number)."""
+        """All numbers converted from units of the search to those in which they are shown, shape (..., number)."""
         size = len(self.unknowns.each)
         return np.concatenate([self.unknowns.shown(values[..., :size]), values[..., size:]], axis=-1)
 
@@ -214,7 +215,7 @@ class Identification:
         return other - self.fit.values[: other.size]
 
     def as_json(self) -> dict[str, Any]:
-        """What was found, for a file."""
+        """The results for a file."""
         return {
             "estimates": [dataclasses.asdict(each) | {"interval_95": each.interval} for each in self.estimates],
             "eccentricities": {path: self._vector(places) for path, places in self.unknowns.vectors.items()},

@@ -1,4 +1,4 @@
-"""Which errors explain a measured transmission error."""
+"""Identification of the errors that explain a measured transmission error (TE)."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -24,17 +24,17 @@ from gearjax.progress import Progress, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
-OFFSET_SPREAD = 0.02 * arcmin  # by which the encoders' offset may change from one recording to the next
+OFFSET_SPREAD = 0.02 * arcmin  # standard deviation of the encoders' offset between recordings
 STARTS = 64
-MOST_MOVING = 4  # ends of the static fit that a motion starts from
-FEW_STARTS = 4  # of scenes that are differentiated as they are
+MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion starts from
+FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
-SHORTEST_WAVE = 0.5  # of an order, that a recording must hold
-MUCH_BETTER = 0.5  # of the sum of squares: what tells another sign of the torque, or zero of the errors
-WELL = 1.3  # times the noise from row to row: what is left is noise
-POOR = 2.0  # times the noise from row to row: what is left is not noise alone
-STAYS = 0.1  # of the variance of a row, that curves may change where hidden numbers are moved
-MOST_ROWS = 300_000  # of all recordings; more are averaged, some that follow each other
+SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
+MUCH_BETTER = 0.5  # share of the sum of squares below which the other sign of the torque is taken
+WELL = 1.3  # times the noise from row to row: up to this, the residual counts as noise
+POOR = 2.0  # times the noise from row to row: above this, the residual is more than noise
+STAYS = 0.1  # variances of a row by which the cost may rise when hidden unknowns are moved
+MOST_ROWS = 300_000  # of all recordings; more rows are averaged in groups, or thinned out in motion
 LOSSES = ("robust", "least_squares")
 
 
@@ -60,35 +60,36 @@ def identify(
     suggest: bool = True,
     progress: Progress = silent,
 ) -> Identification:
-    """The errors of a gear set that explain recordings of its transmission error, by least squares from many starts.
+    """Find the errors of a gear set that explain recordings of its TE, by least squares from many starts.
 
-    Recordings under torque are compared with the static TE under it, those without with the no-load TE; of an input
-    that turns back with that of the back flanks. Errors are looked for as they are in the scene: first order or exact.
-    Of a gear set that runs, ``analysis="dynamic"`` compares recordings under torque with the dynamic TE at their speed.
+    Recordings under torque are compared with the static TE under that torque. Recordings without torque are compared
+    with the no-load TE, of the back flanks if the input turns backward. The scene's geometry decides whether errors act
+    to first order or exactly. With ``analysis="dynamic"``, recordings under torque are compared with the dynamic TE at
+    the speed of each recording.
 
     Args:
-        scene: the gear set; its numbers are where one start begins.
-        measured: one recording, or several of the same unit: at two torques and both directions they tell most.
-        where: paths of what is looked for, or of whole errors such as ``errors.planet_1``; without, the errors, the
-            mean stiffness (of recordings under torque) and the initial backlash (of recordings of the back flanks).
-        priors: what is known before, by path: a standard deviation, a pair of mean and standard deviation in SI, or a
-            distribution of a tolerance study; of an eccentricity, of each of its components.
-        offset_spread: standard deviation by which the encoders' offset changes between recordings [rad].
-        starts: of the search; without 64, or 4 where the scene is not in proportion to what is looked for.
-        loss: ``"robust"`` weighs rows beyond four standard deviations down, ``"least_squares"`` does not.
-        analysis: ``"static"``, or ``"dynamic"`` for recordings at speed: their times give it, and the scene has inertia
-            (its load is the recorded torque). Numbers that only a motion shows, such as ``damping.ratio``, can be
-            looked for then.
-        orders: ``"find"`` looks for orders that the gear set does not explain and sets them free; else orders that are
-            free, in cycles per turn of the input; empty for none.
-        key: seed of the starts.
-        suggest: whether to try which further recording would show more.
-        progress: told how far it is.
+        scene: the gear set; one start of the search begins at its numbers.
+        measured: one recording, or several of the same unit; two torques and both directions determine most.
+        where: paths of the unknowns, or of whole errors such as ``errors.planet_1``; by default the errors, the mean
+            stiffness (for recordings under torque) and the initial backlash (for recordings of the back flanks).
+        priors: prior knowledge by path: a standard deviation, a pair of mean and standard deviation in SI, or a
+            distribution of a tolerance study; for an eccentricity, of each of its components.
+        offset_spread: standard deviation of the encoders' offset between recordings [rad].
+        starts: number of starts of the search; by default 64, or 4 if the gaps are not linear in the unknowns.
+        loss: ``"robust"`` reduces the weight of rows beyond four standard deviations, ``"least_squares"`` does not.
+        analysis: ``"static"``, or ``"dynamic"`` for recordings at speed: the recorded times give the speed, the
+            recorded torque is the load, and the scene needs inertia. Numbers that only a motion shows, such as
+            ``damping.ratio``, can then be unknowns.
+        orders: ``"find"`` searches orders that the gear set does not explain and sets them free; otherwise the orders
+            to set free, in cycles per turn of the input; empty for none.
+        key: seed of the random starts.
+        suggest: whether to search for further recordings that would show more.
+        progress: called with a line of text now and then.
 
     Raises:
         GearjaxError: the recordings cannot be of this gear set.
-        ParameterError: a path leads nowhere.
-        SceneError: the scene lacks what the recordings need.
+        ParameterError: a path does not exist.
+        SceneError: the scene lacks a part that the recordings need.
 
     Example:
         >>> import gearjax as gj, dataclasses
@@ -138,7 +139,7 @@ def identify(
 
 
 def _free_orders(orders: Any, records: Sequence[Measurement]) -> dict[float, str]:
-    """Orders that were asked for, with their names."""
+    """Orders that the user sets free, with their names; none for ``"find"``."""
     if isinstance(orders, str):
         if orders != "find":
             raise ParameterError("orders", orders, 'must be "find", or orders in cycles per turn of the input')
@@ -158,7 +159,7 @@ def _free_orders(orders: Any, records: Sequence[Measurement]) -> dict[float, str
 
 
 def _thinned(records: list[Measurement], notes: list[str], moves: bool) -> list[Measurement]:
-    """Recordings of a bounded number of rows: means, but of a motion single rows, which shake as it does."""
+    """Recordings of a limited number of rows: means, or single rows in motion, as means would damp the vibration."""
     rows = sum(record.theta.size for record in records)
     if rows <= MOST_ROWS:
         return records
@@ -171,14 +172,14 @@ def _thinned(records: list[Measurement], notes: list[str], moves: bool) -> list[
 
 
 def _check_suited(scene: Scene, records: list[Measurement], notes: list[str]) -> None:
-    """Refuse a scene without what the recordings ask of it."""
+    """Refuse a scene that lacks a part that the recordings need."""
     if any(record.is_loaded for record in records) and scene.compliance is None:
         raise SceneError("recordings under torque need a [compliance]: list one, with about its stiffness")
     for record in records:
         if record.back.any() and not scene.has_back and not scene.layout.sides_turn:
             words = f"{record.name} loads the back flanks, which this scene lacks: list a [backlash]"
             raise SceneError(words)
-        if record.is_loaded and (record.loads == 0).any():  # refused before in motion
+        if record.is_loaded and (record.loads == 0).any():  # in motion, `check_running` has refused it already
             notes.append(f"{record.name}: rows without torque among others are compared with the no-load TE")
 
 
@@ -188,7 +189,7 @@ def _drifts(records: Sequence[Measurement]) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class _Options:
-    """Of a fit, as of `identify`."""
+    """Options of a fit, as in `identify`."""
 
     priors: Mapping[str, Any]
     offset_spread: float
@@ -199,7 +200,7 @@ class _Options:
 
 @dataclasses.dataclass(frozen=True)
 class _Wanted:
-    """What is fitted to a scene, whatever its reference."""
+    """All that a fit needs besides the scene."""
 
     records: list[Measurement]
     where: Any
@@ -216,8 +217,10 @@ _Result = tuple[Model, Fit, list[Order]]
 
 
 def _by_reference(scene: Scene, wanted: _Wanted, notes: list[str]) -> tuple[Scene, _Result]:
-    """The fit, errors counted as they are: a real gear set knows no other zero. Where that leaves more than noise, the
-    scene's own zero at the start is tried too."""
+    """The fit of the scene without its [reference]: in a real gear set, errors count from the ideal geometry.
+
+    If that fit leaves more than noise, the scene with its own [reference] is fitted too, and kept if it fits better.
+    """
     absolute = dataclasses.replace(scene, reference=None)
     found = _found(absolute, wanted)
     if scene.reference is None:
@@ -231,7 +234,7 @@ def _by_reference(scene: Scene, wanted: _Wanted, notes: list[str]) -> tuple[Scen
 
 
 def _found(scene: Scene, wanted: _Wanted) -> _Result:
-    """The fit of a scene, with orders set free where that is asked for."""
+    """The fit of a scene, with unexplained orders set free if ``wanted.look`` says so."""
     unknowns = unknowns_of(scene, wanted.where, back=wanted.back, loaded=wanted.loaded)
     records, options = wanted.records, wanted.options
     check_turned(records, list(unknowns.vectors))
@@ -243,9 +246,9 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
 
 
 def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Model, Fit]:
-    """The fit of a motion, from the ends of that at rest: contacts that come and go over a width first."""
+    """The fit in motion, started from the solutions of the static fit: with widely smoothed contacts first."""
     unknowns, records = model.unknowns, wanted.records
-    # at rest nothing depends on these, and a start of the search is a draw
+    # the static TE does not depend on these unknowns: the static fit left them at random starts
     unseen = [i for i, each in enumerate(unknowns.each) if each.path.partition(".")[0] in MOVING]
     for width in (WIDE, NARROW):
         at = fit.values[: len(unknowns.each)].copy()
@@ -271,9 +274,9 @@ def _fit(
     options: _Options,
     starts: np.ndarray | None,
 ) -> Fit:
-    """The fit with some free orders, from the usual starts without others."""
+    """The fit with some free orders; from the usual starts if ``starts`` is ``None``."""
     rows = rows_of(records, scene, orders, _drifts(records))
-    moves = isinstance(model, MovingModel)  # means over steps of the angle would lose what shakes
+    moves = isinstance(model, MovingModel)  # then no means over steps of the angle, which would damp the vibration
     rough = None if moves else Problem(model, coarse(records, scene, rows, orders))
     mean, own = priors_of(model.unknowns, options.priors)
     beside = np.zeros(rows.basis.shape[1])
@@ -288,7 +291,7 @@ def _fit(
 
 
 def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
-    """Refuse a torque whose sign is turned round, where the other one explains the recordings."""
+    """Refuse torques of the wrong sign: the opposite sign explains the recordings much better."""
     records = [dataclasses.replace(record, torque=-record.loads) for record in wanted.records]
     back = bool(np.any(np.concatenate([record.back for record in records])))
     if back and not (scene.has_back or scene.layout.sides_turn):
@@ -304,7 +307,7 @@ def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
 
 
 def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order]]:
-    """The fit with orders set free that the gear set does not explain, as long as a significant one is left."""
+    """The fit with unexplained orders set free one by one, until no significant order is left in the residual."""
     known: list[Order] = []
     while len(known) < MOST_ORDERS:
         rows = fit.problem.rows
@@ -326,14 +329,16 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
 
 
 def _hidden_at(fit: Fit, model: Model, values: np.ndarray) -> np.ndarray:
-    """Directions that nothing shows at another solution."""
+    """Hidden directions at another solution."""
     matrix = fit.problem.normal(values[None], fit.weight).matrix[0]
     return hidden_directions(dataclasses.replace(fit, matrix=matrix), len(model.unknowns.each))
 
 
 def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values found, as near as the directions allow that nothing shows: vectors and other errors to none, what else is
-    hidden to what the scene has. What is known before settles its own, and all stay where the curves would change."""
+    """Values found, moved along the hidden directions: errors towards zero, other unknowns towards the scene's numbers.
+
+    Directions in which an unknown has a prior are not used, and all values stay if the curves would change.
+    """
     hidden = hidden[(hidden[:, fit.known.precision[: hidden.shape[1]] > 0] == 0).all(axis=1)]
     if not len(hidden):
         return values
@@ -355,7 +360,7 @@ def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> 
 
 
 def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], notes: list[str]) -> None:
-    """What a reader should know of the fit."""
+    """Add remarks on the fit to the notes."""
     size = len(model.unknowns.each)
     outlying = int((fit.weight < OUTLYING).sum())
     if outlying > 2e-3 * fit.weight.size:

@@ -12,8 +12,8 @@ from gearjax.checks import GearjaxError, ParameterError, nearest
 from gearjax.scene import Scene
 from gearjax.units import deg
 
-RATIO_TOLERANCE = 2e-3  # of the slope of the output, from that of the gear set
-FACTORS = {  # of a slope that is wrong, and what it tells
+RATIO_TOLERANCE = 2e-3  # relative deviation of the output's slope from that of the gear set
+FACTORS = {  # factors of a wrong slope, and the likely cause
     180 / np.pi: "the input angle seems to be in radians, or the output angle in degrees, against its header",
     np.pi / 180: "the input angle seems to be in degrees, or the output angle in radians, against its header",
     360.0: "one of the angles seems to be in turns, against its header",
@@ -22,32 +22,32 @@ FACTORS = {  # of a slope that is wrong, and what it tells
     1 / 60.0: "one of the angles seems to be in arcmin, against its header",
 }
 SHORTEST = 3  # rows
-FLIPS = 0.05  # of the rows, in which a torque that is noise changes its sign
-BOTH_WAYS = 0.2  # of its span, that a recording may turn against its direction: encoders jitter
+FLIPS = 0.05  # share of the rows with a change of sign, above which a torque may be noise
+BOTH_WAYS = 0.2  # share of its span that a recording may turn against its direction, because encoders jitter
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Measurement:
-    """One run on a test bench: a direction of turning, rows in the order of time.
+    """One run on a test bench: one direction of rotation, rows in the order of time.
 
     Args:
-        theta: input angle of each row, whose zero is that of the phases, shape (n,) [rad].
-        output: output angle, shape (n,) [rad], or ``None`` where the transmission error was recorded itself.
-        te: transmission error, shape (n,) [rad], or ``None`` where both angles were.
+        theta: input angle of each row; its zero is the zero of the phases, shape (n,) [rad].
+        output: output angle, shape (n,) [rad], or ``None`` if the transmission error was recorded.
+        te: transmission error, shape (n,) [rad], or ``None`` if both angles were recorded.
         torque: load torque on the output, positive resists its positive rotation, shape (n,) [N m]; ``None`` for none.
-        time: of each row, shape (n,) [s], or ``None``.
-        name: for messages and figures.
-        turned: angles that bodies were turned by in their seats before this run, by error, as
-            ``{"errors.planet_1": 0.5}`` [rad]: what the phase of that error counts more.
-        resolution: smallest step of the transmission error that the encoders tell, ``None`` where not known [rad].
-        repairs: what reading has mended, and how often.
-        averaged: rows of the file that one row is the mean of.
+        time: time of each row, shape (n,) [s], or ``None``.
+        name: name in messages and figures.
+        turned: angles by which bodies were turned in their seats before this run, by error, such as
+            ``{"errors.planet_1": 0.5}`` [rad]; they are added to the phases of these errors.
+        resolution: smallest step of the transmission error that the encoders resolve [rad]; ``None`` if unknown.
+        repairs: faults of the file that were repaired during reading, and how often.
+        averaged: number of rows of the file that each row is the mean of.
 
     Raises:
-        ParameterError: arrays do not go together, or hold what is not finite.
+        ParameterError: arrays do not fit together, or contain numbers that are not finite.
     """
 
-    theta: Any  # lists are taken too, and kept as arrays
+    theta: Any  # a list is accepted too, and stored as an array
     output: Any = None
     te: Any = None
     torque: Any = None
@@ -81,7 +81,7 @@ class Measurement:
 
     @property
     def is_noise(self) -> bool:
-        """Whether the torque is the noise of its sensor about none."""
+        """Whether the torque is only noise of its sensor about zero."""
         if self.torque is None or not np.any(self.torque):
             return False
         flips = np.mean(np.diff(np.sign(self.torque)) != 0)
@@ -89,23 +89,23 @@ class Measurement:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether a torque was recorded that is not zero."""
+        """Whether a torque other than zero was recorded."""
         return bool(np.any(self.loads))
 
     @property
     def turns_back(self) -> bool:
-        """Whether the input angle falls."""
+        """Whether the input angle decreases."""
         return bool(self.theta[-1] < self.theta[0])
 
     @property
     def back(self) -> np.ndarray:
-        """Rows whose back flanks carry: under a torque that drives, and without torque where the input turns back."""
+        """Whether the back flanks carry in each row: under a negative torque, or unloaded if the input turns back."""
         return np.where(self.loads == 0, self.turns_back, self.loads < 0)
 
     def error(self, scene: Scene) -> np.ndarray:
         """Transmission error of the recording, ``phi_out - phi_in / i`` (Wang et al. 2020, eq. 22), shape (n,) [rad].
 
-        Of gear sets whose ratio is not constant, output angle minus ideal output angle.
+        For gear sets whose ratio is not constant: output angle minus ideal output angle.
         """
         if self.te is not None:
             return self.te
@@ -113,10 +113,10 @@ class Measurement:
         return self.output - ideal(scene, self.theta)
 
     def check(self, scene: Scene) -> list[str]:
-        """Refuse a recording that cannot be of this gear set; what a reader should know of it is returned.
+        """Refuse a recording that cannot be of this gear set; return remarks for the reader.
 
         Raises:
-            GearjaxError: its ratio or its direction is another, units or columns are exchanged, or it is aliased.
+            GearjaxError: its ratio or direction differs, units or columns are exchanged, or it is aliased.
         """
         steps = np.diff(self.theta)
         if min(np.abs(steps[steps > 0]).sum(), np.abs(steps[steps < 0]).sum()) > BOTH_WAYS * np.ptp(self.theta):
@@ -127,7 +127,7 @@ class Measurement:
         return [*self.told(), *words, *_check_span(self, scene)]
 
     def averaged_by(self, size: int) -> "Measurement":
-        """The same with the means of as many rows that follow each other."""
+        """The same recording, with the mean of each ``size`` successive rows as one row."""
         parts = {
             key: None if (values := getattr(self, key)) is None else means_of(values, size)
             for key in ("theta", "output", "te", "torque", "time")
@@ -135,7 +135,7 @@ class Measurement:
         return dataclasses.replace(self, **parts, averaged=self.averaged * size)
 
     def every(self, size: int) -> "Measurement":
-        """The same with one row in so many."""
+        """The same recording with one in ``size`` rows."""
         parts = {
             key: None if (values := getattr(self, key)) is None else values[::size]
             for key in ("theta", "output", "te", "torque", "time")
@@ -143,7 +143,7 @@ class Measurement:
         return dataclasses.replace(self, **parts)
 
     def told(self) -> list[str]:
-        """What reading has mended, in words."""
+        """What was repaired or averaged during reading, in words."""
         words = [f"{number} {what}" for what, number in self.repairs.items()]
         if self.averaged > 1:
             words.append(f"each row is the mean of {self.averaged} rows of the file")
@@ -151,7 +151,7 @@ class Measurement:
 
 
 def means_of(values: np.ndarray, size: int) -> np.ndarray:
-    """Means of as many values that follow each other."""
+    """Mean of each ``size`` successive values."""
     return values[: values.size // size * size].reshape(-1, size).mean(axis=1)
 
 
@@ -162,7 +162,7 @@ def ideal(scene: Scene, theta: np.ndarray) -> np.ndarray:
 
 
 def _row(measured: Measurement, key: str, size: int | None) -> np.ndarray:
-    """One of the arrays, kept as float64."""
+    """One of the arrays, stored as float64."""
     try:
         array = np.array(getattr(measured, key), dtype=float)
     except (TypeError, ValueError) as fault:
@@ -179,14 +179,14 @@ def _row(measured: Measurement, key: str, size: int | None) -> np.ndarray:
 
 
 def _check_ratio(measured: Measurement, scene: Scene) -> None:
-    """Refuse an output that turns in another ratio, or the other way."""
+    """Refuse an output that turns at another ratio, or in the other direction."""
     expected, output = ideal(scene, measured.theta), measured.output
     assert output is not None
     if np.ptp(output) == 0:
         raise GearjaxError(f"{measured.name}: the output angle is the same in every row")
     slope = robust_slope(expected, output)
     off = abs(slope - 1)
-    if off * np.ptp(expected) < 2 * deg or off < RATIO_TOLERANCE:  # of a short record hardly known
+    if off * np.ptp(expected) < 2 * deg or off < RATIO_TOLERANCE:  # a short recording hardly determines the slope
         return
     order = robust_slope(expected, measured.theta)
     words = f"{measured.name}: the output turns {slope:.6g} times as far as a {scene.system.kind}'s should"
@@ -204,7 +204,7 @@ def _check_ratio(measured: Measurement, scene: Scene) -> None:
 
 
 def robust_slope(x: np.ndarray, y: np.ndarray) -> float:
-    """Slope of y over x, by the median of differences over half of the rows: some wild rows do not move it."""
+    """Slope of y over x, as the median of differences over half of the rows: a few outliers do not change it."""
     half = x.size // 2
     run = x[half:] - x[: x.size - half]
     good = np.abs(run) > 0.1 * np.ptp(x)
@@ -214,9 +214,9 @@ def robust_slope(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _check_span(measured: Measurement, scene: Scene) -> list[str]:
-    """What a short or a coarse recording cannot show; an aliased one is refused."""
+    """Remarks on what a short or coarse recording cannot show; an aliased recording is refused."""
     theta, orders = measured.theta, scene.system.orders
-    fastest = max(1.0, orders.get("output", 1.0)) * 1.01  # turn of a body; faster are teeth and pins
+    fastest = max(1.0, orders.get("output", 1.0)) * 1.01  # bodies turn at most so fast; higher orders are teeth or pins
     bodies = {name: order for name, order in orders.items() if order <= fastest}
     step = float(np.median(np.abs(np.diff(theta))))
     told = []
@@ -243,7 +243,7 @@ def _check_span(measured: Measurement, scene: Scene) -> list[str]:
 
 
 def a_measurement(name: str, value: Any) -> None:
-    """Refuse what is no recording, as an argument of a public function."""
+    """Refuse anything but a recording or several, as an argument of a public function."""
     for record in several(value):
         if not isinstance(record, Measurement):
             words = "must be a Measurement, or a list of them: gj.read_measurement(path) reads one"
@@ -253,15 +253,15 @@ def a_measurement(name: str, value: Any) -> None:
 
 
 def several(records: Any) -> list[Any]:
-    """A list of recordings, of one or several."""
+    """A list of recordings, from one recording or several."""
     return list(records) if isinstance(records, list | tuple) else [records]
 
 
 def check_turned(records: list[Measurement], names: list[str]) -> None:
-    """Refuse bodies that were turned before a run but have no error whose phase would tell.
+    """Refuse a body turned before a run if its eccentricity is not among the unknowns.
 
     Raises:
-        ParameterError: naming the error.
+        ParameterError: names the error.
     """
     for record in records:
         for name, angle in record.turned.items():
@@ -274,7 +274,7 @@ def check_turned(records: list[Measurement], names: list[str]) -> None:
 def binned(
     theta: np.ndarray, values: tuple[np.ndarray, ...], width: float
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
-    """Means over even steps of the angle: angles, values and numbers of rows of each."""
+    """Means over even steps of the angle: angle, values and number of rows of each step."""
     place = np.floor((theta - theta.min()) / width).astype(int)
     number = np.bincount(place)
     filled = number > 0

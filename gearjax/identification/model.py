@@ -1,4 +1,4 @@
-"""Recordings as a least-squares problem: which model suits a scene, and its sums."""
+"""Recordings as a least-squares problem: the model that suits a scene, and the sums of the problem."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array
 from gearjax.units import arcmin
 
-LANES = 1 << 15  # rows times points that are worked out at once: they stay in the processor's cache
-FEW = 6  # contacts, whose balance is one expression
-LOOKS = 7  # rows at which it is looked at whether gaps go in proportion
-TRIED = 3  # points that are compared there
-MOVING = ("load", "inertia", "damping")  # slots whose numbers only a motion shows: one at rest has them all the same
-STRAIGHT = 1e-6  # of the largest change of a gap or stiffness: what counts as in proportion
+LANES = 1 << 15  # rows times points that are computed at once, so that they stay in the processor's cache
+FEW = 6  # contacts, up to which their balance is written as one expression
+LOOKS = 7  # rows at which the linearity of the gaps is tested
+TRIED = 3  # points that are compared at these rows
+MOVING = ("load", "inertia", "damping")  # slots that act in motion only; a model at rest keeps those with unknowns too
+STRAIGHT = 1e-6  # of the largest change of a gap or stiffness: deviation up to which the model counts as linear
 
 
 class Normal(NamedTuple):
@@ -40,16 +40,17 @@ class Normal(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """What recordings of a gear set look like, by what is looked for.
+    """Recordings of a gear set as a function of the unknowns.
 
     Args:
-        unknowns: of the scene.
-        scene: what the model depends on.
-        loaded: whether a torque bends the teeth.
-        straight: whether gaps go in proportion to the unknowns, so that tables do.
-        turns: of each recording, what turned bodies make of the components.
-        opens: which number opens which gap, where derivatives go by contacts.
-        groups: numbers that open no gap together.
+        unknowns: unknowns of the scene.
+        scene: the parts of the scene that the model depends on.
+        loaded: whether a torque deflects the teeth.
+        straight: whether gaps are linear in the unknowns, so that tables of influence suffice (`Tables`).
+        turns: for each recording, the matrix by which turned bodies change the components.
+        opens: 1 where an unknown changes a gap, else 0, shape (unknown, contact); ``None`` if derivatives are not
+            computed contact by contact.
+        groups: groups of unknowns of which no two change the same gap.
     """
 
     unknowns: Unknowns
@@ -62,7 +63,7 @@ class Model:
 
     @classmethod
     def of(cls, unknowns: Unknowns, records: Sequence[Measurement], *, loaded: bool) -> "Model":
-        """The model of some recordings, the quick one where the scene allows it."""
+        """The model of some recordings; the fast one (`Tables`) if the scene allows it."""
         scene = dataclasses.replace(unknowns.scene, contact=HardContact(), run=None)
         slots = ["backlash", *(["compliance", "supports"] if loaded else [])]
         slots += [slot for slot in MOVING if any(each.path.startswith(f"{slot}.") for each in unknowns.each)]
@@ -73,24 +74,24 @@ class Model:
         return model._patterned(records) if model._is_apart else model
 
     def beside(self, records: Sequence[Measurement]) -> "Model":
-        """The same for other recordings."""
+        """The same model for other recordings."""
         return dataclasses.replace(self, turns=_turns(self.unknowns, records))
 
     @property
     def _is_apart(self) -> bool:
-        """Whether the output alone moves, against linear springs one by one or rigid teeth."""
+        """Whether only the output moves, and its contacts are uncoupled linear springs or rigid."""
         return (self.scene.springs_apart if self.loaded else self.scene.output_alone) and not self.scene.is_train
 
     def _patterned(self, records: Sequence[Measurement]) -> "Model":
-        """The same with what is known of which number opens which gap."""
+        """The same model with ``opens`` and ``groups``: which unknown changes which gap."""
         few, start = self._few(records), self.unknowns.start
         _, rate, _, _ = tabulated(self.unknowns.each, self.scene, self._way, few, jnp.asarray(start))
         opened = np.abs(np.asarray(rate)).max(axis=0).T  # (unknown, contact)
         opens = opened > 1e-9 * opened.max(initial=0.0)
-        opens[self.unknowns.reciprocals] = True  # of a stiffness, which opens none
+        opens[self.unknowns.reciprocals] = True  # a stiffness changes no gap, but it may change every spring
         plain = np.array([unknown.path.startswith("errors.") for unknown in self.unknowns.each])
         opens[~plain] = True
-        for along, across in self.unknowns.vectors.values():  # a body turned in its seat mixes both
+        for along, across in self.unknowns.vectors.values():  # turning a body in its seat mixes both components
             opens[[along, across]] = opens[along] | opens[across]
         groups: list[list[int]] = []
         for number in range(len(opens)):
@@ -104,7 +105,7 @@ class Model:
     def _few(self, records: Sequence[Measurement]) -> Array:
         """Some input angles of the recordings."""
         theta = np.concatenate([record.theta for record in records])
-        shares = np.modf(np.arange(1, LOOKS + 1) * (np.sqrt(5) - 1) / 2)[0]  # far from even: no wave is zero in all
+        shares = np.modf(np.arange(1, LOOKS + 1) * (np.sqrt(5) - 1) / 2)[0]  # uneven: no wave is zero at all of them
         return jnp.asarray(theta[(shares * theta.size).astype(int)])
 
     @property
@@ -112,7 +113,7 @@ class Model:
         return "mean" if self.loaded else "rigid"
 
     def _is_straight(self, records: Sequence[Measurement]) -> bool:
-        """Whether gaps go in proportion to the unknowns, levers are fixed and all springs share one reciprocal."""
+        """Whether gaps are linear in the unknowns, levers are constant and all springs share one reciprocal."""
         each, start = self.unknowns.each, self.unknowns.start
         soft = self.unknowns.reciprocals
         if self.scene.system.exact or not self._is_apart or soft.sum() > 1:
@@ -163,7 +164,7 @@ class Model:
 
 
 def _turns(unknowns: Unknowns, records: Sequence[Measurement]) -> np.ndarray:
-    """Of each recording, what turned bodies make of the components."""
+    """For each recording, the matrix by which turned bodies change the components."""
     return np.stack([turned(unknowns, record.turned) for record in records])
 
 
@@ -172,11 +173,11 @@ def _close(one: np.ndarray, other: np.ndarray, size: float) -> bool:
 
 
 class Problem:
-    """A least-squares problem: a model at rows, and what is known before.
+    """A least-squares problem: a model, and the rows that it is compared with.
 
     Args:
-        model: of the recordings.
-        rows: that it is compared with.
+        model: the model of the recordings.
+        rows: the rows that the model is compared with.
     """
 
     def __init__(self, model: Model, rows: Rows):
@@ -186,8 +187,8 @@ class Problem:
         self._te, self._basis = jnp.asarray(self.padded.te), jnp.asarray(self.padded.basis)
 
     def normal(self, values: np.ndarray, weight: np.ndarray) -> Normal:
-        """Sums at several points, shape (point, number)."""
-        if not isinstance(self.model, Tables):  # one program for all that is asked of it: it takes seconds to compile
+        """Sums at several points; ``values`` has shape (point, number)."""
+        if not isinstance(self.model, Tables):  # uses the program of `curve`, as another one takes seconds to compile
             return Normal(*(np.stack(parts) for parts in zip(*(self._summed(v, weight) for v in values), strict=True)))
         size, points = self.padded.theta.size, len(values)
         weights = jnp.asarray(np.concatenate([weight, np.zeros(size - weight.size)]))

@@ -1,10 +1,12 @@
-"""Recordings of a gear set that runs: its dynamic TE at the speed of each, as a function of what is looked for.
+"""Recordings of a gear set at speed: the dynamic TE at the speed of each recording, as a function of the unknowns.
 
-The motion is integrated from before the first row, so that its start is forgotten, by even steps whose number is the
-same for recordings of about the same length; at the rows it is the cubic through positions and velocities at samples.
-Derivatives go forward along the integration, one for each number. A static fit comes first: its ends are the starts.
-Contacts and their dampers come and go over a width, as derivatives miss what a damper that engages at once does to
-the time of a contact: a wide one is descended first, and the last is far below what a recording tells.
+The integration begins before the first row, so that the transient of its start has decayed. Its steps are even, and
+recordings of about the same length have the same number of steps. Between samples, the TE is the cubic through
+positions and velocities. Derivatives are propagated forward with the integration, one tangent for each unknown.
+
+The search starts at the solutions of a static fit. Contacts and their dampers act gradually over a width of overlap: if
+a damper engages at once, its force jumps, and the derivatives of the steps miss that the time of the jump changes. The
+search uses a large width first; the final width is far below what a recording resolves.
 """
 
 import dataclasses
@@ -33,22 +35,22 @@ from gearjax.identification.unknowns import Unknown, Unknowns, scene_with
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int
 
-PER_SAMPLE = 2  # steps, over which a cubic follows the fastest motion within 0.1 % of its amplitude
+PER_SAMPLE = 2  # steps between samples: the cubic follows the fastest motion within 0.1 % of its amplitude
 MOST_STEPS = 1 << 21  # of a recording
-FINER, FINE = 4, 1 << 15  # times as many steps as usual, up to so many in all, for kinks of contacts
-WIDE, NARROW = 1e-6, 5e-8  # m, over which contacts come and go
-RUN_IN = 0.1  # of a recording, before it, where it is not known how fast its start is forgotten
+FINER, FINE = 4, 1 << 15  # short recordings get up to so many times more steps, up to so many, for kinks of contacts
+WIDE, NARROW = 1e-6, 5e-8  # overlaps over which contacts become active [m]
+RUN_IN = 0.1  # of a recording: time integrated before it if nothing damps the transient of the start
 
 
 class Course(NamedTuple):
-    """When the samples of the motion of a recording are; its rows are at ``theta / speed``.
+    """Times of the samples of a recording's motion; the time of a row is ``theta / speed``.
 
     Args:
-        speed: of the input, below zero where it turns back [rad/s].
+        speed: input speed, negative if the input turns backward [rad/s].
         begin: time of the first sample [s].
-        spacing: of the samples [s].
-        samples: their number.
-        torque: of the recording [N m].
+        spacing: time between samples [s].
+        samples: number of samples.
+        torque: mean load torque of the recording [N m].
     """
 
     speed: float
@@ -59,17 +61,17 @@ class Course(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, record: Measurement) -> "Course":
-        """Steps that resolve the fastest motion of a scene at the speed of a recording.
+        """The course whose steps resolve the fastest motion of a scene at the speed of a recording.
 
         Raises:
-            SceneError: they would be too many.
+            SceneError: there would be too many steps.
         """
         speed, torque = speed_of(record), float(np.mean(record.loads))
         limits = known_limits(at_speed_of(under_torque(scene), abs(speed)).physics(*MODELLED))
         assert limits is not None
         ends = record.theta / speed
         duration = float(np.ptp(ends))
-        bodies = UNKNOWN / (scene.system.fastest_order * abs(speed))  # so that all speeds share a program
+        bodies = UNKNOWN / (scene.system.fastest_order * abs(speed))  # with such steps, all speeds share a program
         step = min(STEP * LONGEST_STEP / float(limits.fastest), bodies)
         decay = float(limits.decay)
         run_in = FORGOTTEN / decay if decay > 0 else RUN_IN * duration
@@ -81,18 +83,22 @@ class Course(NamedTuple):
                 f"{record.name}: lasts {duration:.3g} s {words}, of which the motion takes {steps:.2g} steps, more "
                 f'than {MOST_STEPS:.2g}: give a part of it, or analysis = "static" for what turns slowly'
             )
-        coarse = 1 << max(3, int(np.log2(steps / PER_SAMPLE)) - 2)  # a quarter of a power of two: few programs
+        coarse = 1 << max(3, int(np.log2(steps / PER_SAMPLE)) - 2)  # few numbers of steps, so few programs
         samples = 1 + coarse * math.ceil(steps / PER_SAMPLE / coarse)
         begin = float(ends.min()) - run_in
         return cls(speed, begin, (duration + run_in) / (samples - 1), samples, torque)
 
 
 def moving_error(scene: Scene, record: Measurement, theta: np.ndarray | None = None) -> tuple[np.ndarray, list[str]]:
-    """Dynamic TE of a scene at the rows of a recording, or at other input angles of it, shape (n,) [rad], and what a
-    reader should know of it.
+    """Dynamic TE of a scene at the rows of a recording, shape (n,) [rad], and remarks for the reader.
+
+    Args:
+        scene: the scene.
+        record: the recording.
+        theta: other input angles than those of the recording, shape (n,) [rad].
 
     Raises:
-        SceneError: no motion is found, such as without an equilibrium to start from.
+        SceneError: no motion is found, for example if there is no equilibrium to start from.
     """
     scene = under_torque(scene)
     at = record if theta is None else dataclasses.replace(record, theta=theta, output=None, te=np.zeros(theta.shape))
@@ -108,7 +114,7 @@ def moving_error(scene: Scene, record: Measurement, theta: np.ndarray | None = N
 
 
 def _places(course: Course, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples before rows, and how far between two samples they are."""
+    """For each row, the sample before it, and the row's place between this sample and the next, from 0 to 1."""
     along = (theta / course.speed - course.begin) / course.spacing
     place = np.clip(along.astype(int), 0, course.samples - 2)
     return place, along - place
@@ -123,7 +129,10 @@ def _between(motion: Motion, spacing: Array, place: Array, share: Array) -> Arra
 
 
 class Group(eqx.Module):
-    """Recordings whose motions have as many samples; rows behind the end of one have no place in ``where``."""
+    """Recordings whose motions have the same number of samples, padded to the same number of rows.
+
+    ``where`` is the place of each row among all rows; padding has a place beyond their end, and is dropped.
+    """
 
     speed: Float[Array, " record"]
     begin: Float[Array, " record"]
@@ -137,14 +146,14 @@ class Group(eqx.Module):
 
 
 class Moving(AbstractCurves):
-    """Rows of recordings in motion; those without torque as they are at rest.
+    """Rows of recordings in motion; recordings without torque are computed at rest.
 
     Args:
-        scene: with what moves.
-        still: the same rows at rest; ``None`` where all move.
-        groups: what moves.
-        each: what is looked for.
-        rows: their number.
+        scene: the scene with all parts that act in motion.
+        still: the same rows at rest; ``None`` if all recordings are in motion.
+        groups: the recordings in motion.
+        each: the unknowns.
+        rows: number of rows.
     """
 
     scene: Scene
@@ -188,8 +197,8 @@ class MovingModel(Model):
     """A model of recordings in motion.
 
     Args:
-        courses: of the recordings, ``None`` for those without torque.
-        moving: the scene with what moves.
+        courses: the course of each recording, ``None`` for one without torque.
+        moving: the scene with all parts that act in motion.
     """
 
     courses: tuple[Course | None, ...] = ()
@@ -199,14 +208,14 @@ class MovingModel(Model):
     def of_static(
         cls, model: Model, unknowns: Unknowns, records: Sequence[Measurement], solution: Scene, width: float = NARROW
     ) -> "MovingModel":
-        """The model of recordings in motion.
+        """The model of recordings in motion, from their model at rest.
 
         Args:
-            model: of the same at rest.
-            unknowns: of the scene with all that moves.
+            model: the model of the recordings at rest.
+            unknowns: the unknowns, of the scene with all parts that act in motion.
             records: the recordings.
-            solution: about what the scene is found to be: steps suit it.
-            width: over which contacts and their dampers come and go, where the scene's springs are one by one [m].
+            solution: an approximate solution; the steps are chosen for it.
+            width: overlap over which contacts and their dampers become active, if the springs are uncoupled [m].
         """
         courses = tuple(Course.of(solution, record) if record.is_loaded else None for record in records)
         scene = under_torque(unknowns.scene)
@@ -233,7 +242,7 @@ class MovingModel(Model):
         return Moving(self.moving, still, made, self.unknowns.each, rows.theta.size)
 
     def _group(self, rows: Rows, samples: int, own: list[int]) -> Group:
-        """Recordings of as many samples."""
+        """The recordings ``own``, whose motions have the same number of samples."""
         courses = [course for i in own if (course := self.courses[i]) is not None]
         members = [np.flatnonzero(rows.record == i) for i in own]
         size = max(each.size for each in members)

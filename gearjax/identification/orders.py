@@ -1,4 +1,4 @@
-"""Orders of a curve: what body turns at them, and which a model does not explain."""
+"""Orders of a curve: which bodies have them, and which orders a model does not explain."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,10 +8,10 @@ import numpy as np
 from gearjax.identification.rows import Rows
 from gearjax.scene import Scene
 
-SIGNIFICANT = 12.0  # of Fisher's ratio of an order, two degrees of freedom
-PER_OUTPUT_TURN = 60  # orders that are looked at
-MULTIPLES = 3  # of the orders of the bodies
-LEFT = 0.01  # of an order beside the model's derivatives, below which it cannot be told from them
+SIGNIFICANT = 12.0  # Fisher's F ratio of a significant order, two degrees of freedom
+PER_OUTPUT_TURN = 60  # highest order that is tried, in cycles per turn of the output
+MULTIPLES = 3  # multiples of the bodies' orders that are tried
+LEFT = 0.01  # share of a wave's square that the model's derivatives must leave: below, they can take its place
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,11 +20,11 @@ class Order:
 
     Args:
         order: cycles per turn of the input.
-        name: such as ``output`` or ``13 per turn of the output``.
-        body: what turns at it, in words.
-        amplitude: [arcmin].
-        phase: of its cosine at input angle zero [rad].
-        significance: Fisher's ratio.
+        name: name such as ``output`` or ``13 per turn of the output``.
+        body: the body that has this order, in words.
+        amplitude: amplitude of the wave [arcmin].
+        phase: phase of its cosine at input angle zero [rad].
+        significance: Fisher's F ratio.
     """
 
     order: float
@@ -36,8 +36,10 @@ class Order:
 
 
 def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[float, tuple[str, str]]:
-    """Orders that are looked at, with their names and what turns at them; near ones that a recording cannot tell apart
-    once, under the name of the slower multiple."""
+    """Orders that are tried, with their names and bodies.
+
+    Of orders that are too close for a recording to distinguish, only the one of the lower multiple is tried.
+    """
     orders = {name: order for name, order in scene.system.orders.items() if order > 0}
     output = orders.get("output", 1.0)
     span = max(float(np.ptp(theta[record == i])) for i in np.unique(record)) / (2 * np.pi)
@@ -63,16 +65,16 @@ def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[floa
 def unexplained(
     residual: np.ndarray, weight: np.ndarray, jacobian: np.ndarray, rows: Rows, scene: Scene
 ) -> list[Order]:
-    """Orders that are left in what a model does not explain, the most significant one first.
+    """Orders in the residual of a model, the most significant one first.
 
-    Waves are taken as far as the model could not take them up itself: beside its derivatives.
+    Of each wave, only the part orthogonal to the model's derivatives counts: the model can represent the rest itself.
 
     Args:
         residual: measured minus computed [arcmin].
-        weight: of the rows.
-        jacobian: of the model.
-        rows: that it is of.
-        scene: whose bodies turn.
+        weight: weights of the rows.
+        jacobian: derivatives of the model.
+        rows: the rows of the residual.
+        scene: the scene whose bodies have the orders.
     """
     known = candidates(scene, rows.theta, rows.record)
     root = np.sqrt(weight)
@@ -98,8 +100,10 @@ def unexplained(
 
 
 def waves(theta: np.ndarray, curve: np.ndarray, orders: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitudes and phases of orders in a curve by least squares, all at once beside its mean, so that recordings need
-    not hold whole turns; phases of cosines at input angle zero [rad]."""
+    """Amplitudes and phases of orders in a curve, by least squares; phases are of cosines at input angle zero [rad].
+
+    The mean and all orders are fitted together, so that a recording need not consist of whole turns.
+    """
     columns = [np.ones(theta.shape)]
     for order in orders:
         columns += [np.cos(order * theta), np.sin(order * theta)]

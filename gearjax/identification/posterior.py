@@ -1,4 +1,7 @@
-"""All that recordings leave open, sampled: a check of the intervals, which shows where they are not ellipses."""
+"""Samples of all numbers that explain the recordings: they show where the intervals of least squares are wrong.
+
+Least squares gives a normal distribution of the numbers, called the ellipse below.
+"""
 
 import dataclasses
 from typing import Any
@@ -18,10 +21,10 @@ from gearjax.typing import Array, Float
 from gearjax.units import arcmin
 
 CHAINS, DRAWS, WARM_UP = 4, 1000, 200
-STEP = 0.7  # of the first leaps, in standard deviations of the ellipse
-TARGET = 0.7  # share of leaps that are taken
-TOLD_BY = 0.5  # of the ellipse's standard deviation, that means may differ by
-WIDER = 1.3  # times, that a spread is told as no ellipse
+STEP = 0.7  # first step size of the sampler, in standard deviations of the ellipse
+TARGET = 0.7  # acceptance rate that the step size is adapted to
+TOLD_BY = 0.5  # standard deviations of the ellipse by which means may differ before it is reported
+WIDER = 1.3  # ratio of the standard deviations above which it is reported
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,12 +32,13 @@ class Posterior:
     """Draws of the numbers that explain recordings.
 
     Args:
-        names: of the numbers, as of `Identification.estimates`.
-        units: that they are in.
-        draws: shape (chain, draw, number).
-        ellipse: means and standard deviations that least squares tells of the same, shape (number,) each.
-        scale_reduction: of each number, near 1 where the chains agree (Gelman and Rubin 1992), shape (number,).
-        effective: number of draws that are as good as independent, shape (number,).
+        names: names of the numbers, as in `Identification.estimates`.
+        units: units of the numbers.
+        draws: drawn numbers, shape (chain, draw, number).
+        ellipse: means and standard deviations of the same numbers by least squares, shape (number,) each.
+        scale_reduction: potential scale reduction of each number, near 1 if the chains agree (Gelman and Rubin 1992),
+            shape (number,).
+        effective: number of independent draws that would be as good, shape (number,).
     """
 
     names: tuple[str, ...]
@@ -46,22 +50,22 @@ class Posterior:
 
     @property
     def mean(self) -> np.ndarray:
-        """Of each number, shape (number,)."""
+        """Mean of each number, shape (number,)."""
         return self.draws.mean(axis=(0, 1))
 
     @property
     def std(self) -> np.ndarray:
-        """Of each number, shape (number,)."""
+        """Standard deviation of each number, shape (number,)."""
         return self.draws.std(axis=(0, 1))
 
     @property
     def interval(self) -> np.ndarray:
-        """Of 95 %, shape (2, number)."""
+        """95 % interval of each number, shape (2, number)."""
         return np.quantile(self.draws, [0.025, 0.975], axis=(0, 1))
 
     @property
     def differs(self) -> list[str]:
-        """Numbers whose draws are not as the ellipse of least squares has them, in words."""
+        """Numbers whose draws differ from the ellipse of least squares, in words."""
         mean, spread = self.ellipse
         words = []
         for i, name in enumerate(self.names):
@@ -87,17 +91,17 @@ def posterior(
     key: int = 0,
     progress: Progress = silent,
 ) -> Posterior:
-    """Draws of the numbers that explain recordings, by the no-U-turn sampler (Hoffman and Gelman 2014) of blackjax.
+    """Draw numbers that explain recordings, by the no-U-turn sampler (Hoffman and Gelman 2014) of blackjax.
 
-    The noise is that of the fit, with its correlation from row to row; numbers that the recordings hide are held by
-    what was known before (``priors`` of `identify`), else by vectors as large as those found. Chains stay with the
-    solution that is shown: other solutions are told by `Identification.alternatives`.
+    The noise is that of the fit, its variance increased for the correlation from row to row. Numbers that the
+    recordings hide are limited by their priors (``priors`` of `identify`), or else to vectors as large as those found.
+    The chains stay near the solution that is shown; `Identification.alternatives` lists other solutions.
 
     Args:
-        found: what was identified.
-        chains, draws, warm_up: number of chains, of draws of each, and of those before that are not kept.
-        key: seed.
-        progress: told how far it is.
+        found: result of `identify`.
+        chains, draws, warm_up: number of chains, of draws per chain, and of earlier draws that are not kept.
+        key: seed of the draws.
+        progress: called with a line of text now and then.
 
     Raises:
         GearjaxError: the recordings were identified in motion.
@@ -149,11 +153,11 @@ def posterior(
 
 
 class _Density(eqx.Module):
-    """Logarithm of the density of numbers, by their place in the ellipse that least squares tells."""
+    """Logarithm of the probability density of the numbers, by their position in the ellipse of least squares."""
 
     model: AbstractCurves
     te: Array
-    weight: Array  # over the variance of a row
+    weight: Array  # divided by the variance of a row
     basis: Array
     mean: Array
     precision: Array
@@ -175,14 +179,14 @@ class _Density(eqx.Module):
 
 @eqx.filter_jit
 def _sampled(blackjax: Any, density: _Density, keys: Array, starts: Array, warm_up: int, draws: int) -> Array:
-    """Places of the draws, shape (chain, draw, number)."""
+    """Positions of the draws in the ellipse, shape (chain, draw, number)."""
 
     @jax.custom_jvp
     def logarithm(place: Array) -> Array:
         return density.parts(place)[0]
 
     @logarithm.defjvp
-    def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:  # the model tells its own derivatives
+    def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:  # the model computes its own derivatives
         value, slope = density.parts(primals[0])
         return value, slope @ tangents[0]
 
@@ -194,7 +198,7 @@ def _sampled(blackjax: Any, density: _Density, keys: Array, starts: Array, warm_
         def advance(carry: tuple, key: Array) -> tuple[tuple, Array]:
             state, step, number = carry
             state, told = kernel(key, state, logarithm, jnp.exp(step), identity)
-            # steps are fitted while warming up (Robbins and Monro 1951)
+            # the step size is adapted during warm-up (Robbins and Monro 1951)
             gain = jnp.where(number < warm_up, 2.0 / (number + 10.0) ** 0.75, 0.0)
             step = step + gain * (told.acceptance_rate - TARGET)
             return (state, step, number + 1), state.position

@@ -1,4 +1,4 @@
-"""How to assemble a measured gear set anew: turns of its bodies in their seats that make it more accurate."""
+"""Reassembly of a measured gear set: turns of its bodies in their seats that make it more accurate."""
 
 import dataclasses
 import itertools
@@ -23,24 +23,24 @@ from gearjax.units import deg
 
 METRICS = ("std", "peak_to_peak")
 DRAWS, COARSE_DRAWS = 200, 16
-ROWS = 1021  # per curve, at least; a prime, so that no wave repeats with them
-PER_TURN = 24  # of what turns fastest
-PLACES = 24  # of a body that turns freely, on the first grid
-MOST_CHOICES = 1200  # of a grid; more bodies are turned one after the other
+ROWS = 1021  # per curve, at least; a prime, so that rows do not meet the same phases of a wave again
+PER_TURN = 24  # rows per cycle of the highest order
+PLACES = 24  # angles of a freely turning body on the first grid
+MOST_CHOICES = 1200  # combinations of a grid; beyond it, bodies are turned one after the other
 SWEEPS = 4
-LANES = 2_000_000  # positions worked out at once
+LANES = 2_000_000  # positions computed at once
 SECOND_TRUTHS, SECOND_DRAWS = 24, 4
-FEW_TRUTHS = 6  # of scenes that are differentiated as they are
+FEW_TRUTHS = 6  # for scenes whose gaps are not linear in the unknowns (`Plain`), which take longer
 SECOND_TURN = 90 * deg
 
 
 @dataclasses.dataclass(frozen=True)
 class Gain:
-    """A metric after over before, of what the recordings leave open.
+    """Ratio of a metric after to before reassembly, over the gear sets that the recordings leave possible.
 
     Args:
-        low, median, high: 5 %, 50 % and 95 %.
-        worse: share in which it gets worse.
+        low, median, high: quantiles of 5 %, 50 % and 95 % of the ratio.
+        worse: share of the gear sets that get worse.
     """
 
     low: float
@@ -50,23 +50,23 @@ class Gain:
 
     @classmethod
     def of(cls, ratios: np.ndarray) -> "Gain":
-        """Of ratios after over before."""
+        """The gain from ratios of after to before."""
         low, median, high = (float(part) for part in np.quantile(ratios, [0.05, 0.5, 0.95]))
         return cls(low, median, high, float((ratios > 1).mean()))
 
 
 @dataclasses.dataclass(frozen=True)
 class Reassembly:
-    """Turns of bodies in their seats.
+    """Recommended turns of bodies in their seats.
 
     Args:
-        turns: by error, how far its body is turned ahead, as a phase counts [rad].
-        metric: that was made small.
-        before, after: its mean over what the recordings leave open [rad].
-        gain: after over before.
-        second: the same where another recording is made first, after turning one of the bodies by 90 deg; ``None``
-            where the recordings hide nothing of them.
-        second_words: what that recording is.
+        turns: angle by which to turn the body of each error, added to the phase of the error [rad].
+        metric: the metric that was minimised.
+        before, after: mean of the metric over the gear sets that the recordings leave possible [rad].
+        gain: ratio of the metric after to before.
+        second: the same ratio if another recording is made first, after turning one of the bodies by 90 deg; ``None``
+            if the recordings hide nothing of the bodies and have one solution.
+        second_words: description of that recording.
     """
 
     turns: dict[str, float]
@@ -78,7 +78,7 @@ class Reassembly:
     second_words: str
 
     def as_json(self) -> dict[str, Any]:
-        """For a file, in degrees and arcmin."""
+        """The results for a file, in degrees and arcmin."""
         return {
             "turn_deg": {path: float(np.degrees(angle)) for path, angle in self.turns.items()},
             "metric": self.metric,
@@ -121,23 +121,24 @@ def reassemble(
     key: int = 0,
     progress: Progress = silent,
 ) -> Reassembly:
-    """Turns of bodies in their seats that make the expected transmission error small.
+    """Find turns of bodies in their seats that make the expected transmission error small.
 
-    What the recordings leave open is drawn (`Identification.draws`), so that turns are chosen for all that the gear set
-    may be, and the gain is told with its spread and how often it gets worse.
+    Gear sets that the recordings leave possible are drawn (`Identification.draws`). The turns minimise the mean of the
+    metric over these draws; the gain is reported with its spread, and with the share of draws that get worse.
 
     Args:
-        found: what was identified.
-        where: errors whose bodies can be turned, such as ``errors.planet_1``; without, all eccentricities found.
-        steps: places on a turn in which a body fits, by error: teeth, splines, bolts; without, any.
-        metric: ``"std"`` or ``"peak_to_peak"`` of the curve over a cycle.
-        torque: under which, without it that without load [N m].
-        draws: number of them.
-        key: seed.
-        progress: told how far it is.
+        found: result of `identify`.
+        where: errors whose bodies can be turned, such as ``errors.planet_1``; by default all eccentricities found.
+        steps: number of positions per turn in which a body fits (teeth, splines, bolts), by error; a body that is not
+            listed fits at any angle.
+        metric: ``"std"`` or ``"peak_to_peak"`` of the transmission error over a cycle.
+        torque: load torque on the output; 0 for the no-load TE [N m].
+        draws: number of draws.
+        key: seed of the draws.
+        progress: called with a line of text now and then.
 
     Raises:
-        ParameterError: an error that was not found, or no eccentricity.
+        ParameterError: an error was not found, or is no eccentricity.
 
     Example:
         >>> import gearjax as gj, dataclasses
@@ -179,7 +180,7 @@ def reassemble(
 
 
 class _Turning:
-    """Metrics of curves over a cycle, by draws of the gear set and turns of its bodies."""
+    """Metrics of TE curves over a cycle, for draws of the gear set and turns of its bodies."""
 
     def __init__(self, found: Identification, paths: list[str], steps: Mapping[str, int], metric: str, torque: float):
         scene = found.scene
@@ -213,7 +214,7 @@ class _Turning:
         return np.asarray(curves)[:, : self._rows]
 
     def best(self, few: np.ndarray, many: np.ndarray | None) -> np.ndarray:
-        """Turns of the least expected metric: on a grid with a few draws, then nearby with all of them."""
+        """Turns with the least expected metric: first on a grid with a few draws, then nearby with all draws."""
         places = [self._places(path) for path in self.paths]
         if np.prod([len(each) for each in places], dtype=float) <= MOST_CHOICES:
             choices = np.array(list(itertools.product(*places)))
@@ -223,7 +224,7 @@ class _Turning:
         free = np.array([path not in self.steps for path in self.paths])
         if many is not None and free.any():
             best = self._nearby(many, best, free)
-        # what is no better than leaving all as it is stays
+        # bodies are turned only if this is better than leaving them in place
         draws = few if many is None else many
         still, moved = self.values(draws, np.stack([np.zeros(len(self.paths)), best])).mean(axis=1)
         return best if moved < still else np.zeros(len(self.paths))
@@ -265,8 +266,11 @@ class _Turning:
 
 
 def _with_second(found: Identification, turning: _Turning, drawn: np.ndarray, key: int) -> tuple[Gain | None, str]:
-    """Gain where a recording after turning one of the bodies comes first, by gear sets drawn as the truth: what it
-    tells is added to what is known, to first order."""
+    """Gain if a further recording is made first, after turning one of the bodies.
+
+    Drawn gear sets serve as the truth. The information of the further recording is added to that of the fit, to first
+    order.
+    """
     hidden = found.is_hidden
     vectors = found.unknowns.vectors
     turnable = [path for path in turning.paths if hidden[list(vectors[path])].any()]
@@ -281,7 +285,7 @@ def _with_second(found: Identification, turning: _Turning, drawn: np.ndarray, ke
     rng, size = np.random.default_rng(key + 1), len(found.unknowns.each)
     spread = float(np.sqrt(np.mean(found.fit.values[[i for pair in vectors.values() for i in pair]] ** 2))) or 1.0
     share = first.theta.size / theta.size
-    # what the recordings so far tell, and what was known
+    # information of the recordings so far and of the priors
     before = without_further(found.fit.matrix + np.diag(found.fit.known.precision), size) / found.fit.sigma**2
     before = before + np.eye(size) / (10 * spread) ** 2
     ratios = []

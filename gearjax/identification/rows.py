@@ -1,4 +1,4 @@
-"""Rows of recordings, one after the other, and the numbers beside the scene's that add to their curves."""
+"""Rows of recordings, one after the other, and the further numbers (offsets, free orders) that add to their curves."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -15,12 +15,12 @@ class Rows(NamedTuple):
 
     Args:
         theta: input angle [rad].
-        torque: [N m].
+        torque: load torque [N m].
         back: whether the back flanks carry, for rows without torque.
         te: transmission error [arcmin].
-        weight: of the row.
-        basis: what is added to the model's curve per unit of each further number, such as the encoders' offset,
-            shape (n, further) [arcmin].
+        weight: weight of the row.
+        basis: change of the curve per unit of each further number, such as the encoders' offset, shape (n, further)
+            [arcmin].
         record: number of the recording.
     """
 
@@ -33,7 +33,7 @@ class Rows(NamedTuple):
     record: np.ndarray
 
     def padded(self) -> "Rows":
-        """The same with rows of no weight behind, so that few sizes are compiled."""
+        """The same rows followed by rows of zero weight, so that few sizes are compiled."""
         size = self.theta.size
         step = max(16, 1 << max(0, size.bit_length() - 4))
         more = -size % step
@@ -42,8 +42,10 @@ class Rows(NamedTuple):
 
 
 def rows_of(records: Sequence[Measurement], scene: Scene, orders: Sequence[float] = (), offsets: bool = True) -> Rows:
-    """Rows of recordings, one after the other, with a basis of the encoders' offset, common and of each recording, and
-    of free orders."""
+    """Rows of recordings, one after the other, with the basis of their further numbers.
+
+    These are the common offset of the encoders, its change in each recording (with ``offsets``), and free orders.
+    """
     number = np.concatenate([np.full(record.theta.size, i) for i, record in enumerate(records)])
     theta = np.concatenate([record.theta for record in records])
     basis = further(theta, number, len(records), orders, offsets)
@@ -59,7 +61,7 @@ def rows_of(records: Sequence[Measurement], scene: Scene, orders: Sequence[float
 
 
 def further(theta: np.ndarray, record: np.ndarray, records: int, orders: Sequence[float], offsets: bool) -> np.ndarray:
-    """Columns of the numbers beside the scene's: offset, its change from one recording to the next, free orders."""
+    """Columns of the further numbers: the common offset, its change in each recording, free orders."""
     columns = [np.ones(theta.shape)]
     if offsets and records > 1:
         columns += [(record == i).astype(float) for i in range(records)]
@@ -69,7 +71,7 @@ def further(theta: np.ndarray, record: np.ndarray, records: int, orders: Sequenc
 
 
 def names_of_further(records: Sequence[Measurement], orders: Mapping[float, str], offsets: bool) -> list[str]:
-    """Names of those columns."""
+    """Names of the further numbers."""
     names = ["offset"]
     if offsets and len(records) > 1:
         names += [f"offset of {record.name}" for record in records]

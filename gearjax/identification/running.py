@@ -1,4 +1,4 @@
-"""What recordings of a gear set that runs need, and what a reader should know of them."""
+"""Checks of recordings at speed, and remarks on them for the reader."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,24 +17,24 @@ from gearjax.typing import Scalar
 from gearjax.units import rpm
 
 ANALYSES = ("static", "dynamic")
-UNEVEN, TOO_UNEVEN = 0.01, 0.2  # of its mean, by which speed or torque may change unsaid, and at all
-FEWEST, PART = 8, np.pi / 3  # rows, and turn of the input [rad], over which speeds are compared
-ANOTHER_UNIT = 5.0  # times the scene's speed, beyond which the unit of time may be another
+UNEVEN, TOO_UNEVEN = 0.01, 0.2  # relative variation of speed or torque above which it is reported, or refused
+FEWEST, PART = 8, np.pi / 3  # parts whose speeds are compared: at least so many rows, and so long a turn [rad]
+ANOTHER_UNIT = 5.0  # times the scene's speed, beyond which the unit of time is doubted
 
 
 def an_analysis(name: str, value: object) -> None:
-    """Refuse what is no analysis of recordings."""
+    """Refuse anything but an analysis of recordings."""
     if value not in ANALYSES:
         raise ParameterError(name, value, nearest(value, ANALYSES))
 
 
 def under_torque(scene: Scene) -> Scene:
-    """The scene as recordings see it: hard contacts, and the torque that was recorded as its load."""
+    """The scene with hard contacts and a constant load, as the recorded torque is given to the analysis."""
     return dataclasses.replace(scene, contact=HardContact(), load=ConstantLoad(), run=None)
 
 
 def at_speed_of(scene: Scene, speed: float | Scalar) -> Scene:
-    """The scene at another speed of its input, which may turn back too [rad/s]."""
+    """The scene at another speed of its input [rad/s], negative if the input turns backward."""
     return eqx.tree_at(lambda each: each.system.input_speed, scene, jnp.asarray(speed, scene.dtype))
 
 
@@ -42,7 +42,7 @@ def speed_of(record: Measurement) -> float:
     """Mean speed of the input [rad/s].
 
     Raises:
-        GearjaxError: times were not recorded, or tell no speed.
+        GearjaxError: times were not recorded, or give no speed.
     """
     if record.time is None:
         words = 'the dynamic TE needs the time of each row: a column "time", or analysis = "static"'
@@ -60,10 +60,10 @@ def speed_of(record: Measurement) -> float:
 
 
 def check_running(scene: Scene, records: Sequence[Measurement]) -> list[str]:
-    """Refuse recordings or a scene without what a motion takes; what a reader should know of them is returned.
+    """Refuse recordings or a scene that cannot be computed in motion; return remarks for the reader.
 
     Raises:
-        GearjaxError: times tell no speed, speed or torque varies too much, or no recording is under torque.
+        GearjaxError: times give no speed, speed or torque varies too much, or no recording is under torque.
         SceneError: the scene lacks a part.
     """
     require(under_torque(scene), "dynamic", "compliance", "inertia")
@@ -84,7 +84,7 @@ def check_running(scene: Scene, records: Sequence[Measurement]) -> list[str]:
 
 
 def _check(scene: Scene, record: Measurement) -> list[str]:
-    """The same of one recording."""
+    """The same for one recording under torque."""
     speed, loads = speed_of(record), record.loads
     if record.back.any() and not (scene.has_back or scene.layout.sides_turn):
         raise SceneError(f"{record.name} loads the back flanks, which this scene lacks: list a [backlash]")
@@ -107,7 +107,7 @@ def _check(scene: Scene, record: Measurement) -> list[str]:
 
 
 def _unevenness(record: Measurement, speed: float) -> float:
-    """Standard deviation of the speed over parts of a turn, over the mean one."""
+    """Standard deviation of the mean speeds of parts of a turn, divided by the mean speed."""
     assert record.time is not None
     step = max(float(np.median(np.abs(np.diff(record.theta)))), 1e-300)
     size = int(np.clip(np.ceil(PART / step), FEWEST, max(FEWEST, record.theta.size // 2)))

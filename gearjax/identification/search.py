@@ -1,4 +1,4 @@
-"""Least squares from many starts at once: Levenberg and Marquardt's steps on sums that a problem works out for all."""
+"""Least squares from many starts at once, by Levenberg-Marquardt steps; a problem computes its sums for all starts."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,23 +8,25 @@ import numpy as np
 from gearjax.identification.model import Normal
 
 STEPS = 40
-SETTLED = 1e-3  # of the variance of a row, less than which a step gains: a thirtieth of a standard error
-RATTLING = 0.1  # of it, that a step may promise and not gain, some times: curves have kinks
+SETTLED = 1e-3  # variances of a row: a start ends at a step that gains less, a thirtieth of a standard error
+RATTLING = 0.1  # variances of a row: after some failed steps a start ends if a step promises less (curves have kinks)
 MOST_FAILED = 3
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e10
-SHORTEST = 1e-2  # of a reciprocal, that a step may leave of it
+SHORTEST = 1e-2  # share of a positive number that a step leaves at least
 Sums = Callable[[np.ndarray], Normal]
 
 
 class Known(NamedTuple):
-    """What is known before of the numbers, over the variance of a row: means and precisions, shape (number,) each;
-    precision zero for nothing."""
+    """Priors of the numbers: means, and precisions multiplied by the variance of a row, shape (number,) each.
+
+    The precision is zero without a prior.
+    """
 
     mean: np.ndarray
     precision: np.ndarray
 
     def added(self, sums: Normal, values: np.ndarray) -> Normal:
-        """The sums with what is known."""
+        """The sums with the priors added."""
         away = self.mean - values
         return Normal(
             sums.cost + (self.precision * away**2).sum(axis=1),
@@ -36,18 +38,18 @@ class Known(NamedTuple):
 def descend(
     sums: Sums, starts: np.ndarray, known: Known, positive: np.ndarray, rows: float, steps: int = STEPS
 ) -> tuple[np.ndarray, Normal]:
-    """The ends of all starts.
+    """Minimise the least-squares cost from all starts.
 
     Args:
-        sums: least-squares sums at several points, shape (start, number).
-        starts: shape (start, number).
-        known: what is known before.
-        positive: which numbers stay above zero, shape (number,).
-        rows: that the sums are of.
-        steps: at most.
+        sums: function of points, shape (start, number), that returns their least-squares sums.
+        starts: points to start from, shape (start, number).
+        known: the priors.
+        positive: whether each number stays above zero, shape (number,).
+        rows: number of rows in the sums.
+        steps: largest number of steps.
 
     Returns:
-        The points, shape (start, number), and the sums there, what is known included.
+        The ends, shape (start, number), and the sums there, with the priors.
     """
     values = starts.copy()
     found = known.added(sums(values), values)
@@ -56,7 +58,7 @@ def descend(
     damping = np.full(len(values), FIRST_DAMPING)
     done, failed = np.zeros(len(values), bool), np.zeros(len(values), int)
     for _ in range(steps):
-        own = np.flatnonzero(~done)  # those that are still on their way
+        own = np.flatnonzero(~done)
         if not own.size:
             break
         step = _steps(matrix[own], slope[own], damping[own])
@@ -80,7 +82,7 @@ def descend(
 
 
 def _steps(matrix: np.ndarray, slope: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """Steps of all starts, each by its own damping; numbers that nothing depends on stay."""
+    """Steps of all starts, each with its own damping; numbers without influence stay."""
     diagonal = np.einsum("spp->sp", matrix)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = matrix / scale[:, :, None] / scale[:, None, :]

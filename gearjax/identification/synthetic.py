@@ -1,4 +1,4 @@
-"""Recordings that a test bench would make of a gear set that is known: to try identification, and to plan a bench."""
+"""Synthetic recordings, as a test bench would make them of a known gear set: to try identification or plan a bench."""
 
 from collections.abc import Mapping
 
@@ -21,7 +21,7 @@ MOST_COUNTS = 2**62
 
 
 def _waves(name: str, value: object) -> None:
-    """Amplitude and phase by order."""
+    """Refuse anything but pairs of amplitude and phase by order."""
     if not isinstance(value, Mapping):
         raise ParameterError(name, value, "must be pairs of amplitude and phase [rad] by order: {13.0: (1e-5, 0.0)}")
     for order, pair in value.items():
@@ -67,28 +67,29 @@ def synthetic_measurement(
     key: int = 0,
     name: str | None = None,
 ) -> Measurement:
-    """A recording of a gear set as a test bench would make it.
+    """Make a recording of a gear set as a test bench would.
 
     Args:
         scene: the gear set.
         torque: load torque on the output, a number or shape (rows,) [N m]; zero for the no-load TE.
         rows: number of rows, evenly spaced in time.
-        turns: turns of the output, without it one cycle of the gear set.
-        noise: standard deviation of the output angle [rad].
-        input_counts, output_counts: counts per turn of the encoders, which round down; without, no rounding.
-        ripple: amplitude of the input speed over the mean, one wave in seven turns of the input [-].
-        offset: zero of the output's encoder [rad].
-        waves: what the bench or eccentric encoder discs add to the output angle, amplitude and phase [rad] of cosines
-            by order in cycles per turn of the input.
-        backward: whether the input turns back.
-        turned: angles that errors were turned by in their seats, by path such as ``errors.planet_1`` [rad].
+        turns: turns of the output; by default one cycle of the gear set.
+        noise: standard deviation of the noise of the output angle [rad].
+        input_counts, output_counts: counts per turn of the encoders, which round down; by default no rounding.
+        ripple: amplitude of the input speed over the mean speed, one wave in seven turns of the input [-].
+        offset: zero of the output encoder [rad].
+        waves: waves that the bench or eccentric encoder discs add to the output angle: amplitude and phase [rad] of a
+            cosine, by order in cycles per turn of the input.
+        backward: whether the input turns backward.
+        turned: angles by which bodies were turned in their seats, by path of the error such as ``errors.planet_1``
+            [rad].
         analysis: ``"static"``, or ``"dynamic"`` for the motion at the scene's input speed under one torque.
         key: seed of the noise.
-        name: of the recording.
+        name: name of the recording; by default its torque in words.
 
     Raises:
-        SceneError: the scene lacks what the torque needs.
-        ParameterError: an argument is not what it should be.
+        SceneError: the scene lacks a part that the torque needs.
+        ParameterError: an argument is wrong.
 
     Example:
         >>> import gearjax as gj
@@ -141,7 +142,7 @@ def _in_motion(scene: Scene, time: np.ndarray, theta: np.ndarray, torque: float 
 
 
 def turned_scene(scene: Scene, turned: Mapping[str, float]) -> Scene:
-    """The scene with errors turned in their seats."""
+    """The scene with bodies turned in their seats: each angle is added to the phase of an error."""
     from gearjax.studies.select import pick
 
     for path, angle in turned.items():
@@ -151,8 +152,11 @@ def turned_scene(scene: Scene, turned: Mapping[str, float]) -> Scene:
 
 
 def computed_error(scene: Scene, theta: np.ndarray, torque: float | ArrayLike, backward: bool) -> np.ndarray:
-    """Transmission error of a scene at increasing input angles: static under a torque, without torque that of the first
-    flank to touch, of the back one where the input turns backward; shape (n,) [rad]."""
+    """Transmission error of a scene at increasing input angles, shape (n,) [rad].
+
+    The static TE under a torque. Without torque, the position at which the first driving flank touches, or the first
+    back flank if the input turns backward.
+    """
     angles, loads = jnp.asarray(theta, scene.dtype), np.asarray(torque, float)
     te = np.zeros(theta.shape)
     rigid = np.broadcast_to(loads == 0, theta.shape)

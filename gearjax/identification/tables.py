@@ -1,12 +1,12 @@
-"""The transmission error of recordings as a function of what is looked for, with its derivatives.
+"""The transmission error of recordings as a function of the unknowns, with its derivatives.
 
-Where the springs are linear and one by one, and the gaps go in proportion to the unknowns, which is looked at and not
-known by the kind of gear set, tables of influence are worked out once for a recording. A position then takes some
-products, and its derivative is a mean over the contacts that carry:
+If springs are linear and uncoupled, and gaps are linear in the unknowns (which is tested on the scene, whatever its
+kind of gear set), tables of influence are computed once for each recording. A position then takes a few products, and
+its derivative is a mean over the contacts that carry:
 
     dq/dx = sum_carrying(k J dg/dx) / sum_carrying(k J^2)
 
-All other scenes are differentiated as they are (`Plain`).
+All other scenes are differentiated directly (`Plain`).
 """
 
 import abc
@@ -25,12 +25,12 @@ from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array, Bool, Float
 from gearjax.units import arcmin
 
-ROWS_AT_ONCE = 4096  # whose influences are worked out side by side
-AT_ONCE = 256  # rows of a plain scene that are differentiated side by side
+ROWS_AT_ONCE = 4096  # rows whose influences are computed at once
+AT_ONCE = 256  # rows of `Plain` that are differentiated at once
 
 
 class AbstractCurves(eqx.Module):
-    """A model at rows."""
+    """Positions of the output at the rows of recordings, as functions of the unknowns."""
 
     @abc.abstractmethod
     def positions(self, values: Float[Array, "s unknown"]) -> tuple[Float[Array, "s n"], Float[Array, "s n unknown"]]:
@@ -38,9 +38,10 @@ class AbstractCurves(eqx.Module):
 
 
 class Tables(AbstractCurves):
-    """Influence of the unknowns on the contacts of rows, lengths over the root of the springs' flexibility.
+    """Influence of the unknowns on the contacts of rows; lengths are divided by the root of the springs' flexibility.
 
-    ``side`` is that of each contact where there are few and each stays on its own: their balance is one expression.
+    ``side`` is the side of each contact if contacts are few and keep their sides: their balance is then one expression.
+    It is empty otherwise.
     """
 
     lever: Float[Array, "contact n"]
@@ -72,7 +73,7 @@ class Tables(AbstractCurves):
         return q, rate
 
     def _carrying(self, gap: Float[Array, "s contact n"], softness: Float[Array, " s"]) -> tuple[Array, Array]:
-        """Positions under the torque [rad], and the levers of the contacts that carry."""
+        """Positions under the torque [rad], and the levers of the contacts that carry, zero for the others."""
         points, contacts, rows = gap.shape
         applied = (-softness[:, None] * self.torque[None]).ravel()
         gaps, arms = (
@@ -88,7 +89,7 @@ class Tables(AbstractCurves):
         return q, jnp.where(lever * q[:, None] > gap, lever, 0.0)
 
     def _touching(self, gap: Float[Array, "s contact n"]) -> tuple[Array, Array]:
-        """Positions where the first contact touches [rad], and its lever."""
+        """Positions at which the first contact touches [rad], and its lever, zero for the others."""
         lever = self.lever[None]
         place = gap / jnp.where(lever == 0, 1.0, lever)
         lower, upper = jnp.where(lever < 0, place, -jnp.inf), jnp.where(lever > 0, place, jnp.inf)
@@ -99,10 +100,10 @@ class Tables(AbstractCurves):
 
 
 class Plain(AbstractCurves):
-    """Rows of a scene whose gaps are not in proportion to the unknowns, such as one of exact geometry.
+    """Rows of a scene whose gaps are not linear in the unknowns, such as one of exact geometry.
 
-    Where springs are linear and one by one, derivatives are those of the gaps at the position found, weighed as in
-    `Tables`; numbers that open no gap together share one tangent (Curtis, Powell and Reid 1974).
+    If springs are linear and uncoupled, the derivatives of the gaps at the position found are summed with the weights
+    of `Tables`. Unknowns of which no two change the same gap share one tangent (Curtis, Powell and Reid 1974).
     """
 
     scene: Scene
@@ -171,7 +172,7 @@ class Plain(AbstractCurves):
 
 @eqx.filter_jit
 def sums(model: AbstractCurves, values: Array, te: Array, weight: Array, basis: Array) -> tuple[Array, Array, Array]:
-    """Sums of a least-squares problem at several points: cost, ``J^T W J`` and ``J^T W r``, as of `Normal`."""
+    """Sums of a least-squares problem at several points: cost, ``J^T W J`` and ``J^T W r``, as in `Normal`."""
     size = values.shape[1] - basis.shape[1]
     q, rate = model.positions(values[:, :size])
     further = jnp.broadcast_to(basis[None], (values.shape[0], *basis.shape))
@@ -206,7 +207,7 @@ def looked(
 def tabulated(
     each: tuple[Unknown, ...], scene: Scene, way: Stiffness, theta: Array, start: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Gaps at the start, their derivatives, levers and stiffness, rows first."""
+    """Gaps at the start, their derivatives, levers and stiffness; the first axis is the row."""
 
     def at(angle: Array) -> tuple[Array, Array, Array, Array]:
         pose = scene.pose(angle, way)
@@ -221,7 +222,7 @@ def tabulated(
 
 
 def springs_of(contacts: ContactSet) -> Array:
-    """Stiffness of linear springs, ones for rigid teeth, shape (contact,) [N/m]."""
+    """Stiffness of linear springs, 1 for rigid teeth, shape (contact,) [N/m]."""
     if contacts.springs is None:
         return jnp.ones_like(contacts.gap)
     assert isinstance(contacts.springs, LinearSprings)

@@ -1,8 +1,8 @@
-"""What a recording may tell of a scene: numbers that the transmission error goes in proportion to, wherever there are
-such.
+"""Unknowns: numbers of a scene that are identified from recordings, in a form in which the TE is as linear as possible.
 
-An eccentricity is known by its components ``a cos(phase)`` and ``a sin(phase)``, which open gaps in proportion; a
-stiffness by its reciprocal, to which a static deflection is in proportion; other numbers by themselves.
+An eccentricity is represented by its components ``a cos(phase)`` and ``a sin(phase)``, because gaps are linear in
+them. A stiffness is represented by its reciprocal, to which a static deflection is proportional. Other numbers are
+unknowns themselves.
 """
 
 import dataclasses
@@ -28,14 +28,14 @@ COMPONENTS = ("cos", "sin")
 
 @dataclasses.dataclass(frozen=True)
 class Unknown:
-    """One number that is looked for.
+    """One number that is identified.
 
     Args:
-        name: such as ``errors.planet_1.cos`` or ``compliance.mean``.
-        kind: ``"component"`` of a vector, ``"number"``, or ``"reciprocal"`` of one.
-        path: of the error, or of the number.
-        scale: size of one unit in which it is searched, SI; of a reciprocal the number that it is the share of.
-        unit, per_unit: that it is shown in, and its size in SI.
+        name: name such as ``errors.planet_1.cos`` or ``compliance.mean``.
+        kind: ``"component"`` of a vector, ``"number"``, or ``"reciprocal"`` of a number.
+        path: path of the error for a component, else of the number.
+        scale: size of one unit of the search, SI; for a reciprocal, the number at which the unknown is 1.
+        unit, per_unit: unit in which values are shown, and its size in SI.
     """
 
     name: str
@@ -48,8 +48,10 @@ class Unknown:
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """What is known before: mean and standard deviation of a number, SI; without a mean that of the scene, and none of
-    a vector's components."""
+    """Prior knowledge of a number: mean and standard deviation, SI.
+
+    If the mean is ``None``, it is the number of the scene; for components of a vector it is zero.
+    """
 
     mean: float | None
     deviation: float
@@ -57,11 +59,11 @@ class Prior:
 
 @dataclasses.dataclass(frozen=True)
 class Unknowns:
-    """The numbers of a scene that are looked for, one column each.
+    """The unknowns of a scene, one column each.
 
     Args:
-        scene: whose other numbers are known.
-        each: in the order of the columns.
+        scene: the scene; its other numbers are known.
+        each: the unknowns, in the order of the columns.
     """
 
     scene: Scene
@@ -69,12 +71,12 @@ class Unknowns:
 
     @property
     def names(self) -> list[str]:
-        """Of the columns."""
+        """Names of the columns."""
         return [unknown.name for unknown in self.each]
 
     @property
     def vectors(self) -> dict[str, tuple[int, int]]:
-        """Columns of both components of each vector, by the path of its error."""
+        """Columns of the two components of each vector, by the path of its error."""
         paths = [unknown.path for unknown in self.each]
         return {
             unknown.path: (i, i + 1)
@@ -84,7 +86,7 @@ class Unknowns:
 
     @property
     def reciprocals(self) -> np.ndarray:
-        """Which are reciprocals, shape (unknown,)."""
+        """Whether each unknown is a reciprocal, shape (unknown,)."""
         return np.array([unknown.kind == "reciprocal" for unknown in self.each], bool)
 
     @property
@@ -107,7 +109,7 @@ class Unknowns:
         return np.array(values)
 
     def finished(self, values: np.ndarray) -> Scene:
-        """The scene with values found: eccentricities by amplitude and phase again."""
+        """The scene with the values found; eccentricities are again given by amplitude and phase."""
         known: dict[str, float] = {}
         for path, (along, across) in self.vectors.items():
             x, y = (self.each[i].scale * float(values[i]) for i in (along, across))
@@ -118,33 +120,33 @@ class Unknowns:
             elif unknown.kind == "reciprocal":
                 known[unknown.path] = unknown.scale / float(value)
         declared = numbers(self.scene)
-        for path in known:  # a fit knows no bounds: files with others could not be read
+        for path in known:  # a fit ignores bounds, but a file with numbers beyond them could not be read
             low, high = declared[path].range
             known[path] = min(max(known[path], low), high)
         free = pick(self.scene, list(known))
         return free.set(self.scene, jnp.asarray(list(known.values()), self.scene.dtype))
 
     def shown(self, values: np.ndarray) -> np.ndarray:
-        """Values in the units that they are shown in, shape (..., unknown)."""
+        """Values in the units in which they are shown, shape (..., unknown)."""
         scales = np.array([unknown.scale for unknown in self.each])
         per = np.array([unknown.per_unit for unknown in self.each])
         with np.errstate(divide="ignore"):
             return np.where(self.reciprocals, scales / np.where(self.reciprocals, values, 1.0), scales * values) / per
 
     def errors_shown(self, values: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-        """Standard deviations in the units that their values are shown in, to first order, shape (unknown,)."""
+        """Standard deviations in the units in which values are shown, to first order, shape (unknown,)."""
         shown = np.abs(self.shown(values) / np.where(values == 0, 1.0, values))
         plain = np.array([unknown.scale / unknown.per_unit for unknown in self.each])
         return deviations * np.where(self.reciprocals, shown, plain)
 
 
 def scene_with(each: tuple[Unknown, ...], values: Float[Array, " unknown"], scene: Scene) -> Scene:
-    """A scene with other values, vectors by their components; differentiable.
+    """A scene with other values of the unknowns, vectors by their components; differentiable.
 
     Args:
-        each: the numbers.
-        values: in units of the search.
-        scene: whose other numbers are kept.
+        each: the unknowns.
+        values: values in units of the search.
+        scene: the scene; its other numbers are kept.
     """
     errors = dict(scene.errors)
     for i, unknown in enumerate(each):
@@ -166,17 +168,17 @@ def scene_with(each: tuple[Unknown, ...], values: Float[Array, " unknown"], scen
 
 
 def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, loaded: bool) -> Unknowns:
-    """The numbers that are looked for.
+    """The unknowns at given paths.
 
     Args:
         scene: the scene.
-        where: paths of numbers, or of whole errors such as ``errors.planet_1``; without, all that a recording usually
-            tells: the errors, the mean stiffness and the initial backlash.
-        back: whether a recording touches the back flanks, which the backlash moves.
-        loaded: whether a recording is of a torque, which bends the teeth.
+        where: paths of numbers, or of whole errors such as ``errors.planet_1``; by default all that a recording usually
+            determines: the errors, the mean stiffness and the initial backlash.
+        back: whether a recording touches the back flanks, whose position depends on the backlash.
+        loaded: whether a recording is under torque, so that stiffness has an effect.
 
     Raises:
-        ParameterError: a path leads nowhere, or to half of a vector.
+        ParameterError: a path does not exist, or is half of a vector.
     """
     known = numbers(scene)
     if where is None:
@@ -230,7 +232,7 @@ def _is_length(parameter: Parameter) -> bool:
 
 
 def _number(scene: Scene, path: str, parameter: Parameter) -> Unknown:
-    """A number by itself, or by its reciprocal where it is a stiffness."""
+    """The unknown of one number: the number itself, or the reciprocal of a stiffness."""
     value = float(pick(scene, path).get(scene)[0])
     unit, per_unit = parameter.shown_in
     if parameter.dimension in (units.STIFFNESS, units.LINE_STIFFNESS, units.TORSION):
@@ -248,15 +250,15 @@ def _number(scene: Scene, path: str, parameter: Parameter) -> Unknown:
 
 
 def priors_of(unknowns: Unknowns, priors: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Means and precisions of what is known before, in units of the search, shape (unknown,) each.
+    """Means and precisions of the priors, in units of the search, shape (unknown,) each; precision 0 without a prior.
 
     Args:
-        unknowns: the numbers.
+        unknowns: the unknowns.
         priors: by name, or by path of an error for all of its numbers: a standard deviation in SI, a pair of mean and
             standard deviation, or a distribution of a tolerance study.
 
     Raises:
-        ParameterError: a name that is not looked for, or what is no prior.
+        ParameterError: a name is not among the unknowns, or a value is no prior.
     """
     start, mean, precision = unknowns.start, np.zeros(len(unknowns.each)), np.zeros(len(unknowns.each))
     names = {unknown.name: [i] for i, unknown in enumerate(unknowns.each)}
@@ -285,7 +287,10 @@ def priors_of(unknowns: Unknowns, priors: Mapping[str, Any]) -> tuple[np.ndarray
 
 
 def _prior(key: str, given: Any) -> Prior:
-    """What is known of a number: of the size of an error, the root of its mean square over two, for each component."""
+    """The prior of a number, from what the user gives.
+
+    A distribution of an amplitude gives each component a zero mean, and half of its mean square as the variance.
+    """
     expected, deviation = getattr(given, "expected", None), getattr(given, "deviation", None)
     if expected is not None and deviation is not None:
         if not float(deviation) > 0:
@@ -304,7 +309,7 @@ def _prior(key: str, given: Any) -> Prior:
 
 
 def turned(unknowns: Unknowns, angles: Mapping[str, float]) -> np.ndarray:
-    """What bodies that were turned in their seats make of the components, shape (unknown, unknown)."""
+    """Matrix by which the components change when bodies are turned in their seats, shape (unknown, unknown)."""
     turn = np.eye(len(unknowns.each))
     for path, angle in angles.items():
         along, across = unknowns.vectors[path]

@@ -1,4 +1,4 @@
-"""What recordings show, and what they cannot tell apart, in numbers and in words."""
+"""Which unknowns the recordings determine and which they hide, in numbers and in words."""
 
 import dataclasses
 
@@ -7,22 +7,22 @@ import numpy as np
 from gearjax.identification.fit import Fit, scaled, without_further
 from gearjax.identification.unknowns import Unknowns
 
-UNSEEN = 1e-9  # of a number's own sum of squares: nothing but rounding
-TAKES_PART = 1e-5  # coefficient in a direction
-CORRELATED = 0.05  # of rows that follow each other, beyond which blocks tell the errors
+UNSEEN = 1e-9  # of an unknown's own sum of squares, below which there is only rounding
+TAKES_PART = 1e-5  # least coefficient of an unknown that takes part in a direction
+CORRELATED = 0.05  # correlation of successive rows, above which standard errors are computed from blocks of rows
 SHORTEST_BLOCK = 10
 MOST_CORRELATED = 0.9
 
 
 @dataclasses.dataclass(frozen=True)
 class Combination:
-    """A sum of numbers that the recordings tell, where they do not tell the numbers themselves.
+    """A weighted sum of unknowns that the recordings determine, although they hide the unknowns themselves.
 
     Args:
-        words: such as ``errors.planet_1.cos + errors.revolution.cos``.
-        coefficients: by name.
-        value, error: and its standard error, in the unit of the first.
-        unit: of the first.
+        words: the sum in words, such as ``errors.planet_1.cos + errors.revolution.cos``.
+        coefficients: coefficients of the sum by name of the unknown.
+        value, error: value of the sum and its standard error, in the unit of the first unknown.
+        unit: unit of the first unknown.
     """
 
     words: str
@@ -34,17 +34,19 @@ class Combination:
 
 @dataclasses.dataclass(frozen=True)
 class Visible:
-    """What a fit tells.
+    """What a fit determines and what it hides.
 
     Args:
-        covariance: of the numbers, in units of the search, shape (number, number); of hidden ones it means nothing
-            where nothing is known before.
-        hidden: directions that change nothing, rows, in units of the search, shape (k, unknown).
-        combinations: of the numbers in them, that are told.
-        settled: whether what is known before settles the hidden directions.
-        blocks: rows that count as one, 1 where they are independent.
-        inflation: of the variance by rows that hang together.
-        condition: of what is told, largest over smallest standard deviation of a unit.
+        covariance: covariance of the numbers, in units of the search, shape (number, number); it has no meaning for
+            hidden unknowns without a prior.
+        hidden: hidden directions as rows: changes of the unknowns that change no curve, in units of the search, shape
+            (k, unknown).
+        combinations: sums of the hidden unknowns that are determined.
+        settled: whether priors settle the hidden directions.
+        blocks: number of successive rows that count as one, 1 if rows are independent.
+        inflation: factor on the variance because successive rows are correlated.
+        condition: largest over smallest standard deviation of the directions that are determined, all unknowns scaled
+            to the same information.
     """
 
     covariance: np.ndarray
@@ -56,14 +58,14 @@ class Visible:
     condition: float
 
     def is_hidden(self, unknowns: int) -> np.ndarray:
-        """Numbers that take part in a hidden direction, shape (unknown,)."""
+        """Whether each unknown takes part in a hidden direction, shape (unknown,)."""
         if not len(self.hidden):
             return np.zeros(unknowns, bool)
         return np.abs(self.hidden).max(axis=0) > TAKES_PART
 
 
 def visible(fit: Fit, unknowns: Unknowns) -> Visible:
-    """What a fit tells and what it hides."""
+    """Find what a fit determines and what it hides."""
     _, jacobian = fit.problem.curve(fit.values)
     size = len(unknowns.each)
     hidden = hidden_directions(fit, size)
@@ -82,7 +84,7 @@ def visible(fit: Fit, unknowns: Unknowns) -> Visible:
 
 
 def hidden_directions(fit: Fit, size: int) -> np.ndarray:
-    """Directions of the scene's numbers that change nothing which the offsets and free orders would not take up."""
+    """Directions of the unknowns whose effect on the curves is zero, or is taken up by offsets and free orders."""
     _, scale = scaled(fit.matrix[:size, :size])
     whole = fit.matrix + np.diag(np.concatenate([np.zeros(size), fit.known.precision[size:]]))
     values, vectors = np.linalg.eigh(without_further(whole, size) / scale[:, None] / scale[None, :])
@@ -91,7 +93,7 @@ def hidden_directions(fit: Fit, size: int) -> np.ndarray:
 
 
 def _reduced(rows: np.ndarray) -> np.ndarray:
-    """Rows of the same span, each with a one where the others have none: easier to read."""
+    """Rows of the same span that are easier to read: each has a one where the others have zeros."""
     rows = rows.copy()
     row = 0
     for column in range(rows.shape[1]):
@@ -110,7 +112,7 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
 
 
 def block_length(residual: np.ndarray, record: np.ndarray) -> int:
-    """Rows that count as one: some times as many as what is left stays the same over."""
+    """Number of successive rows that count as one: six times the correlation time of the residual."""
     centred = residual - residual.mean()
     follows = np.diff(record) == 0
     total = float((centred**2).sum())
@@ -123,7 +125,7 @@ def block_length(residual: np.ndarray, record: np.ndarray) -> int:
 
 
 def _covariance(fit: Fit, jacobian: np.ndarray, blocks: int, *, singular: bool) -> np.ndarray:
-    """Of the numbers found: by the scatter of the rows, or of blocks of them where rows hang together."""
+    """Covariance of the numbers found, from the scatter of the rows, or of blocks if successive rows are correlated."""
     precision = fit.known.precision
     matrix = fit.matrix + np.diag(precision)
     part, scale = scaled(matrix)
@@ -147,12 +149,12 @@ def _covariance(fit: Fit, jacobian: np.ndarray, blocks: int, *, singular: bool) 
 
 
 def _settled(hidden: np.ndarray, known: np.ndarray) -> bool:
-    """Whether what is known before settles all directions that the recordings hide."""
+    """Whether the priors settle all directions that the recordings hide."""
     return bool(np.linalg.matrix_rank(hidden[:, known]) == len(hidden)) if known.any() else False
 
 
 def _combinations(fit: Fit, unknowns: Unknowns, hidden: np.ndarray, covariance: np.ndarray) -> tuple[Combination, ...]:
-    """Sums of the numbers in the hidden directions that are told, as few numbers in each as can be."""
+    """Sums of hidden unknowns that the recordings determine, each with as few unknowns as possible."""
     if not len(hidden):
         return ()
     names = unknowns.names
@@ -189,7 +191,7 @@ def _term(name: str, coefficient: float, place: int) -> str:
 
 
 def hidden_in_words(unknowns: Unknowns, hidden: np.ndarray) -> list[str]:
-    """Directions that change nothing, a sentence each."""
+    """The hidden directions in words, one sentence each."""
     words = []
     for row in hidden:
         taking = np.flatnonzero(np.abs(row) > TAKES_PART)
@@ -210,7 +212,7 @@ def _change(name: str, coefficient: float) -> str:
 def strongest_correlations(
     unknowns: Unknowns, covariance: np.ndarray, seen: np.ndarray
 ) -> list[tuple[str, str, float]]:
-    """Pairs of numbers whose errors go together."""
+    """Pairs of unknowns whose errors are strongly correlated, with the correlation; the strongest first."""
     size = len(unknowns.each)
     deviation = np.sqrt(np.maximum(np.diag(covariance)[:size], 1e-300))
     found = []

@@ -1,4 +1,4 @@
-"""Influence of the teeth of a gear on each other: tables from finite elements, their files, points between nodes."""
+"""Influence of the teeth of a gear on each other: tables from finite elements, their files and their interpolation."""
 
 from gearjax.influence.files import read_influence, save_influence
 from gearjax.influence.interpolate import influence_between, influence_of, influence_on_grid

@@ -3,7 +3,7 @@
 A file is an archive ``.npz`` of numpy with four arrays:
 
     header   text, shape (): JSON with the keys below
-    radius   float64, shape (r,) [m]: as `InfluenceTable` tells, and so for the next two
+    radius   float64, shape (r,) [m]: as in `InfluenceTable`, like the next two
     face     float64, shape (f,) [m]
     matrix   float64, shape (distance, r f, r f) [m/N]
 
@@ -11,11 +11,11 @@ A file is an archive ``.npz`` of numpy with four arrays:
     version  1
     units    {"radius": "m", "face": "m", "matrix": "m/N"}
     gear     {"teeth", "internal": "yes" or "no", "module", "pressure_angle", "profile_shift", "addendum", "dedendum"},
-             all of them texts, numbers in SI and radians as printf writes them with %.6g
-    made     {...}: how the numbers were made, of any texts: material, rim, mesh
-    sha256   of the JSON text of {"gear": gear, "made": made}, keys in order, no blanks, in hexadecimal digits
+             all values as texts, numbers in SI units and radians as printf writes them with %.6g
+    made     {...}: how the table was made, as any texts: material, rim, mesh
+    sha256   SHA-256 of the JSON text of {"gear": gear, "made": made}, keys sorted, no blanks, in hexadecimal digits
 
-``hash_of({"gear": gear, "made": made})`` gives the last one.
+``hash_of({"gear": gear, "made": made})`` returns the value of ``sha256``.
 """
 
 import io
@@ -42,13 +42,13 @@ def save_influence(
     """Write an influence table to a file, in the layout of `gearjax.influence.files`.
 
     Args:
-        path: of the file, ``.npz``.
-        table: to be written.
-        gear: that it was made for.
-        made: how it was made, in words.
+        path: path of the file, ``.npz``.
+        table: table to be written.
+        gear: gear that the table was made for.
+        made: how the table was made, in words.
 
     Raises:
-        GearjaxError: the table is of another gear, or the file cannot be written.
+        GearjaxError: the table was made for another gear, or the file cannot be written.
     """
     table.check_gear(gear)
     return write_arrays(path, gear, made or {}, *(np.asarray(getattr(table, name)) for name in ARRAYS))
@@ -57,7 +57,7 @@ def save_influence(
 def write_arrays(
     path: str | Path, gear: InvoluteGear, made: dict[str, str], radius: np.ndarray, face: np.ndarray, matrix: np.ndarray
 ) -> Path:
-    """The same from arrays."""
+    """Write an influence table to a file, from its arrays."""
     check_path("--out", path)
     definition = {"gear": gear_definition(gear), "made": made}
     header = {"format": FORMAT, "version": VERSION, "units": UNITS, **definition, "sha256": hash_of(definition)}
@@ -70,12 +70,12 @@ def read_influence(path: str | Path, gear: InvoluteGear) -> InfluenceTable:
     """Read an influence table from a file, in the layout of `gearjax.influence.files`.
 
     Args:
-        path: of the file.
-        gear: that it will be used for.
+        path: path of the file.
+        gear: gear that the table will be used for.
 
     Raises:
-        GearjaxError: the file is missing, damaged, not of this layout or of another gear, or its numbers cannot be an
-            influence: see `InfluenceTable`.
+        GearjaxError: the file is missing, damaged, not of this layout or made for another gear, or its numbers cannot
+            be an influence (see `InfluenceTable`).
 
     Example:
         >>> import jax.numpy as jnp
@@ -122,7 +122,7 @@ def _contents(path: Path) -> tuple[dict, list[np.ndarray]]:
 
 
 def _check_header(path: str | Path, header: object) -> None:
-    """Refuse a header of another layout."""
+    """Refuse the header of a file with another layout."""
     right = {"format": FORMAT, "version": VERSION, "units": UNITS}
     for key, value in right.items():
         given = header.get(key) if isinstance(header, dict) else None

@@ -1,4 +1,4 @@
-"""Bricks that fill some teeth of one gear and the rim under them."""
+"""Mesh of bricks for some teeth of one gear and the rim under them."""
 
 from typing import Any, NamedTuple
 
@@ -12,13 +12,14 @@ CORNERS = ((1, 1, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 0, 0), (0, 1, 0), (0,
 
 
 class TeethMesh(NamedTuple):
-    """Some teeth of a gear, the middle one with its axis at polar angle zero.
+    """Mesh of some teeth of a gear; the axis of the middle tooth is at polar angle zero.
 
     Args:
         mesh: hexahedra of scikit-fem [m].
-        fixed: which nodes do not move, shape (node,).
-        flank: nodes where teeth may touch, of the flanks that face increasing polar angles, (tooth, radius, face).
-        axes: polar angles of the teeth [rad], shape (tooth,).
+        fixed: whether each node is fixed, shape (node,).
+        flank: numbers of the nodes where teeth may touch, on flanks that face increasing polar angles, (tooth, radius,
+            face).
+        axes: polar angles of the axes of the teeth [rad], shape (tooth,).
     """
 
     mesh: Any
@@ -33,12 +34,12 @@ def teeth_mesh(
     """Mesh of some teeth, fixed at the rim and at both ends.
 
     Args:
-        shape: of half a tooth.
+        shape: outline of half a tooth.
         pitch: angle from tooth to tooth [rad].
-        teeth: how many, odd.
+        teeth: number of teeth, odd.
         face: nodes across the face, shape (node,) [m].
-        zone: which of them meet the other gear.
-        thickness_elements: elements through a tooth from flank to flank.
+        zone: range of the face nodes that meet the other gear.
+        thickness_elements: number of elements through a tooth from flank to flank.
     """
     plane, quads, fixed, rows = _section(shape, pitch, teeth, thickness_elements)
     levels = len(face)
@@ -53,10 +54,14 @@ def teeth_mesh(
 def _section(
     shape: Outline, pitch: float, teeth: int, thickness_elements: int
 ) -> tuple[np.ndarray, dict[tuple[int, int], np.ndarray], np.ndarray, np.ndarray]:
-    """One cross-section: nodes (2, node), the corners of its quadrangles by their place, which nodes are fixed, and the
-    nodes of the flanks (tooth, row)."""
+    """Mesh of one cross-section.
+
+    Returns:
+        Nodes, shape (2, node); the node at each corner of the quadrangles, by corner; whether each node is fixed; and
+        the nodes of the flanks, shape (tooth, row).
+    """
     across = np.linspace(-1, 1, thickness_elements + 1)
-    # columns of the rim under half a space, a tooth, half a space; the last is the first of the next tooth
+    # the rim has columns under half a space, a tooth and half a space; the last column is the first of the next tooth
     beside = len(shape.space_angle) - 1
     angle = np.concatenate([-shape.space_angle[:0:-1], shape.angle[0] * across, shape.space_angle[1:]])
     top = np.concatenate([shape.space_radius[:0:-1], np.full(len(across), shape.radius[0]), shape.space_radius[1:]])

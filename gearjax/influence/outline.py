@@ -1,4 +1,4 @@
-"""Outline of one tooth with the fillet at its foot, as nodes."""
+"""Nodes on the outline of one tooth, with the fillet at its root."""
 
 from typing import NamedTuple
 
@@ -8,19 +8,21 @@ import numpy as np
 from gearjax.checks import GearjaxError
 from gearjax.geometry.involute import InvoluteGear
 
-GROWTH = 1.4  # of elements away from where teeth touch
-ROUNDED = 1e-6  # of the tip radius: a gear may be of single precision
+GROWTH = 1.4  # ratio of the sizes of successive elements outside the zone where teeth touch
+ROUNDED = 1e-6  # share of the tip radius that counts as rounding: a gear may have single precision
 
 
 class Outline(NamedTuple):
-    """Half a tooth and half the space beside it, in polar coordinates about the gear's centre, angles from the axis of
-    the tooth to the middle of the space.
+    """Half a tooth and half the space beside it, in polar coordinates about the gear's centre.
+
+    Angles are counted from the axis of the tooth towards the middle of the space.
 
     Args:
-        radius, angle: of the flank's nodes from the foot to the tip, shape (row,) [m], [rad].
-        space_radius, space_angle: of the nodes from the foot to the middle of the space, shape (place,) [m], [rad].
+        radius, angle: polar coordinates of the flank's nodes from the foot to the tip, shape (row,) [m], [rad].
+        space_radius, space_angle: polar coordinates of the nodes from the foot to the middle of the space, shape
+            (place,) [m], [rad].
         rim: radius of the fixed boundary [m].
-        touching: which rows are the radii that were asked for, shape (radius,).
+        touching: numbers of the rows at the requested radii, shape (radius,).
     """
 
     radius: np.ndarray
@@ -32,14 +34,14 @@ class Outline(NamedTuple):
 
 
 def outline(gear: InvoluteGear, radii: np.ndarray, *, rim: float, fillet: float, space_elements: int) -> Outline:
-    """Outline of a tooth, with nodes at the radii that are asked for.
+    """Outline of a tooth, with nodes at requested radii.
 
     Args:
-        gear: its flanks, root circle and tip circle; under its base circle a flank goes on along the radius.
-        radii: where teeth may touch, in order from the root to the tip, shape (radius,) [m].
-        rim: depth of the fixed rim under the root circle [m].
+        gear: gear with its flanks, root circle and tip circle; its flanks are radial below the base circle.
+        radii: radii where teeth may touch, in order from the root to the tip, shape (radius,) [m].
+        rim: depth of the fixed boundary of the rim under the root circle [m].
         fillet: radius of the arc between flank and root circle [m].
-        space_elements: elements over half of the space between two teeth, beside those of the fillet.
+        space_elements: number of elements over half of the space between two teeth, in addition to those of the fillet.
 
     Raises:
         GearjaxError: the radii lie beyond the tip or in the fillet, or the fillet does not fit.
@@ -73,12 +75,12 @@ def outline(gear: InvoluteGear, radii: np.ndarray, *, rim: float, fillet: float,
 
 
 def flank_angle(gear: InvoluteGear, radius: np.ndarray) -> np.ndarray:
-    """Half of the angle that a tooth fills, on radial lines under the base circle, radii of any shape [m]."""
+    """Half of the angle that a tooth fills [rad] at radii of any shape [m]; flanks are radial below the base circle."""
     return np.asarray(gear.half_angle(jnp.asarray(np.maximum(radius, float(gear.base_radius) * (1 + ROUNDED)))))
 
 
 def graded(length: float, first: float, slack: float = 0.0) -> np.ndarray:
-    """Ends of elements that fill a length and grow from about the size of the first, shape (element,)."""
+    """Ends of elements that fill a length; their sizes grow from about the given first size, shape (element,)."""
     if length <= slack:
         return np.empty(0)
     sizes = [first]
@@ -90,8 +92,11 @@ def graded(length: float, first: float, slack: float = 0.0) -> np.ndarray:
 
 
 def _fillet(gear: InvoluteGear, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Arc between flank and root circle, from its middle up to the flank and from its middle down to the root circle:
-    radii and angles, of shape (2, node) each. Heights and widths are measured as if the root circle were straight."""
+    """Arc between flank and root circle, as radii and angles of its upper and its lower half, shape (2, node) each.
+
+    The upper half goes from the middle of the arc up to the flank, the lower half from the middle down to the root
+    circle. Heights and widths are measured as if the root circle were straight.
+    """
     outward = -1.0 if gear.internal else 1.0
     root, pitch = float(gear.root_radius), np.pi / gear.teeth
     if radius <= 0:
@@ -99,15 +104,15 @@ def _fillet(gear: InvoluteGear, radius: float) -> tuple[np.ndarray, np.ndarray]:
         return corner, corner
 
     def width(height: float) -> float:
-        """Half the width of the space at a height over the root circle."""
+        """Half the width of the space at a height over the root circle [m]."""
         return root * float(pitch - flank_angle(gear, np.array(root + outward * height)))
 
     def lean(height: float) -> float:
-        """Angle between the flank and the radius."""
+        """Angle between the flank and the radius at a height over the root circle [rad]."""
         step = 1e-2 * radius
         return np.arctan((width(height + step) - width(height - step)) / (2 * step))
 
-    from scipy.optimize import brentq  # takes a tenth of a second, which only this needs
+    from scipy.optimize import brentq  # this import takes a tenth of a second, and only this function needs it
 
     root_of = brentq(lambda height: height - radius * (1 - np.sin(lean(height))), -radius, 2 * radius)
     touch = float(np.asarray(root_of))
@@ -126,5 +131,5 @@ def _fillet(gear: InvoluteGear, radius: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _largest(width) -> float:
-    """A fillet that fits: about half of the width of the space at the root."""
+    """Radius of a fillet that fits: about half of the width of the space at the root [m]."""
     return 0.9 * width(0.0)

@@ -1,4 +1,4 @@
-"""What a contact solver needs to know of the elastic teeth of one gear."""
+"""Influence tables: the elastic teeth of one gear as a contact solver needs them."""
 
 import hashlib
 import json
@@ -11,26 +11,27 @@ from gearjax.checks import GearjaxError
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Array, ArrayLike, Float
 
-FEWEST_RADII = 4  # that a cubic goes through
-ASYMMETRY = 1e-6  # of the largest entry: rounding of a file with seven digits
-ANGLES = 16  # at which the spectrum of a row of teeth is looked at
+FEWEST_RADII = 4  # points that a cubic needs
+ASYMMETRY = 1e-6  # share of the largest entry: rounding of a file with seven digits
+ANGLES = 16  # angles at which the spectrum of a row of teeth is calculated
 
 
 class InfluenceTable(eqx.Module):
-    """Normal displacements of the flanks of a gear per normal force on them, as if all of its teeth were equal.
+    """Normal displacements of the flanks of a gear per normal force on them; all teeth of the gear are equal.
 
-    ``matrix[d, a, b]`` is the displacement at node ``b`` of the tooth that stands ``d`` teeth ahead, towards increasing
-    polar angles, per force at node ``a`` of a tooth. Forces press on the flank and displacements go into the material,
-    both along the ideal normal. By Maxwell's reciprocity ``matrix[d].T`` is that of a tooth ``d`` teeth behind. All
-    this holds for flanks that face increasing polar angles; teeth are symmetric, so that the other flanks have
-    `mirrored`. Nodes are counted across the face first: node ``a`` is at ``radius[a // len(face)]`` and
-    ``face[a % len(face)]``.
+    ``matrix[d, a, b]`` is the displacement at node ``b`` of the tooth that is ``d`` teeth ahead, towards increasing
+    polar angles, per force at node ``a`` of a tooth. Forces press on the flank and displacements point into the
+    material, both along the ideal normal. By Maxwell's reciprocity ``matrix[d].T`` is the influence on a tooth that is
+    ``d`` teeth behind. The table is for flanks that face increasing polar angles. Because teeth are symmetric,
+    `mirrored` is the table of the other flanks. Nodes are counted across the face first: node ``a`` is at
+    ``radius[a // len(face)]`` and ``face[a % len(face)]``.
 
     Args:
-        radius: of the nodes about the gear's centre, increasing, at least four, shape (radius,) [m].
-        face: of the nodes across the face, from where two gears begin to overlap, increasing, shape (face,) [m].
-        matrix: by the distance of the teeth, shape (distance, radius * face, radius * face) [m/N]; zero beyond.
-        made_for: hash of the gear, as `gear_hash` gives it.
+        radius: radii of the nodes about the gear's centre, increasing, at least four, shape (radius,) [m].
+        face: places of the nodes across the face, from where two gears begin to overlap, increasing, shape (face,) [m].
+        matrix: influence by the distance between the teeth, shape (distance, radius * face, radius * face) [m/N]; zero
+            at larger distances.
+        made_for: hash of the gear, from `gear_hash`.
 
     Raises:
         GearjaxError: shapes do not agree, numbers are not finite, or the matrix is not symmetric or positive definite.
@@ -39,27 +40,27 @@ class InfluenceTable(eqx.Module):
     radius: Float[Array, " radius"]
     face: Float[Array, " face"]
     matrix: Float[Array, "distance node node"]
-    slopes: Float[Array, "radius radius"]  # of cubic splines at the nodes, per value at each
+    slopes: Float[Array, "radius radius"]  # slopes of a cubic spline at the nodes, per value at each node
     made_for: str = eqx.field(static=True)
 
     def __init__(self, radius: ArrayLike, face: ArrayLike, matrix: ArrayLike, made_for: str):
         radii, faces, blocks = checked(radius, face, matrix)
         self.radius, self.face, self.matrix = jnp.asarray(radii), jnp.asarray(faces), jnp.asarray(blocks)
-        from scipy.interpolate import CubicSpline  # takes a tenth of a second, which only this needs
+        from scipy.interpolate import CubicSpline  # this import takes a tenth of a second, and only this needs it
 
         self.slopes = jnp.asarray(CubicSpline(radii, np.eye(len(radii)))(radii, 1))
         self.made_for = made_for
 
     @property
     def mirrored(self) -> "InfluenceTable":
-        """The same of the flanks that face decreasing polar angles: ahead and behind change places."""
+        """Table of the flanks that face decreasing polar angles: teeth ahead and teeth behind change places."""
         return eqx.tree_at(lambda table: table.matrix, self, jnp.swapaxes(self.matrix, 1, 2))
 
     def check_gear(self, gear: InvoluteGear) -> None:
-        """Refuse a table of other teeth.
+        """Refuse a gear that the table was not made for.
 
         Raises:
-            GearjaxError: the table was not made for this gear.
+            GearjaxError: the table was made for another gear.
         """
         if self.made_for != gear_hash(gear):
             raise GearjaxError(
@@ -69,10 +70,10 @@ class InfluenceTable(eqx.Module):
 
 
 def checked(radius: ArrayLike, face: ArrayLike, matrix: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The arrays of a table in float64, the matrix of distance zero made exactly symmetric.
+    """The arrays of a table in float64, with an exactly symmetric matrix of distance zero.
 
     Raises:
-        GearjaxError: as `InfluenceTable` tells.
+        GearjaxError: as for `InfluenceTable`.
     """
     radii, faces, blocks = (np.asarray(array, dtype=np.float64) for array in (radius, face, matrix))
     nodes = radii.size * faces.size
@@ -104,10 +105,11 @@ def checked(radius: ArrayLike, face: ArrayLike, matrix: ArrayLike) -> tuple[np.n
 
 
 def smallest_eigenvalue(blocks: Float[np.ndarray, "distance node node"]) -> float:
-    """The smallest eigenvalue that a long row of equal teeth has [m/N].
+    """Smallest eigenvalue of the influence matrix of a long row of equal teeth [m/N].
 
-    Eigenvectors of an endless row are waves: what is looked at is ``C_0 + sum_d (C_d exp(i d u) + its adjoint)`` at
-    some angles ``u``. That of any number of teeth is not below the least over all angles.
+    The eigenvectors of an infinite row are waves. The function takes the smallest eigenvalue of
+    ``C_0 + sum_d (C_d exp(i d u) + its adjoint)`` at some angles ``u``. The smallest eigenvalue of any number of teeth
+    is not below the minimum over all angles.
     """
     waves = np.exp(1j * np.outer(np.linspace(0, np.pi, ANGLES), np.arange(1, len(blocks))))
     least = np.inf
@@ -118,17 +120,17 @@ def smallest_eigenvalue(blocks: Float[np.ndarray, "distance node node"]) -> floa
 
 
 def gear_definition(gear: InvoluteGear) -> dict[str, str]:
-    """What the shape of a gear follows from, numbers in SI with the six digits that single precision keeps."""
+    """Numbers that define the shape of a gear, as texts in SI units with the six digits that single precision keeps."""
     named = ("module", "pressure_angle", "profile_shift", "addendum", "dedendum")
     numbers = {name: f"{float(getattr(gear, name)):.6g}" for name in named}
     return {"teeth": str(gear.teeth), "internal": "yes" if gear.internal else "no", **numbers}
 
 
 def hash_of(definition: dict) -> str:
-    """SHA-256 of the JSON text of a definition, keys in order, without blanks."""
+    """SHA-256 of the JSON text of a definition, with sorted keys and without blanks."""
     return hashlib.sha256(json.dumps(definition, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def gear_hash(gear: InvoluteGear) -> str:
-    """SHA-256 of `gear_definition`."""
+    """SHA-256 of the definition of a gear (`gear_definition`)."""
     return hash_of(gear_definition(gear))

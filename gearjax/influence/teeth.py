@@ -15,12 +15,12 @@ from gearjax.influence.mesh import TeethMesh, teeth_mesh
 from gearjax.influence.outline import flank_angle, graded, outline
 from gearjax.influence.table import InfluenceTable, gear_definition, gear_hash, hash_of
 
-AT_ONCE = 32  # loads that are solved for together
-MADE = 1  # changes with what the numbers below would be of the same parameters
+AT_ONCE = 32  # load cases that are solved together
+MADE = 1  # version of the calculation: to be raised when the same parameters give other numbers
 
 
 class _Elements(NamedTuple):
-    """Numbers of elements, as `tooth_influence` tells."""
+    """Numbers of elements and teeth of the mesh, as in `tooth_influence`."""
 
     profile: int
     layers: int
@@ -49,30 +49,32 @@ def tooth_influence(
 ) -> InfluenceTable:
     """Normal displacements of the flanks of a gear per unit normal force at each node, by finite elements.
 
-    Some teeth and the rim under them are meshed with bricks of eight nodes with incompatible modes and fixed at a depth
-    under the root circle and at both ends; the tooth in the middle is loaded at one node after the other (Yang, Tang,
-    Liang 2019, section IV). All teeth are equal, so that one tells of all. Forces are nodal: the displacement under one
-    grows as the elements become smaller, while that of a force spread over a surface tends to a limit.
+    Some teeth and the rim under them are meshed with eight-node bricks with incompatible modes. The mesh is fixed at a
+    depth under the root circle and at both ends. The tooth in the middle is loaded at one node after the other (Yang,
+    Tang, Liang 2019, section IV). All teeth are equal, so that the influence of one loaded tooth is enough. The forces
+    are nodal forces: the displacement under a nodal force grows as the elements become smaller, while the displacement
+    under a force that is distributed over a surface tends to a limit.
 
     Args:
         gear: one gear of the pair.
-        face_width: [m].
-        youngs_modulus: [Pa].
-        poissons_ratio: [-], from 0 to below 0.5.
+        face_width: face width of the gear [m].
+        youngs_modulus: Young's modulus [Pa].
+        poissons_ratio: Poisson's ratio, from 0 to below 0.5 [-].
         rim: depth under the root circle where the gear is fixed [m].
-        touching: radii between which teeth may touch [m]: nodes stand there at equal distances.
-        meeting: part of the face that meets the other gear, from and to [m], counted from one end; all of it if absent.
+        touching: radii between which teeth may touch [m]; the nodes there are equally spaced.
+        meeting: beginning and end of the part of the face that meets the other gear, counted from one end of the face
+            [m]; the whole face if absent.
         fillet: radius of the arc between flank and root circle [m]; 0.2 modules if absent, 0 for a corner.
-        profile_elements: between the radii where teeth may touch, at least 3.
-        layers: elements across the part of the face that meets the other gear.
-        thickness_elements: through a tooth from flank to flank.
-        space_elements: over half of the space between two teeth, beside those of the fillet.
-        teeth: that are meshed, odd.
-        distances: of teeth that move each other, in teeth.
-        cache: a folder where results are kept, and taken from where they were made before.
+        profile_elements: number of elements between the radii where teeth may touch, at least 3.
+        layers: number of elements across the part of the face that meets the other gear.
+        thickness_elements: number of elements through a tooth from flank to flank.
+        space_elements: number of elements over half of the space between two teeth, in addition to those of the fillet.
+        teeth: number of teeth that are meshed, odd.
+        distances: largest distance, in teeth, at which teeth move each other.
+        cache: folder where results are kept; a result that is in the folder already is not calculated again.
 
     Returns:
-        The table, for flanks that face increasing polar angles: `InfluenceTable` tells its signs.
+        The table of flanks that face increasing polar angles; see `InfluenceTable` for its signs.
 
     Raises:
         GearjaxError: scikit-fem is missing (``pip install 'gearjax[fem]'``), a parameter is out of its range, radii do
@@ -104,7 +106,7 @@ def tooth_influence(
     if cache is not None:
         file = Path(cache) / f"{hash_of({'gear': gear_definition(gear), 'made': made})}.npz"
         if file.exists():
-            with contextlib.suppress(GearjaxError):  # damaged: worked out again
+            with contextlib.suppress(GearjaxError):  # a damaged file is calculated again
                 return read_influence(file, gear)
     inner, outer = sorted(touching)
     radii = np.linspace(inner, outer, profile_elements + 1)
@@ -119,7 +121,7 @@ def tooth_influence(
 
 
 def _levels(face_width: float, begin: float, end: float, layers: int) -> tuple[np.ndarray, slice]:
-    """Nodes across the face, and which of them meet the other gear."""
+    """Nodes across the face [m], and the range of those that meet the other gear."""
     inner = np.linspace(begin, end, layers + 1)
     slack, step = 1e-9 * face_width, (end - begin) / layers
     before, after = graded(begin, step, slack), graded(face_width - end, step, slack)
@@ -136,7 +138,7 @@ def _meshed(
     rim: float,
     fillet: float,
 ) -> TeethMesh:
-    """Mesh with its flank nodes in the order of increasing radii."""
+    """Mesh of some teeth, with its flank nodes in the order of increasing radii."""
     order = slice(None, None, -1 if gear.internal else 1)  # an outline goes from the root to the tip
     shape = outline(gear, radii[order], rim=rim, fillet=fillet, space_elements=elements.space)
     pitch = 2 * np.pi / gear.teeth
@@ -152,12 +154,12 @@ def _loaded(
     poissons_ratio: float,
     distances: int,
 ) -> np.ndarray:
-    """Displacements of teeth ahead per force on a tooth, shape (distance, node, node) [m/N]."""
+    """Displacements of a tooth and of the teeth ahead per force on the tooth, shape (distance, node, node) [m/N]."""
     matrix, places = stiffness(mesh.mesh, youngs_modulus, poissons_ratio)
     free = np.ones(places.size, dtype=bool)
     free[places[:, mesh.fixed]] = False
     index = np.cumsum(free) - 1
-    from scipy import sparse  # takes a tenth of a second, which only this needs
+    from scipy import sparse  # this import takes a tenth of a second, and only this function needs it
     from scipy.sparse.linalg import splu
 
     inner = sparse.csc_array(matrix[free][:, free])
@@ -180,7 +182,7 @@ def _loaded(
 
 
 def _inwards(gear: InvoluteGear, radii: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Unit normals into the material of flanks that face increasing polar angles, shape (2, tooth, radius)."""
+    """Unit normals, pointing into the material, of flanks that face increasing polar angles, (2, tooth, radius)."""
     lean = np.asarray(gear.pressure_angle_at(jnp.asarray(radii))) * (-1.0 if gear.internal else 1.0)
     angle = axes[:, None] + flank_angle(gear, radii) - lean
     return np.stack([np.sin(angle), -np.cos(angle)])
@@ -194,7 +196,7 @@ def _check_lengths(
     fillet: float,
     meeting: tuple[float, float],
 ) -> None:
-    """Refuse lengths and a material that no gear has."""
+    """Refuse lengths and material constants that no gear can have."""
     for name, value in (("face_width", face_width), ("youngs_modulus", youngs_modulus), ("rim", rim)):
         if not (np.isfinite(value) and value > 0):
             raise ParameterError(f"tooth_influence.{name}", value, "has to be above 0")
@@ -207,7 +209,7 @@ def _check_lengths(
 
 
 def _check_numbers(elements: _Elements, distances: int) -> None:
-    """Refuse numbers of elements that make no mesh."""
+    """Refuse numbers of elements and teeth for which there is no mesh."""
     least = _Elements(profile=3, layers=1, thickness=1, space=1, teeth=1)
     for name, given, needed in zip(elements._fields, elements, least, strict=True):
         if given < needed:

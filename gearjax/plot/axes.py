@@ -1,4 +1,4 @@
-"""Axes that all figures share. Angles are drawn in arcmin, forces in N, times in seconds."""
+"""Helpers that all figures share. Angles are drawn in arcmin, forces in N, times in seconds."""
 
 import contextlib
 import io
@@ -14,7 +14,7 @@ from gearjax.files import write_file
 from gearjax.typing import ArrayLike
 from gearjax.units import arcmin
 
-MOST_POINTS = 20_000  # drawn per curve
+MOST_POINTS = 20_000  # largest number of points drawn per curve
 _kept: ContextVar[dict[str, Figure] | None] = ContextVar("_kept", default=None)
 
 
@@ -28,20 +28,20 @@ def thin(*arrays: ArrayLike) -> tuple[np.ndarray, ...]:
 def new_figure(
     rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.2
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with a column of axes, apart from any interactive window."""
+    """A figure with rows and columns of axes, independent of any interactive window."""
     figure = Figure(figsize=(width, height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     return figure, [ax for row in axes for ax in row]
 
 
 def draw_curve(ax: Axes, time: ArrayLike, angle: ArrayLike, label: str, **style) -> None:
-    """An angle [rad] over time [s], in arcmin."""
+    """Draw an angle [rad] over time [s], in arcmin."""
     time, angle = thin(time, angle)
     ax.plot(time, angle / arcmin, label=label, linewidth=style.pop("linewidth", 1.0), **style)
 
 
 def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission error [arcmin]") -> None:
-    """Title, labels, grid and legend."""
+    """Add title, labels, grid and legend."""
     ax.set(title=title, xlabel=x, ylabel=y)
     ax.grid(alpha=0.3)
     if ax.get_legend_handles_labels()[0]:
@@ -51,7 +51,7 @@ def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission err
 
 @contextlib.contextmanager
 def figures_kept() -> Iterator[dict[str, Figure]]:
-    """Keep the figures that are saved meanwhile, by the names of their files."""
+    """Keep the figures that are saved in the block, by the names of their files."""
     figures: dict[str, Figure] = {}
     token = _kept.set(figures)
     try:
@@ -61,7 +61,7 @@ def figures_kept() -> Iterator[dict[str, Figure]]:
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure in the format of the name's ending: ``.png``, or ``.svg`` and ``.pdf`` for vector graphics.
+    """Write a figure in the format that its file name ends in: ``.png``, or ``.svg`` and ``.pdf`` for vector graphics.
 
     Raises:
         GearjaxError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Drawings of cycloidal stages: discs, pins and contact forces to scale."""
+"""Drawings of cycloidal stages to scale: discs, pins and contact forces."""
 
 from pathlib import Path
 
@@ -15,16 +15,16 @@ from gearjax.typing import ArrayLike
 from gearjax.units import mm
 
 POINTS_PER_TOOTH = 60
-LONGEST_ARROW = 0.35  # of the pin circle's radius
+LONGEST_ARROW = 0.35  # share of the radius of the pin circle
 
 
 def stage_figure(system: RVCycloidal, theta: float, forces: ArrayLike | None = None) -> Figure:
-    """Each disc among its pins at an input angle, and the force of each pin on it, to scale.
+    """Draw each disc among its pins at an input angle, and the force of each pin on the disc, to scale.
 
     Args:
         system: the reducer.
         theta: input angle [rad].
-        forces: of the contacts, shape (contact,) [N].
+        forces: contact forces, shape (contact,) [N].
     """
     figure = Figure(figsize=(6.2 * system.discs, 6.4), layout="constrained")
     axes = figure.subplots(1, system.discs, squeeze=False)[0]
@@ -56,10 +56,10 @@ def stage_figure(system: RVCycloidal, theta: float, forces: ArrayLike | None = N
 
 
 def placed_outline(system: RVCycloidal, crank: float) -> np.ndarray:
-    """Outline of a disc among the pins, its throw at an angle from the first pin [rad]; shape (n, 2) [m]."""
+    """Outline of a disc among the pins, with its throw at an angle from the first pin [rad]; shape (n, 2) [m]."""
     disc, turn = system.profile, -crank / (system.pins - 1)
     phase = np.linspace(0.0, 2 * np.pi * disc.teeth, POINTS_PER_TOOTH * disc.teeth + 1)
-    outline = np.asarray(profile(disc, jnp.asarray(phase))) * [1.0, -1.0]  # its mirror rolls in the ring
+    outline = np.asarray(profile(disc, jnp.asarray(phase))) * [1.0, -1.0]  # its mirror image rolls in the ring
     turned = outline @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     return turned + float(disc.throw) * np.array([np.cos(crank), np.sin(crank)])
 

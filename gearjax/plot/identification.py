@@ -1,4 +1,4 @@
-"""Figures of recordings beside what is computed, and of what they tell."""
+"""Figures of recordings next to computed curves, and of the numbers identified from recordings."""
 
 from pathlib import Path
 
@@ -11,16 +11,16 @@ from gearjax.identification.orders import candidates, waves
 from gearjax.plot.axes import finish, new_figure, save_figure, thin
 from gearjax.units import arcmin
 
-MOST_DRAWN = 6  # recordings
+MOST_DRAWN = 6  # largest number of recordings in a figure
 MEASURED, COMPUTED, LEFT = "0.55", "tab:blue", "tab:red"
 MOST_LABELS = 14
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Each recording with its computed curve, and their difference, over turns of the input.
+    """Draw each recording with its computed curve, and their difference, over turns of the input.
 
     Args:
-        comparison: as of `gearjax.compare`.
+        comparison: result of `gearjax.compare`.
     """
     records = comparison.records[:MOST_DRAWN]
     figure, axes = new_figure(2 * len(records), height=1.9)
@@ -36,10 +36,10 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def orders_figure(comparison: Comparison) -> Figure:
-    """Amplitudes and phases of the largest orders, measured and computed.
+    """Draw amplitudes and phases of the largest orders, measured and computed.
 
     Args:
-        comparison: as of `gearjax.compare`.
+        comparison: result of `gearjax.compare`.
     """
     records = comparison.records[:MOST_DRAWN]
     figure, axes = new_figure(2 * len(records), height=2.1)
@@ -73,10 +73,10 @@ def _orders(record: RecordBeside, above, below) -> None:
 
 
 def estimates_figure(found: Identification) -> Figure:
-    """Errors found with intervals of 95 %, those that the recordings do not tell hollow; the other numbers in words.
+    """Draw identified errors with intervals of 95 %, hidden ones as hollow points; other numbers stand in the title.
 
     Args:
-        found: as of `gearjax.identify`.
+        found: result of `gearjax.identify`.
     """
     own = found.estimates[: len(found.unknowns.each)]
     groups: dict[str, list[IdentifiedNumber]] = {}
@@ -105,10 +105,10 @@ def estimates_figure(found: Identification) -> Figure:
 
 
 def residual_figure(found: Identification) -> Figure:
-    """Spectrum of what is measured and of what is left, over orders of the output.
+    """Draw the spectrum of the first recording and of its residual, over orders of the output.
 
     Args:
-        found: as of `gearjax.identify`.
+        found: result of `gearjax.identify`.
     """
     figure, (ax,) = new_figure(height=3.4)
     theta, measured, computed = found.curves()[0]

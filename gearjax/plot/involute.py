@@ -1,4 +1,4 @@
-"""Drawings of involute pairs: teeth of both gears about the zone of contact, candidates, gaps and contact forces."""
+"""Drawings of involute pairs: teeth of both gears near the contacts, candidates, gaps and contact forces."""
 
 import math
 from pathlib import Path
@@ -18,23 +18,24 @@ from gearjax.systems import InvoluteRV
 from gearjax.typing import ArrayLike, Scalar
 from gearjax.units import mm, um
 
-POINTS = 24  # of a flank
-WIDEST_GAP = 0.35  # of the module, that the largest gap shown is drawn as: wider ones run into the next tooth
+POINTS = 24  # points of a flank
+WIDEST_GAP = 0.35  # modules: size of the largest gap in the drawing; a wider one would reach the next tooth
 LONGEST_ARROW = 2.2  # modules
 RIM = 0.5  # modules of material under the roots
 BESIDE = 1  # pairs shown on either side of those that carry
-FEWEST = 5  # pairs shown
+FEWEST = 5  # smallest number of pairs shown
 
 
 class Zone(NamedTuple):
-    """Candidates of one flank of one external gear, in axes of its throw, as driving flanks.
+    """Candidates of one flank of one external gear, in axes of its throw, as if they were driving flanks.
 
     Args:
         tooth: number of each pair on the external gear, shape (pair,).
-        place: of the candidates on the external flank and on the ring's, shape (gear, pair, point) [m], complex.
-        normal: of the ring's flank, out of the external tooth, shape (pair, point), complex.
-        gap: before the torque, shape (pair, point) [m].
-        force: shape (pair, point) [N].
+        place: positions of the candidates on the external flank and on the ring's, shape (gear, pair, point) [m],
+            complex.
+        normal: normal of the ring's flank, out of the external tooth, shape (pair, point), complex.
+        gap: gaps before the torque acts, shape (pair, point) [m].
+        force: contact forces, shape (pair, point) [N].
     """
 
     tooth: np.ndarray
@@ -44,7 +45,7 @@ class Zone(NamedTuple):
     force: np.ndarray
 
     def only(self, shown: np.ndarray) -> "Zone":
-        """Some of the pairs, in their order around the ring."""
+        """Some of the pairs, in order of their position around the ring."""
         shown = shown[np.argsort(np.angle(self.place[1, shown, 0]))]
         return Zone(self.tooth[shown], self.place[:, shown], self.normal[shown], self.gap[shown], self.force[shown])
 
@@ -55,16 +56,16 @@ class Zone(NamedTuple):
 
 
 def pair_figure(scene: Scene, theta: float, forces: ArrayLike) -> Figure:
-    """Teeth of each external gear in those of the ring where pairs carry, the circumference laid out straight, and the
-    load of every pair.
+    """Draw the teeth of each external gear in the ring near the pairs that carry, and the load of every pair.
 
-    Gaps are those before the torque, where the first flank of the loaded side just touches; they are drawn larger by
-    a factor that the title tells. Where back flanks carry, the drawing is their mirror image.
+    The circumference is laid out straight. The gaps are those before the torque acts, when the first flank of the
+    loaded side just touches; they are enlarged by a factor that the title states. If back flanks carry, the drawing is
+    mirrored.
 
     Args:
-        scene: with an `InvoluteRV`.
+        scene: scene with an `InvoluteRV`.
         theta: input angle [rad].
-        forces: of the contacts under a torque, shape (contact,) [N].
+        forces: contact forces under a torque, shape (contact,) [N].
     """
     system = scene.system
     assert isinstance(system, InvoluteRV)
@@ -96,13 +97,13 @@ def save_pair_figure(scene: Scene, theta: float, forces: ArrayLike, path: Path) 
 
 
 def _zones(scene: Scene, system: InvoluteRV, theta: float, forces: np.ndarray) -> tuple[list[Zone], bool]:
-    """What is shown of each external gear, of the flanks that carry more, and whether these are the back ones."""
+    """The pairs to draw of each external gear, on the flanks that carry more, and whether these are back flanks."""
     teeth, rolls, normals, gap = _seen(scene.physics("backlash"), jnp.asarray(theta, scene.dtype))
     places = []
     for pair_roll, (sine, cosine), base, centre in zip(
         rolls, normals, system.pair.base_radii, (float(system.centre_distance), 0.0), strict=True
     ):
-        # the normal (sin, cos) stands on the radius (cos, -sin) of the base circle
+        # the normal (sin, cos) is perpendicular to the radius (cos, -sin) of the base circle
         normal = np.asarray(sine) + 1j * np.asarray(cosine)
         places.append(centre + float(base) * (-1j + np.asarray(pair_roll)) * normal)
     place, gap = np.stack(places), np.asarray(gap)
@@ -119,8 +120,11 @@ def _zones(scene: Scene, system: InvoluteRV, theta: float, forces: np.ndarray) -
 
 @eqx.filter_jit
 def _seen(scene: Scene, theta: Scalar) -> tuple:
-    """Of the candidates as driving flanks teeth, roll angles and normals on both gears, and gaps where driving and
-    where back flanks just touch."""
+    """Teeth, roll angles and normals of the candidates on both gears, and their gaps.
+
+    All flanks are described as driving flanks. The gaps are those at which the first driving flank just touches, and
+    those at which the first back flank does.
+    """
     scene, system = scene.anchored(), scene.system
     assert isinstance(system, InvoluteRV)
     at, contacts = system.candidates(theta, scene.has_back), scene.contacts(theta)
@@ -130,7 +134,7 @@ def _seen(scene: Scene, theta: Scalar) -> tuple:
 
 
 def _shown(zone: Zone) -> np.ndarray:
-    """Pairs that carry, some beside them, and at least those that are closest to it."""
+    """Indices of the pairs that carry or have the smallest gaps, and of some pairs next to them."""
     order = np.argsort(np.angle(zone.place[1, :, 0]))
     nearest = np.argsort(zone.gap.min(axis=1), kind="stable")
     wanted = (zone.loads > 0) | np.isin(np.arange(len(zone.tooth)), nearest[:FEWEST])
@@ -139,7 +143,7 @@ def _shown(zone: Zone) -> np.ndarray:
 
 
 def _factor(largest: float, module: float) -> float:
-    """By how much gaps are drawn larger: 1, 2, 3 or 5 times a power of ten, at least one."""
+    """Factor by which gaps are enlarged: 1, 2, 3 or 5 times a power of ten, at least one."""
     if not largest > 0:
         return 1.0
     wanted = max(WIDEST_GAP * module / largest, 1.0)
@@ -148,15 +152,15 @@ def _factor(largest: float, module: float) -> float:
 
 
 def _draw_teeth(ax: Axes, system: InvoluteRV, zone: Zone, factor: float, largest: float) -> np.ndarray:
-    """Both gears, candidates and forces; returns where pairs stand along the circumference [mm]."""
+    """Draw both gears, candidates and forces; return the positions of the pairs along the circumference [mm]."""
     pair, module = system.pair, float(system.module)
     middle, radius = float(np.angle(zone.place[1].mean())), float(pair.internal.reference_radius)
 
     def laid_out(place: np.ndarray) -> np.ndarray:
-        """Along the circumference and outwards from the reference circle [mm]."""
+        """Coordinates along the circumference and outwards from the reference circle [mm]."""
         return np.stack([(np.angle(place) - middle) * radius, np.abs(place) - radius]) / mm
 
-    behind = factor * zone.gap / float(pair.base_radii[0])  # external teeth [rad]
+    behind = factor * zone.gap / float(pair.base_radii[0])  # angle by which external teeth stand behind [rad]
     gears = (pair.external, float(pair.centre_distance), behind, "tab:blue"), (pair.internal, 0.0, None, "0.35")
     for number, (gear, centre, turned, colour) in enumerate(gears):
         outline = centre + _outline(gear, zone.place[number] - centre, turned)
@@ -171,7 +175,7 @@ def _draw_teeth(ax: Axes, system: InvoluteRV, zone: Zone, factor: float, largest
     kinds = (carries, "tab:red", "candidate that carries"), (~carries, "white", "one that does not")
     for chosen, face, words in kinds:
         ax.plot(*touching[:, chosen], "o", markersize=4, markerfacecolor=face, color="tab:red", label=words, zorder=4)
-    turn = zone.normal * np.exp(-1j * np.angle(zone.place[0]))  # real part outwards, imaginary part along
+    turn = zone.normal * np.exp(-1j * np.angle(zone.place[0]))  # real part outwards, imaginary along the circumference
     arrows = np.stack([turn.imag, turn.real]) * zone.force / largest * LONGEST_ARROW * module / mm
     if carries.any():
         drawn = (part[:, carries] for part in (facing, arrows))
@@ -182,12 +186,13 @@ def _draw_teeth(ax: Axes, system: InvoluteRV, zone: Zone, factor: float, largest
 
 
 def _outline(gear: InvoluteGear, place: np.ndarray, behind: np.ndarray | None) -> np.ndarray:
-    """Teeth of a gear about its own axis, closed through its rim, complex [m].
+    """Teeth of a gear around its own axis, closed through its rim, complex [m].
 
     Args:
-        gear: whose.
-        place: of the candidates on its driving flanks, shape (pair, point) [m], pairs in the sense of the crank.
-        behind: by how much the tooth stands behind at each of them [rad]; not at all without.
+        gear: the gear.
+        place: positions of the candidates on its driving flanks, shape (pair, point) [m]; the pairs are in order along
+            the rotation of the crank.
+        behind: angle by which the tooth stands behind at each of these positions [rad]; zero if ``None``.
     """
     tip, root = float(gear.tip_radius), float(gear.root_radius)
     radius = np.linspace(root, tip, POINTS)
@@ -209,7 +214,7 @@ def _outline(gear: InvoluteGear, place: np.ndarray, behind: np.ndarray | None) -
 
 
 def _draw_loads(ax: Axes, zone: Zone, centres: np.ndarray) -> None:
-    """Load of every pair under it, with its smallest gap before the load."""
+    """Draw the load of every pair below the teeth, with the smallest gap of the pair before the load."""
     width = 0.6 * float(np.diff(centres).mean())
     ax.bar(centres, zone.loads, width, color="tab:red", alpha=0.7)
     for centre, load, gap in zip(centres, zone.loads, zone.gap.min(axis=1), strict=True):

@@ -1,4 +1,4 @@
-"""Gears as a measuring machine told them: flanks as maps, pitches tooth by tooth."""
+"""Figures of measured gears: flank deviations as maps, pitch deviations tooth by tooth."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,15 +10,17 @@ from gearjax.plot.axes import finish
 from gearjax.scene import Scene
 from gearjax.units import mm, um
 
-MOST_MAPS = 4  # teeth that are drawn of a flank
+MOST_MAPS = 4  # largest number of teeth that are drawn of a flank
 
 
 def measured_figure(scene: Scene) -> Figure:
-    """A row for each measured flank, with a map of deviations for each of its first teeth, and one for each gear whose
-    pitches were measured.
+    """Draw the measured flanks and pitches of a scene.
+
+    Each measured flank has a row with a map of deviations for each of its first teeth. Each gear with measured pitches
+    has a row too.
 
     Args:
-        scene: lists `MeasuredFlank` or `MeasuredPitch` among its errors.
+        scene: scene with `MeasuredFlank` or `MeasuredPitch` among its errors.
     """
     flanks = [(name, error) for name, error in scene.errors.items() if isinstance(error, MeasuredFlank)]
     pitches: dict[str, list[MeasuredPitch]] = {}
@@ -35,13 +37,13 @@ def measured_figure(scene: Scene) -> Figure:
 
 
 def _draw_flank(figure, name: str, flank: MeasuredFlank) -> None:
-    """Maps of a flank, one for each tooth, in one scale."""
+    """Draw the maps of a flank, one for each tooth, with a common scale."""
     shown = np.asarray(flank.grid)[:MOST_MAPS] / um
     axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     most = max(float(np.abs(shown).max()), 1e-9)
     places = [np.asarray(part) / mm for part in (flank.roll, flank.across)]
     for number, (ax, grid) in enumerate(zip(axes, shown, strict=True)):
-        # one place alone stands for all of the width or of the height
+        # a single place stands for the whole width or the whole height
         edges = [np.array([part[0] - 1, part[0] + 1]) if part.size == 1 else _edges(part) for part in places]
         drawn = ax.pcolormesh(edges[0], edges[1], grid.T, cmap="RdBu_r", vmin=-most, vmax=most)
         told = f"tooth {int(flank.teeth[number])}" if flank.teeth.size else f"tooth {number}"
@@ -54,13 +56,13 @@ def _draw_flank(figure, name: str, flank: MeasuredFlank) -> None:
 
 
 def _edges(places: np.ndarray) -> np.ndarray:
-    """Ends of the cells around places."""
+    """Boundaries of the cells around places."""
     middles = 0.5 * (places[1:] + places[:-1])
     return np.concatenate([places[:1], middles, places[-1:]])
 
 
 def _draw_pitches(ax: Axes, body: str, pitches: list[MeasuredPitch]) -> None:
-    """Cumulative deviations tooth by tooth, one curve for each flank."""
+    """Draw cumulative deviations tooth by tooth, one curve for each flank."""
     for pitch in pitches:
         values = np.asarray(pitch.deviation) / um
         ax.plot(np.arange(values.size), values, marker="o", markersize=3, linewidth=1.0, label=_flanks(pitch.flank))

@@ -1,4 +1,4 @@
-"""A pair of non-circular gears: teeth and pitch curves, the mesh from near, pressure angles, levers and ratio."""
+"""Figures of non-circular gears: teeth, a close-up of the mesh, pressure angles, levers, ratio and contact ratio."""
 
 from pathlib import Path
 
@@ -19,20 +19,22 @@ from gearjax.systems import AbstractNoncircularPair
 from gearjax.typing import Array
 from gearjax.units import deg, mm
 
-ANGLES = 361  # of a turn
-POINTS = 24  # of each flank, tip and root
-NEAR = 4.0  # modules around the pitch point that are shown from near
+ANGLES = 361  # angles of a turn
+POINTS = 24  # points of each flank, tip and root
+NEAR = 4.0  # modules around the pitch point that the close-up shows
 COLOURS = "C0", "C1"
-PER_SECOND = 20  # pictures of an animation
+PER_SECOND = 20  # frames of an animation
 NAMES = "driver", "driven"
 
 
 def noncircular_figure(scene: Scene, theta: float = 0.0) -> Figure:
-    """The gears at an input angle, whole and from near with the lines of action, and how ratio, pressure angles, levers
-    and contact ratio change over a turn of the driver.
+    """Draw non-circular gears at an input angle, and how their mesh changes over a turn of the driver.
+
+    The gears are drawn whole, and in a close-up with the lines of action. Curves show ratio, pressure angles, levers
+    and contact ratio over a turn of the driver.
 
     Args:
-        scene: with a non-circular pair.
+        scene: scene with a non-circular pair.
         theta: input angle [rad].
     """
     system = scene.system
@@ -73,7 +75,7 @@ def _draw_gears(scene: Scene, system: AbstractNoncircularPair, theta: float, who
     finish(near, f"near the pitch point, backlash {backlash / mm * 1e3:.4g} um", x="x [mm]", y="y [mm]")
 
 
-@eqx.filter_jit  # one program: single operations would each be compiled apart
+@eqx.filter_jit  # one program, because single operations would each be compiled separately
 def _turn(system: AbstractNoncircularPair, t: Array) -> tuple[Array, ...]:
     curves = system.curves
     at = curves.at(t)
@@ -104,19 +106,20 @@ def _draw_turn(system: AbstractNoncircularPair, theta: float, left: Axes, right:
 
 
 def save_noncircular_animation(scene: Scene, path: str | Path, *, frames: int = 120) -> Path:
-    """Write the gears as they run through a turn of the driver, without errors, as a GIF or, with ffmpeg, an MP4.
+    """Write an animation of the gears over one turn of the driver, without errors, as a GIF or, with ffmpeg, an MP4.
 
     Args:
-        scene: with a non-circular pair.
-        path: ends in ``.gif`` or ``.mp4``.
-        frames: pictures of a turn.
+        scene: scene with a non-circular pair.
+        path: path of the file, which ends in ``.gif`` or ``.mp4``.
+        frames: number of frames of a turn.
 
     Returns:
         The path.
 
     Raises:
-        ParameterError: another ending, fewer than two pictures, or a film without ffmpeg.
-        SceneError: another gear set.
+        ParameterError: the path has another ending, there are fewer than two frames, or an MP4 is asked for without
+            ffmpeg.
+        SceneError: the scene has another gear set.
         GearjaxError: the file cannot be written.
     """
     from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter

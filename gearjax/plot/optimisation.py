@@ -58,7 +58,7 @@ def _spectra(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> No
         drawn = max(drawn, height.max())
     highest = np.pi / (theta[1] - theta[0]) * turn / (2 * np.pi)
     ax.set_xlim(0, min(6 * fastest / orders["output"], highest))
-    if drawn > 0:  # without errors there is no TE without load
+    if drawn > 0:  # without errors the no-load TE is zero and has no logarithmic scale
         ax.set_yscale("log")
         ax.set_ylim(1e-5 * drawn, 3 * drawn)
     finish(ax, f"{cases['before'].title}: spectrum", x="order [cycles per turn of the output]", y="amplitude [arcmin]")
@@ -66,7 +66,7 @@ def _spectra(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> No
 
 
 def search_figure(optimisation: Optimisation) -> Figure:
-    """Where the starts ended, how they came there, and what assembly errors cost."""
+    """End points of the starts, their descent, directions of curvature, and the cost of assembly errors."""
     figure, axes = new_figure(2, 2, width=12.0, height=3.6)
     _ends(axes[0], optimisation)
     _history(axes[1], optimisation)
@@ -161,7 +161,7 @@ def _deviations(ax: Axes, optimisation: Optimisation) -> None:
 
 
 def _short(path: str) -> str:
-    """``planet_1`` for the phase of planet_1, the path without its section else."""
+    """``planet_1`` for the phase of planet_1; for other numbers the path without its section."""
     parts = path.split(".")[1:]
     return parts[0] if parts[-1] == "phase" else ".".join(parts)
 

@@ -1,4 +1,4 @@
-"""Load over the plane of action of helical and spur pairs."""
+"""Figure of the load over the plane of action of helical and spur pairs."""
 
 import equinox as eqx
 import jax
@@ -16,19 +16,21 @@ from gearjax.systems import HelicalPair
 from gearjax.typing import Array, ArrayLike
 from gearjax.units import mm
 
-MOST_ANGLES = 2000  # that the highest loads are looked for at
-CELLS = 60  # along the path of contact
+MOST_ANGLES = 2000  # largest number of angles in the search for the highest loads
+CELLS = 60  # cells along the path of contact
 PER_MM = 1e-3
 
 
 def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) -> Figure:
-    """Contact lines at the first angle, coloured by their load per length, and the highest load per length of all
-    angles at each place: along the path of contact, and across the face.
+    """Draw the load per length over the plane of action: along the path of contact, and across the face.
+
+    One drawing shows the contact lines at the first angle, coloured by their load per length. The other shows the
+    highest load per length of all angles at each place.
 
     Args:
-        scene: with a `HelicalPair`.
+        scene: scene with a `HelicalPair`.
         theta: input angles, shape (n,) [rad].
-        forces: of the contacts under a torque, shape (n, contact) [N].
+        forces: contact forces under a torque, shape (n, contact) [N].
     """
     system = scene.system
     assert isinstance(system, HelicalPair)
@@ -65,7 +67,7 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
 
 
 def _filled(row: np.ndarray) -> np.ndarray:
-    """Numbers along the path, between those that were looked at too; nan beyond what carries."""
+    """Loads along the path, interpolated over cells without a load; nan beyond the first and the last loaded cell."""
     places, known = np.arange(len(row)), np.flatnonzero(row)
     if not len(known):
         return np.full(len(row), np.nan)
@@ -73,8 +75,10 @@ def _filled(row: np.ndarray) -> np.ndarray:
 
 
 def _lines(scene: Scene, system: HelicalPair, theta: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Lengths of roll of the pinion [mm], places across the face [mm] and loads per length [N/mm] of all slices on the
-    side that carries, shape (n, contact)."""
+    """Position and load of all slices on the side that carries, shape (n, contact) each.
+
+    These are lengths of roll of the pinion [mm], places across the face [mm] and loads per length [N/mm].
+    """
     slices = _slices(system, jnp.asarray(theta, scene.dtype), scene.backlash is not None)
     shape = (len(theta), -1)
     line = np.asarray(slices[2]).reshape(shape)
@@ -98,7 +102,7 @@ def _slices(system: HelicalPair, theta: Array, back: bool) -> tuple[Array, Array
 def _draw_lines(
     axes: Axes, system: HelicalPair, at: tuple[np.ndarray, np.ndarray, np.ndarray], scale: Normalize
 ) -> None:
-    """The slices that carry, each as long as it is."""
+    """The slices that carry, each over its whole width, even if only a part of it is on the path of contact."""
     roll, across, load = at
     half = 0.5 * float(system.face_width) / mm / system.slices
     lean = float(np.tan(system.pair.base_helix_angle))

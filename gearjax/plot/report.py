@@ -17,23 +17,23 @@ from matplotlib.figure import Figure
 
 from gearjax.plot.report_parts import SCRIPT, STYLE
 
-MOST_VALUES = 20_000  # of axes, that the pointer finds
-MOST_DRAWN = 40_000  # points of axes, that are drawn as vectors
+MOST_VALUES = 20_000  # largest number of values of one axes that the pointer can show
+MOST_DRAWN = 40_000  # largest number of points of one axes that are drawn as vectors, not as an image
 LONGEST_ROW = 12  # numbers of a list that are shown
-DEEPEST, FEW_ROWS = 2, 3  # tables that are further inside others, and longer, are folded
+DEEPEST, FEW_ROWS = 2, 3  # tables that are nested deeper than this, and longer, are folded
 
 
 def report_page(
     title: str, told: Mapping[str, Any], figures: Mapping[str, Figure], config: str, notes: Iterable[str] = ()
 ) -> str:
-    """The page, in HTML, which needs nothing from a network and nothing beside it.
+    """The page in HTML; it needs no network and no other files.
 
     Args:
-        title: of the page.
+        title: title of the page.
         told: the results, as ``--json`` prints them.
-        figures: by the names of their files.
+        figures: figures by the names of their files.
         config: text of the configuration.
-        notes: what the command warned of.
+        notes: notes and warnings of the command.
     """
     says = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     drawn = "".join(_figure(name, figure) for name, figure in figures.items())
@@ -51,7 +51,7 @@ def report_page(
 
 
 def _versions() -> dict[str, str]:
-    """Of gearjax, Python and the packages that decide numbers."""
+    """Versions of gearjax, of Python, and of the packages on which the numbers depend."""
     packages = ("gearjax", "jax", "jaxlib", "diffrax", "numpy", "scipy")
     return {name: metadata.version(name) for name in packages} | {
         "python": platform.python_version(),
@@ -60,7 +60,7 @@ def _versions() -> dict[str, str]:
 
 
 def _figure(name: str, figure: Figure) -> str:
-    """A figure as SVG, and behind it the values that the pointer finds."""
+    """A figure as SVG, followed by the values that the pointer shows."""
     for ax in figure.axes:
         many = sum(np.size(line.get_xdata()) for line in ax.get_lines()) > MOST_DRAWN
         for part in (
@@ -77,9 +77,9 @@ def _figure(name: str, figure: Figure) -> str:
 
 
 def _values(ax: Axes) -> dict[str, Any]:
-    """Where axes stand in their figure, their scales, and points of their curves."""
+    """Position of axes in their figure, their scales, and points of their curves."""
     box = ax.get_position()
-    lines = [line for line in ax.get_lines() if line.get_transform() == ax.transData]  # no marks across the axes
+    lines = [line for line in ax.get_lines() if line.get_transform() == ax.transData]  # no lines across the axes
     most = MOST_VALUES // max(1, len(lines))
     curves = []
     for line in lines:
@@ -103,7 +103,7 @@ def _values(ax: Axes) -> dict[str, Any]:
 
 
 def _shown(value: Any, depth: int = 0) -> str:
-    """A result as a table, a list or a word; tables far inside others are folded."""
+    """A result as a table, a list or a word; deeply nested tables are folded."""
     if isinstance(value, Mapping):
         rows = (f"<tr><th>{_named(key)}</th><td>{_shown(each, depth + 1)}</td></tr>" for key, each in value.items())
         return f"<table>{''.join(rows)}</table>" if value else "none"
@@ -117,7 +117,7 @@ def _shown(value: Any, depth: int = 0) -> str:
 
 
 def _listed(values: list[Any], depth: int) -> str:
-    """Rows with the same keys are one table; a long list is cut."""
+    """A list: a list of tables becomes one table with a row for each; another long list is cut."""
     if values and all(isinstance(each, Mapping) for each in values):
         keys = dict.fromkeys(key for each in values for key in each)
         head = "".join(f"<th>{_named(key)}</th>" for key in keys)

@@ -1,4 +1,4 @@
-"""Style and script of a report: light, printable, and nothing from a network."""
+"""Style sheet and script of a report: small, printable, and without access to a network."""
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }

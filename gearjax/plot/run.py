@@ -25,7 +25,7 @@ MOST_LINES = 12
 
 
 def error_figure(scene: Scene, cases: list[Case]) -> Figure:
-    """Transmission error over time: without load, static and dynamic under each torque."""
+    """Draw the transmission error over time, without load, static and dynamic under each torque, and the backlash."""
     groups = [
         (title, [case for case in cases if case.analysis in kinds])
         for title, kinds in (
@@ -46,9 +46,9 @@ def error_figure(scene: Scene, cases: list[Case]) -> Figure:
 
 
 def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
-    """Contact force of each driving flank over time, one row per loaded case; ``None`` without loaded cases.
+    """Contact force of each flank that may carry over time, one row per loaded case; ``None`` without loaded cases.
 
-    More than `MOST_LINES` contacts make a picture, a row for each.
+    A case with more than `MOST_LINES` contacts is drawn as an image, with one image row for each contact.
     """
     loaded = [case for case in cases if getattr(case.result, "forces", None) is not None]
     if not loaded:
@@ -77,8 +77,10 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
 
 
 def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
-    """What moves besides the output over time, displacements and turns apart, one row per loaded case and kind of them;
-    ``None`` where nothing does."""
+    """Draw what moves besides the output over time; ``None`` if nothing else moves.
+
+    There is one row per loaded case for displacements, and one for turns.
+    """
     shown = [
         (case, case.result)
         for case in cases
@@ -101,7 +103,7 @@ def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
 
 
 def _waterfall(ax: Axes, time: np.ndarray, forces: np.ndarray, title: str) -> None:
-    """Force of many contacts over time, one row of the picture each."""
+    """Draw the forces of many contacts over time as an image, with one image row for each contact."""
     time, forces = thin(time, forces)
     shown = np.ma.masked_less_equal(forces.T, 0.0)
     drawn = ax.pcolormesh(time, np.arange(1, forces.shape[1] + 1), shown, shading="nearest", cmap="viridis")
@@ -110,10 +112,10 @@ def _waterfall(ax: Axes, time: np.ndarray, forces: np.ndarray, title: str) -> No
 
 
 def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
-    """Order spectra per turn of the output: errors of the bodies, and up to the mesh where the motion was computed.
+    """Draw order spectra per turn of the output: errors of the bodies, and up to the mesh order for a motion.
 
-    Of whole cycles where there are such (`order_lines`), so that what lies between the lines is no leakage. The crank
-    order (the mesh order where a system has no crank) and its multiples are marked.
+    The spectra are of whole cycles if possible (`order_lines`); then they have no leakage between the lines. The crank
+    order and its multiples are marked; for a motion, and in a system without crank, the mesh order.
     """
     groups = [
         (title, [case for case in cases if case.analysis in kinds])
@@ -152,7 +154,7 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
 
 
 def mark_multiples(ax: Axes, base: float, name: str) -> None:
-    """Dotted lines at an order and its multiples."""
+    """Draw dotted lines at an order and its multiples."""
     for number in range(1, int(ax.get_xlim()[1] / base) + 1):
         label = f"{name} order {base:g}\nand multiples" if number == 1 else None
         ax.axvline(number * base, color="0.5", linestyle=":", linewidth=0.8, label=label)
@@ -184,7 +186,7 @@ OF_GEAR_SETS: dict[type[AbstractSystem], tuple[str, Callable[[Scene, Transmissio
     HelicalPair: ("plane_of_action.png", _plane_of_action),
     AbstractNoncircularPair: ("pair.png", _noncircular),
 }
-"""Name and drawing of a gear set under static torque."""
+"""File name and drawing function of each gear set under static torque."""
 
 
 def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:

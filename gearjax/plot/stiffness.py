@@ -9,11 +9,11 @@ from gearjax.units import arcmin, deg
 
 
 def stiffness_figure(stiffness: MeshStiffness, title: str = "") -> Figure:
-    """Secant and tangent torsional stiffness over input angles, in N m/arcmin and degrees.
+    """Draw secant and tangent torsional stiffness over input angles, in N m/arcmin and degrees.
 
     Args:
-        stiffness: of one scene.
-        title: in place of one that names the torque.
+        stiffness: stiffness of one scene.
+        title: title of the figure; without it the title names the torque.
     """
     figure, (ax,) = new_figure()
     for name, values in (("secant", stiffness.secant), ("tangent", stiffness.tangent)):

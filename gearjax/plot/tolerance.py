@@ -26,7 +26,7 @@ LABELS = {
 
 
 def histogram_figure(study: Study) -> Figure:
-    """Histogram of each measure with its quantiles and limits."""
+    """Draw a histogram of each measure with its quantiles and limits."""
     figure, axes = new_figure(len(study.names), width=9.0, height=2.8)
     for ax, name in zip(axes, study.names, strict=True):
         good = study.good(name) / arcmin
@@ -54,7 +54,7 @@ def _limits(ax: Axes, study: Study, name: str, vertical: bool = True) -> None:
 
 
 def convergence_figure(study: Study) -> Figure:
-    """Quantiles, and yields where there are limits, with their intervals over the number of samples."""
+    """Draw quantiles and, for measures with limits, yields, with their intervals, over the number of samples."""
     limited = [measure.name for measure in study.measures if measure.is_limited]
     figure, axes = new_figure(len(study.names) + len(limited), width=9.0, height=2.6)
     numbers = np.unique(np.geomspace(min(32, study.samples), study.samples, MARKS).round().astype(int))
@@ -76,7 +76,7 @@ def convergence_figure(study: Study) -> Figure:
 
 
 def _sizes(part: np.ndarray) -> np.ndarray:
-    """The first samples of a study are looked at as independent ones."""
+    """Size of the one design of a part of the samples: the first samples are treated as independent."""
     return np.array([len(part)])
 
 
@@ -86,7 +86,7 @@ def _band(ax: Axes, numbers: np.ndarray, estimates: np.ndarray, label: str, colo
 
 
 def sensitivity_figure(results: ToleranceResults) -> Figure:
-    """Shares of the variance in three ways, for each measure."""
+    """Draw the shares of the variance of each measure, computed in three ways."""
     sensitivity = results.sensitivity
     height = 0.9 + 0.42 * len(sensitivity[0].paths)
     figure, axes = new_figure(len(sensitivity), width=9.5, height=height)
@@ -109,7 +109,7 @@ def sensitivity_figure(results: ToleranceResults) -> Figure:
 
 
 def assembly_figure(assembly: MatchedAssembly) -> Figure:
-    """The same gear sets assembled at random and matched: distributions, shares within any limit, and each unit."""
+    """Draw the same gear sets assembled at random and matched: distributions, shares within a limit, each unit."""
     figure, axes = new_figure(1, 3, width=15.0, height=4.6)
     parts = {"at random": (assembly.random, "0.55"), "matched": (assembly.matched, "tab:green")}
     top = float(np.nanmax([assembly.random, assembly.matched])) / arcmin
@@ -137,7 +137,7 @@ def assembly_figure(assembly: MatchedAssembly) -> Figure:
 
 
 def allocation_figure(results: ToleranceResults) -> Figure:
-    """Factors on the tolerances, and yield and cost before and after."""
+    """Draw the factors on the tolerances, and yield and cost before and after."""
     bought = results.allocation
     assert bought is not None
     figure, axes = new_figure(1, 2, width=12.0, height=1.2 + 0.4 * max(3, len(bought.paths)))
@@ -157,7 +157,7 @@ def allocation_figure(results: ToleranceResults) -> Figure:
 
 
 def save_tolerance_figures(results: ToleranceResults, folder: Path) -> list[Path]:
-    """Write the figures of all that was studied.
+    """Write the figures of all studies that were made.
 
     Raises:
         GearjaxError: the folder cannot be written.

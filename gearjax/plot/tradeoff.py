@@ -8,13 +8,13 @@ from gearjax.plot.axes import finish, new_figure, save_figure
 from gearjax.studies.tradeoff import Tradeoff
 from gearjax.units import arcmin
 
-LEAST = 1e-8  # arcmin: below, an error is drawn there
+LEAST = 1e-8  # arcmin; smaller errors are drawn at this value
 LEANS = ((35, "left"), (-35, "left"), (-40, "right"), (40, "right"), (8, "left"), (-65, "left"))
-"""Angle of the labels of a group [deg], and the end at its point: groups that meet lean away from each other."""
+"""Angle of the labels of a group [deg], and which end of a label is at its point, so that groups do not overlap."""
 
 
 def tradeoff_figure(comparison: Tradeoff) -> Figure:
-    """Error of the metrics against run time and against the time of a gradient, a colour for each group."""
+    """Draw the error of the metrics against the time of a run and of a gradient, with a colour for each group."""
     figure, axes = new_figure(2, height=5.0)
     for ax, kind in zip(axes, ("run", "gradient"), strict=True):
         for index, group in enumerate(dict.fromkeys(row.group for row in comparison.rows)):

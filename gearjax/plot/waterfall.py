@@ -1,4 +1,4 @@
-"""Figure of periodic motions over speeds."""
+"""Figure of periodic motions over the input speed."""
 
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -8,16 +8,18 @@ from gearjax.analysis import NaturalModes, Waterfall
 from gearjax.plot.axes import finish, new_figure
 from gearjax.units import arcmin, rpm
 
-FAINT = 1e-3  # of the largest amplitude, that is drawn
+FAINT = 1e-3  # share of the largest amplitude at which the colour scale begins
 
 
 def waterfall_figure(waterfall: Waterfall, modes: NaturalModes | None = None) -> Figure:
-    """Peak-to-peak TE and dynamic factor over the speed, and amplitudes by speed and frequency (Campbell), natural
-    frequencies dashed; speeds without a stable motion are marked.
+    """Draw peak-to-peak TE and dynamic factor over the speed, and a Campbell diagram.
+
+    The Campbell diagram shows amplitudes by speed and frequency, with natural frequencies as dashed lines. Speeds
+    without a stable motion are marked.
 
     Args:
-        waterfall: of one scene.
-        modes: of the same, to be marked.
+        waterfall: periodic motions of one scene.
+        modes: natural modes of the same scene, to be marked.
     """
     speed = np.asarray(waterfall.speeds) / rpm
     figure, (height, factor, map_) = new_figure(3, height=2.8)

@@ -1,4 +1,4 @@
-"""Published figures next to ours, one module per paper."""
+"""Published values next to ours, one module per paper."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +15,9 @@ class Paper(NamedTuple):
     """A paper that is reproduced.
 
     Args:
-        title: its authors, year and title.
-        rows: works out its values next to ours, and tells what it is at.
-        save_figures: draws them into a folder and returns the files; ``None`` for no figure.
+        title: authors, year and title of the paper.
+        rows: function that computes the values of the paper next to ours, and reports its progress.
+        save_figures: function that draws these values into a folder and returns the files; ``None`` for no figure.
     """
 
     title: str

@@ -32,8 +32,8 @@ PAPER = (
 TEETH, MODULE, PRESSURE_ANGLE, ECCENTRICITY = 47, 3 * mm, 20 * deg, 0.3287
 PRINTED_DISTANCE = 150 * mm
 STUDIED = (0.0, 0.2, 0.3, 0.5, 0.7)  # eccentricities of the figures
-ANGLES = 2001  # of a turn
-RUN_OUT = 50 * um  # of both wheels where the paper tells none, phases zero
+ANGLES = 2001  # angles of a turn
+RUN_OUT = 50 * um  # run-out of both wheels if the paper states none; phases are zero
 
 RATIO_ERRORS = {  # Table 2: mean and range
     0.0: ("0.01545", "0.00248"),
@@ -42,8 +42,8 @@ RATIO_ERRORS = {  # Table 2: mean and range
     0.5: ("0.01521", "0.01496"),
     0.7: ("0.01496", "0.02108"),
 }
-FITTED = paper.RunOuts(68.16 * um, 19.81 * um, 1.18715, -3.05814)  # to Table 2
-CONSTANT = 1.0007 * mm  # that its mean needs
+FITTED = paper.RunOuts(68.16 * um, 19.81 * um, 1.18715, -3.05814)  # fitted to Table 2
+CONSTANT = 1.0007 * mm  # constant that the mean of Table 2 needs
 
 AT_75 = "with the printed centre distance of 150 mm, at which the pitch curves do not close"
 NO_MEAN = (
@@ -61,7 +61,7 @@ SIMPLE = "of the swing of the exact transmission error, both counted from the st
 
 
 def scene(eccentricity: float, driver: float = RUN_OUT, driven: float = RUN_OUT) -> Scene:
-    """The gears of table 1 with another eccentricity, closed, with run-outs whose phases are zero."""
+    """The gears of Table 1 with another eccentricity, closed pitch curves, and run-outs whose phases are zero."""
     sizes = {"driver": driver, "driven": driven}
     errors = {body: Eccentricity(body=body, amplitude=size, phase=0.0) for body, size in sizes.items()}
     pair = EllipticPair(
@@ -76,7 +76,7 @@ def scene(eccentricity: float, driver: float = RUN_OUT, driven: float = RUN_OUT)
 
 
 def curves(eccentricity: float, centre_distance: float | None = PRINTED_DISTANCE) -> PitchCurves:
-    """Pitch curves at the printed centre distance, or closed."""
+    """Pitch curves at a centre distance; with ``None`` at the centre distance at which they close."""
     ratio = EllipseRatio(eccentricity=jnp.asarray(eccentricity))
     if centre_distance is None:
         return PitchCurves(
@@ -90,7 +90,7 @@ def _turn() -> np.ndarray:
 
 
 def _contact(eccentricity: float) -> np.ndarray:
-    """Contact ratio over a turn by (13), at the printed centre distance."""
+    """Contact ratio over a turn by eq. (13), at the printed centre distance."""
     return np.asarray(
         circular_contact_ratio(curves(eccentricity), jnp.asarray(_turn()), jnp.asarray(MODULE), jnp.ones(()))
     )
@@ -103,12 +103,12 @@ def _most_slant(eccentricity: float) -> float:
 
 
 def _gears(eccentricity: float) -> paper.Ellipse:
-    """The closed gears, as the paper's construction takes them."""
+    """The gears with closed pitch curves, in the form that the paper's construction needs."""
     return paper.Ellipse(float(curves(eccentricity, None).centre_distance) / 2, eccentricity, PRESSURE_ANGLE, _turn())
 
 
 def _exact(eccentricity: float, driver: float = RUN_OUT, driven: float = RUN_OUT) -> np.ndarray:
-    """Ratio error of run-outs by exact geometry."""
+    """Ratio error that run-outs cause, by exact geometry."""
     return np.asarray(ratio_error(scene(eccentricity, driver, driven), _turn()).error)
 
 
@@ -116,7 +116,7 @@ def rows(say: Progress = silent) -> list[Row]:
     """Published numbers next to ours.
 
     Args:
-        say: is told what is being worked out.
+        say: function that is called with what is being computed.
     """
     say("pitch curves and contact ratios")
     report = [*_closure(), *_flanks(), *_pressure_angles(), *_contact_ratios()]
@@ -136,13 +136,13 @@ def _closure() -> list[Row]:
 
 
 def _flanks() -> list[Row]:
-    """The paper's tooth profile against the flank that a rack cuts, of one tooth, up to a module along the normal."""
+    """Distance of the paper's tooth profile from the flank that a rack cuts, up to a module along the normal."""
     own = curves(ECCENTRICITY, None)
     crossing = np.asarray(5 * math.pi * MODULE)
     whole = _turn()
     t = np.interp(crossing + np.linspace(-1.0, 1.0, 41) * MODULE, own.arc_length(jnp.asarray(whole)), whole)
     along = (np.asarray(own.arc_length(jnp.asarray(t))) - crossing) * math.cos(PRESSURE_ANGLE)
-    cut = flank(own, 0, 1, t, crossing) * np.array([1.0, -1.0])  # angles of the paper run the other way
+    cut = flank(own, 0, 1, t, crossing) * np.array([1.0, -1.0])  # the paper counts angles in the opposite direction
     gears = paper.Ellipse(float(own.centre_distance) / 2, ECCENTRICITY, PRESSURE_ANGLE, t)
     report = []
     for name, as_printed in (("(6)", False), ("(2) and (4)", True)):
@@ -181,7 +181,7 @@ def _ratio_errors() -> list[Row]:
     for eccentricity, printed in RATIO_ERRORS.items():
         own = _exact(eccentricity)
         numbers = {"mean": float(own[:-1].mean()), "range": float(np.ptp(own))}
-        # the paper's formula has the printed p for every eccentricity
+        # the paper's formula uses the printed p for every eccentricity
         gears = paper.Ellipse(64.667 * mm / (1 - eccentricity**2), eccentricity, PRESSURE_ANGLE, _turn())
         simple = paper.simplified_ratio_error(gears, FITTED, CONSTANT)
         fitted = {"mean": float(simple[:-1].mean()), "range": float(np.ptp(simple))}
@@ -195,7 +195,7 @@ def _ratio_errors() -> list[Row]:
 
 
 def _constructions() -> list[Row]:
-    """How far the paper's construction, the same as eq. 19 corrected, and its simplified error are from the truth."""
+    """Deviation of the paper's construction (eq. 19 corrected) and of its simplified error from the exact values."""
     report = []
     for eccentricity in (0.2, ECCENTRICITY, 0.5, 0.7):
         gears, name = _gears(eccentricity), f"e = {eccentricity:g}"
@@ -217,16 +217,16 @@ def _constructions() -> list[Row]:
 
 
 def save_elliptic_figures(rows: list[Row], folder: Path) -> list[Path]:
-    """Figures 9 to 13 and 15 of the paper, by exact geometry of the closed gears with run-outs of 50 um.
+    """Draw figures 9 to 13 and 15 of the paper, by exact geometry of the closed gears.
 
     Args:
-        rows: of the paper; not looked at.
-        folder: where ``elliptic.png`` goes.
+        rows: rows of the paper; they are not used.
+        folder: folder of the file ``elliptic.png``.
 
     Raises:
         GearjaxError: the file cannot be written.
     """
-    from gearjax.plot import finish, new_figure, save_figure  # matplotlib takes a second
+    from gearjax.plot import finish, new_figure, save_figure  # the import of matplotlib takes a second
 
     del rows
     figure, axes = new_figure(3, 2, width=13.0)

@@ -7,7 +7,7 @@ from gearjax.reproduce.rows import Row
 from gearjax.units import mm
 
 TEETH = sorted(POINTS)
-SERIES = (  # item of the rows, label, whether the printed value or ours
+SERIES = (  # item of the rows, label, whether to draw the printed value or ours
     ("Table 5, tooth {}", "paper, finite elements and linear programme", True),
     ("Table 5, ANSYS, tooth {}", "paper, ANSYS", True),
     ("Table 5, tooth {}", f"gearjax, rim {RIM / mm:g} mm and phase {PHASE} fitted", False),
@@ -15,16 +15,16 @@ SERIES = (  # item of the rows, label, whether the printed value or ours
 
 
 def save_loads_figure(rows: list[Row], folder: Path) -> list[Path]:
-    """Load of each tooth of Yang, Tang and Liang (2019), Table 5, and the differences from the paper's own method.
+    """Draw the tooth loads of Yang, Tang and Liang (2019), Table 5, and the differences from the paper's own method.
 
     Args:
-        rows: of the paper.
-        folder: where ``involute_rv_loads.png`` goes.
+        rows: rows of the paper.
+        folder: folder of the file ``involute_rv_loads.png``.
 
     Raises:
         GearjaxError: the file cannot be written.
     """
-    from gearjax.plot import finish, new_figure, save_figure  # matplotlib takes a second
+    from gearjax.plot import finish, new_figure, save_figure  # the import of matplotlib takes a second
 
     by_item = {row.item: row for row in rows}
     figure, (above, below) = new_figure(2, width=9.0)

@@ -19,19 +19,19 @@ PAPER = (
     "Measured Manufacturing Errors"
 )
 TORQUE = 830.0  # N m, on the wheel
-SPEEDS = {"50.8": 50.8 * rpm, "2104": 2104 * rpm}  # of the pinion
-PER_MESH = 16  # angles
+SPEEDS = {"50.8": 50.8 * rpm, "2104": 2104 * rpm}  # speeds of the pinion
+PER_MESH = 16  # angles per mesh
 RUN_OUTS = {"pinion": 15 * um, "wheel": 20 * um}  # amplitudes of simulation 2
 
-FREQUENCIES = {  # Tables 4 and 6: of the wheel, of the pinion, of the mesh [Hz]
+FREQUENCIES = {  # Tables 4 and 6: frequencies of the wheel, the pinion and the mesh [Hz]
     "50.8": ("0.344", "0.848", "16.1"),
     "2104": ("14.23", "35.08", "666.2"),
 }
-SIDEBANDS = {  # Tables 5 and 7: below and above the mesh frequency and twice it, by f_p, f_g, f_g, f_p [Hz]
+SIDEBANDS = {  # Tables 5 and 7: sidebands at -f_p, -f_g, +f_g, +f_p of the mesh frequency and of twice it [Hz]
     "50.8": (("15.26", "15.76", "16.45", "16.95"), ("31.35", "31.85", "32.54", "33.06")),
     "2104": (("630.8", "652.2", "680.7", "701.5"), ("1297", "1318", "1347", "1368")),
 }
-AMPLITUDES = {  # Tables 4 and 6: of each simulation at these frequencies [um]
+AMPLITUDES = {  # Tables 4 and 6: amplitudes of each simulation at these frequencies [um]
     "50.8": {1: ("24.91", "16.12", "2.42"), 2: ("20", "15.2", "0.90"), 3: ("49.63", "37.77", "12.86")},
     "2104": {1: ("24.66", "15.93", "5.28"), 2: ("20", "15.21", "1.57"), 3: ("49.63", "37.78", "14.47")},
 }
@@ -57,7 +57,7 @@ BANDS = (
 
 
 def scene(speed: float = SPEEDS["50.8"]) -> Scene:
-    """The pair of table 1 with the run-outs of simulation 2 and flanks without modification; bores are fitted."""
+    """The pair of Table 1 with the run-outs of simulation 2 and unmodified flanks; the bores are fitted values."""
     errors = {
         body: Eccentricity(body=body, amplitude=amplitude, phase=phase * deg)
         for (body, amplitude), phase in zip(RUN_OUTS.items(), (0.0, 90.0), strict=True)
@@ -78,8 +78,10 @@ def scene(speed: float = SPEEDS["50.8"]) -> Scene:
 
 
 def amplitudes() -> np.ndarray:
-    """Amplitudes of the static TE over the whole period of 893 meshes, along the base tangent, shape (n,) [um]: of n
-    turns in it, of which the wheel makes 19, the pinion 47, and the mesh 893."""
+    """Amplitudes of the static TE over the whole period of 893 meshes, along the base tangent, shape (n,) [um].
+
+    The index is the number of cycles in the period: 19 for the wheel, 47 for the pinion, and 893 for the mesh.
+    """
     gears = scene()
     assert isinstance(gears.system, HelicalPair)
     number = round(gears.system.cycle * gears.system.pinion_teeth / (2 * math.pi)) * PER_MESH
@@ -90,10 +92,10 @@ def amplitudes() -> np.ndarray:
 
 
 def rows(say: Progress = silent) -> list[Row]:
-    """Frequencies and amplitudes of the paper next to ours, and why some cannot be had.
+    """Frequencies and amplitudes of the paper next to ours, and why some cannot be computed.
 
     Args:
-        say: is told what is being worked out.
+        say: function that is called with what is being computed.
     """
     say("static TE over 893 meshes")
     high = amplitudes()
@@ -104,7 +106,7 @@ def rows(say: Progress = silent) -> list[Row]:
 
 
 def _of(speed: str) -> tuple[float, float, float]:
-    """Frequencies of the wheel, the pinion and the mesh [Hz]."""
+    """Frequencies of rotation of the wheel and the pinion, and mesh frequency [Hz]."""
     system = scene(SPEEDS[speed]).system
     turns = float(system.input_speed) / (2 * math.pi)
     wheel, pinion, mesh = (system.orders[name] * turns for name in ("output", "pinion", "mesh"))
@@ -147,7 +149,7 @@ def _amplitudes(speed: str, high: np.ndarray) -> list[Row]:
 
 
 def _heights(high: np.ndarray) -> list[Row]:
-    """How high the sidebands are that run-outs alone make."""
+    """Heights of the sidebands that run-outs alone cause."""
     aside = {"- f_p": -47, "- f_g": -19, "+ f_g": 19, "+ f_p": 47}
     return [
         Row(f"Table 5, static, height of f_m {name}", "", float(high[893 + shift]), "um", 0.0, why=BANDS)

@@ -26,8 +26,8 @@ PAPER = (
     "Yang, Tang, Liang (2019), Tooth Surface Contact Analysis of Involute Rotate Vector Reducer Based on a Finite "
     "Element Linear Programming Method"
 )
-OTHER_RIM = 0.8 * mm  # for what the depth of the rim does
-STEP = 0.005  # of the phase, to both sides
+OTHER_RIM = 0.8 * mm  # second depth of the rim, to show the effect of the depth
+STEP = 0.005  # step of the phase to both sides
 
 TEETH = {  # Table 5: by finite elements with linear programming, by ANSYS [N]
     14: ("58.6", "57.5"),
@@ -57,7 +57,7 @@ AT_POINTS = (
 
 
 class _Point(NamedTuple):
-    """A point of Tables 7 and 8: the error is the paper's, eq. (11), of its other method."""
+    """A point of Tables 7 and 8; the error is that of the paper's other method, eq. (11)."""
 
     tooth: int
     face: tuple[float, float]  # mm, on the external and on the internal gear
@@ -66,7 +66,7 @@ class _Point(NamedTuple):
     force: tuple[str, str]  # N, by ANSYS
 
 
-# Tables 7 and 8 line by line, (15,0,5,68.26) read as 15, 0.5, 68.26.
+# Tables 7 and 8 line by line; the printed (15,0,5,68.26) is read as 15, 0.5, 68.26.
 _PRINTED = """
 15 0.0 68.19 69.6   100 100  0.224 0.223
 15 0.5 68.26 69.66  100 100  0.002 0.002
@@ -108,7 +108,7 @@ def _points() -> list[_Point]:
 
 
 class Case(NamedTuple):
-    """Points where teeth may touch, the influence between them, and how they carry the torque."""
+    """Points where teeth may touch, the influence between the points, and their forces under the torque."""
 
     points: Candidates
     influence: np.ndarray
@@ -121,11 +121,11 @@ class Case(NamedTuple):
 
 
 def case(both: Tables, phase: float = PHASE) -> Case:
-    """The pair by finite elements.
+    """Compute the pair by finite elements.
 
     Args:
-        both: tables of both gears.
-        phase: where tooth 17 stands on its path of contact [-].
+        both: influence tables of both gears.
+        phase: place of tooth 17 on its path of contact [-].
     """
     points = candidates(phase)
     matrix = influence(both, points)
@@ -133,10 +133,10 @@ def case(both: Tables, phase: float = PHASE) -> Case:
 
 
 def rows(say: Progress = silent) -> list[Row]:
-    """Every load and force of the paper next to ours, and what they owe to the numbers that it does not print.
+    """Every load and force of the paper next to ours, and the effect of the numbers that the paper does not print.
 
     Args:
-        say: is told what is being worked out.
+        say: function that is called with what is being computed.
 
     Raises:
         GearjaxError: scikit-fem is missing.
@@ -158,11 +158,11 @@ def rows(say: Progress = silent) -> list[Row]:
 
 
 def rms(loads: np.ndarray, published: dict[int, str]) -> float:
-    """Root mean square from printed loads [N].
+    """Root mean square deviation from printed loads [N].
 
     Args:
-        loads: of teeth 13 to 21 [N].
-        published: by tooth.
+        loads: loads of teeth 13 to 21 [N].
+        published: printed loads by tooth [N].
     """
     return float(np.sqrt(np.mean([(_of(loads, tooth) - float(text)) ** 2 for tooth, text in published.items()])))
 
@@ -172,13 +172,13 @@ def _of(loads: np.ndarray, tooth: int) -> float:
 
 
 def _row(item: str, published: str, computed: float, unit: str, limit: float, why: str) -> Row:
-    """A value that rests on fitted numbers: inferred where it comes out, not reproduced where it does not."""
+    """A row that rests on fitted numbers: inferred if it is within the limit, not reproduced if it is not."""
     close = bool(published) and abs(computed - float(published)) <= limit
     return Row(item, published, computed, unit, limit, inferred=close, why=why)
 
 
 def _table_2() -> list[Row]:
-    # pairs stand in the order of increasing polar angles
+    # pairs are in order of increasing polar angle, in which the numbers of the teeth fall
     loads = two_dimensional(pair_stiffness(), total_load())[::-1]
     limit = 0.02 * max(map(float, TABLE_2.values()))
     why = f"{FOUNDATION}; limit 2 % of the largest load"
@@ -205,7 +205,7 @@ def _table_5(fitted: Case) -> list[Row]:
 
 
 def _owed(fitted: Case, other: Case, aside: list[np.ndarray]) -> list[Row]:
-    """What the loads owe to the two fitted numbers."""
+    """Effect of the two fitted numbers on the loads."""
     ours = {tooth: pair[0] for tooth, pair in TEETH.items()}
     report = []
     for one, rim in ((fitted, RIM), (other, OTHER_RIM)):
@@ -256,7 +256,7 @@ def _tables_7_and_8(fitted: Case) -> list[Row]:
 
 
 def _nearest(points: Candidates, point: _Point, column: int) -> int:
-    """Which of ours a point of Table 7 or 8 is: radii and places are printed to 0.01 mm."""
+    """Index of our point that is nearest to a point of Table 7 or 8; radii and places are printed to 0.01 mm."""
     radius = (points.radius, points.mate)[column]
     beside = np.abs(points.face - point.face[0] * mm) + np.abs(radius - float(point.radius[column]) * mm)
     return int(np.argmin(np.where(points.tooth == point.tooth, beside, np.inf)))

@@ -1,4 +1,4 @@
-"""Both methods of Yang, Tang and Liang (2019): two-dimensional, (9) and (10), and the linear programme (3), (4)."""
+"""The methods of Yang, Tang and Liang (2019): two-dimensional, eqs. (9), (10), and linear programme, eqs. (3), (4)."""
 
 from typing import NamedTuple
 
@@ -15,19 +15,19 @@ from gearjax.reproduce import involute_rv_pair as own
 from gearjax.typing import Array
 from gearjax.units import um
 
-LENGTH = 1e-8  # m, unit of the programme: far above the tolerances of its solver
-EARLY = 3 * um  # gaps of the points that may carry in the first programme: all take longer, too few do not settle
+LENGTH = 1e-8  # m, unit of length of the programme, so that numbers are far above the tolerances of its solver
+EARLY = 3 * um  # largest gap of points in the first programme: all points take longer, too few do not converge
 EXACT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 MOST_PROGRAMMES = 20
-SETTLED = 1e-9  # of a programme's own numbers
+SETTLED = 1e-9  # smaller numbers of a programme count as zero
 
 
 class Pressed(NamedTuple):
-    """How points carry a load together.
+    """Forces of points that carry a load together.
 
     Args:
-        forces: of the points, shape (point,) [N].
-        approach: of the gears along the line of action, ``r_b1 theta`` [m].
+        forces: forces at the points, shape (point,) [N].
+        approach: approach of the gears along the line of action, ``r_b1 theta`` [m].
     """
 
     forces: np.ndarray
@@ -38,10 +38,12 @@ _balance = jax.jit(coupled_balance)
 
 
 def pressed(influence: np.ndarray, gap: np.ndarray) -> Pressed:
-    """Contact of the points under the torque by the package's solver: eqs. (5) and (8), forces and openings positive.
+    """Solve the contact of the points under the torque by the package's solver.
+
+    The problem is eqs. (5) and (8), with forces and openings that are not negative.
 
     Args:
-        influence: shape (point, point) [m/N].
+        influence: approach of each point per force on each point, shape (point, point) [m/N].
         gap: initial clearance, shape (point,) [m].
     """
     radius = own.pair().base_radii[0]
@@ -51,13 +53,14 @@ def pressed(influence: np.ndarray, gap: np.ndarray) -> Pressed:
 
 
 class _Programme(NamedTuple):
-    """A solved linear programme (4).
+    """Solution of a linear programme (4).
 
     Args:
         values: force of each point that may carry [N], slack of the others [0.01 um], shape (point,).
         approach: delta [0.01 um].
         objective: sum of the artificial variables, eq. (3) [0.01 um] and [N].
-        entering: change of it per unit of what each point does not have, shape (point,).
+        entering: change of the objective per unit of the variable (force or slack) that a point does not have in this
+            programme, shape (point,).
     """
 
     values: np.ndarray
@@ -67,16 +70,17 @@ class _Programme(NamedTuple):
 
 
 def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Pressed:
-    """The same by the paper's linear programme, with another solver, HiGHS.
+    """Solve the same contact by the paper's linear programme, with another solver, HiGHS.
 
-    That of each point either the force or the slack is zero is no linear condition. Conry and Seireg (1971) let enter
-    the basis only what keeps it; here a programme has one of both for each point, and points where the one is zero and
-    the other would lessen the objective change over until the objective is zero.
+    At each point either the force or the slack must be zero. This complementarity condition is not linear. Conry and
+    Seireg (1971) let a variable enter the basis only if the condition stays satisfied. Here each programme has only one
+    of the two variables for each point. A point changes to the other variable if its variable is zero and the other one
+    would lower the objective. This is repeated until no point changes; the objective must be zero then.
 
     Args:
-        influence: shape (point, point) [m/N].
-        gap: shape (point,) [m].
-        force: that all carry together [N].
+        influence: approach of each point per force on each point, shape (point, point) [m/N].
+        gap: initial clearance, shape (point,) [m].
+        force: sum of the forces of all points [N].
     """
     scaled, clearance = influence / LENGTH, gap / LENGTH
     carry = gap <= max(EARLY, float(gap.min()))
@@ -92,12 +96,12 @@ def by_programme(influence: np.ndarray, gap: np.ndarray, force: float) -> Presse
 
 
 def _programme(influence: np.ndarray, gap: np.ndarray, force: float, carry: np.ndarray) -> _Programme:
-    """Eqs. (3) and (4) with a force where ``carry``, else a slack.
+    """Solve eqs. (3) and (4) with a force as variable at the points in ``carry``, and a slack at the others.
 
-    Artificial variables are what is left of each equation, ``gap + S F - delta - Y >= 0`` and ``P - sum F >= 0``: the
-    programme has inequalities in their place, and its objective is their sum.
+    The artificial variables are the residuals of the equations, ``gap + S F - delta - Y >= 0`` and
+    ``P - sum F >= 0``. The programme has inequalities in place of these variables, and its objective is their sum.
     """
-    from scipy.optimize import linprog  # takes a tenth of a second, which only this needs
+    from scipy.optimize import linprog  # the import takes a tenth of a second and only this function needs it
 
     number = len(gap)
     forces = np.vstack([-influence, np.ones(number)])
@@ -112,12 +116,12 @@ def _programme(influence: np.ndarray, gap: np.ndarray, force: float, carry: np.n
 
 
 class PairStiffness(NamedTuple):
-    """What eqs. (9) and (10) need of each pair of teeth, shape (pair,) each.
+    """Data of each pair of teeth for eqs. (9) and (10), shape (pair,) each.
 
     Args:
         tooth: number of the pair in the paper.
-        clearance: the least over its flanks, ``r_b1 phi`` [m].
-        stiffness: ``B k`` [N/m].
+        clearance: smallest clearance over the flanks of the pair, ``r_b1 phi`` [m].
+        stiffness: stiffness of the pair, ``B k`` [N/m].
     """
 
     tooth: np.ndarray
@@ -128,7 +132,7 @@ class PairStiffness(NamedTuple):
 def pair_stiffness() -> PairStiffness:
     """Stiffness of the pairs by beams, foundation and contact, for the paper's "material mechanics method".
 
-    Each pair touches where its gap is least (`ElasticTeeth` with one candidate, on a half-plane, after Weber and
+    Each pair touches where its gap is smallest (`ElasticTeeth` with one candidate, on a half-plane, after Weber and
     Banaschek 1953).
     """
     tooth, roll = own.rolls()
@@ -143,7 +147,7 @@ def _pairs(both: InternalPair, roll: Array) -> tuple[Array, Array]:
     points = both.points(roll[:, None], candidate_rolls(begin, end, 1))
     radii = both.external.radius_at(points.roll[0])[None], both.internal.radius_at(points.roll[1])[None]
     shared = 0.5 * both.base_radii[0] * ((roll + end) ** 2 - (roll + begin) ** 2)
-    none = jnp.zeros_like(shared)  # no pair moves another one, whichever teeth they are
+    none = jnp.zeros_like(shared)  # teeth do not matter: only the influence of a pair on itself is used
     places = Places((both.external, both.internal), radii, none[None], shared[None], jnp.zeros(1))
     steel = own.YOUNGS_MODULUS, own.POISSONS_RATIO
     teeth = ElasticTeeth(*steel, own.EXTERNAL_WIDTH, own.INTERNAL_WIDTH)
@@ -153,12 +157,12 @@ def _pairs(both: InternalPair, roll: Array) -> tuple[Array, Array]:
 def two_dimensional(pairs: PairStiffness, force: float) -> np.ndarray:
     """Loads of the pairs by eq. (9), shape (pair,) [N].
 
-    Pairs are taken in the order of their clearances, as many as keep all loads positive. The last row of the printed
+    Pairs are added in the order of their clearances, as long as no load becomes negative. The last row of the printed
     matrix lacks a minus sign.
 
     Args:
         pairs: clearances and stiffness.
-        force: that all carry together, ``T / r_b`` [N].
+        force: sum of the loads of all pairs, ``T / r_b`` [N].
     """
     order = np.argsort(pairs.clearance)
     loads = np.zeros(len(order))

@@ -1,4 +1,4 @@
-"""The internal pair 236/240 of Yang, Tang and Liang (2019): its gears, where its teeth may touch, how they give way."""
+"""The internal pair 236/240 of Yang, Tang and Liang (2019): gears, candidate points, elastic influence of the teeth."""
 
 from functools import cache
 from typing import NamedTuple
@@ -14,34 +14,36 @@ from gearjax.typing import Array, Float
 from gearjax.units import deg, mm
 
 TORQUE = 100.0  # N m on one external gear
-MODULE, PRESSURE_ANGLE, CENTRE_DISTANCE = 0.58 * mm, 20 * deg, 1.5 * mm  # Table 1, as the next two lines
+MODULE, PRESSURE_ANGLE, CENTRE_DISTANCE = 0.58 * mm, 20 * deg, 1.5 * mm  # Table 1, like the next two lines
 EXTERNAL, INTERNAL = (-0.4, 0.6328), (0.55028, 1.0)  # profile shift and addendum [modules]
 EXTERNAL_WIDTH, INTERNAL_WIDTH, TOOL_RADIUS = 6.5 * mm, 14 * mm, 0.116 * mm
 DEDENDUM = 1.25  # modules; not printed
 YOUNGS_MODULUS, POISSONS_RATIO = 2.06e11, 0.3  # steel; not printed
-MEETING = (0.5 * mm, 7 * mm)  # of the internal gear's face: Table 8 counts from 0.5 mm further than Table 7
-LAYERS = 13  # elements across the external gear, section IV
-POINTS = {13: 11, 14: 11, 15: 11, 16: 11, 17: 10, 18: 10, 19: 9, 20: 9, 21: 9}  # of a tooth along its profile, Table 3
+MEETING = (0.5 * mm, 7 * mm)  # part of the internal gear's face; places in Table 8 are 0.5 mm larger than in Table 7
+LAYERS = 13  # layers of elements across the external gear, section IV
+POINTS = {13: 11, 14: 11, 15: 11, 16: 11, 17: 10, 18: 10, 19: 9, 20: 9, 21: 9}  # points along the profile, Table 3
 FIRST = 17  # the tooth that touches without load
-PHASE = 0.3417  # where on its path of contact it does; fitted to Table 5
+PHASE = 0.3417  # its place on the path of contact; fitted to Table 5
 RIM = 0.72 * mm  # depth under the root circle at which the elements are fixed; fitted to Table 5
-REACH = (0.675 * mm, 0.67 * mm)  # of the nodes of both gears from their tips, a little over what may touch
+REACH = (0.675 * mm, 0.67 * mm)  # depth of the nodes of both gears from their tips, a little more than may touch
 
 Tables = tuple[InfluenceTable, InfluenceTable]
 
 
 class Candidates(NamedTuple):
-    """Points where teeth may touch: teeth in the order of increasing polar angles, along the profile, then across the
-    face. All have the shape (point,) but for the last two.
+    """Points where teeth may touch.
+
+    They are in order of increasing polar angle of the teeth, then along the profile, then across the face. All arrays
+    have the shape (point,) except the last two.
 
     Args:
         tooth: number of the pair in the paper, 13 to 21.
-        radius: of each on the external gear [m].
-        mate: of the point opposite on the internal gear [m].
+        radius: radius of each point on the external gear [m].
+        mate: radius of the opposite point on the internal gear [m].
         face: place across the external gear [m].
         gap: initial clearance, base radius times the angle between the flanks [m].
-        grid: radii of both gears with as many along each profile, shape (2, tooth, profile) [m].
-        there: which points of that grid, and of all layers, there are, shape (tooth * profile * layer,).
+        grid: radii on both gears, the same number of them along each profile, shape (2, tooth, profile) [m].
+        there: which points of that grid, over all layers, exist, shape (tooth * profile * layer,).
     """
 
     tooth: np.ndarray
@@ -55,7 +57,7 @@ class Candidates(NamedTuple):
 
 @cache
 def pair() -> InternalPair:
-    """Both gears of Table 1, whose first column is the internal gear's."""
+    """Both gears of Table 1; the first column of the table is the internal gear."""
     common = jnp.asarray(MODULE), jnp.asarray(PRESSURE_ANGLE)
     (shift, height), (other_shift, other_height) = (tuple(map(jnp.asarray, own)) for own in (EXTERNAL, INTERNAL))
     dedendum = jnp.asarray(DEDENDUM)
@@ -70,10 +72,10 @@ def total_load() -> float:
 
 
 def tables(rim: float = RIM) -> Tables:
-    """Influence of the teeth of the external and of the internal gear on each other, by finite elements.
+    """Influence tables of the teeth of the external gear and of the internal gear, by finite elements.
 
     Args:
-        rim: depth under the root circle at which they are fixed [m].
+        rim: depth under the root circle at which the elements are fixed [m].
 
     Raises:
         GearjaxError: scikit-fem is missing.
@@ -104,11 +106,12 @@ def _table(
 
 
 def rolls(phase: float = PHASE) -> tuple[np.ndarray, np.ndarray]:
-    """Of each pair its number in the paper, which falls with the polar angle, and its roll angle on the line of action
-    [rad], shape (pair,) both.
+    """Number of each pair in the paper, and roll angle of the pair on the line of action [rad], shape (pair,) both.
+
+    The numbers fall with rising polar angle.
 
     Args:
-        phase: of pair 17, from the internal tip circle (0) to the external one (1) [-].
+        phase: place of pair 17 on its path of contact, from the internal tip circle (0) to the external one (1) [-].
     """
     tooth = np.array(sorted(POINTS, reverse=True))
     begin, end = (float(edge) for edge in pair().path)
@@ -116,8 +119,9 @@ def rolls(phase: float = PHASE) -> tuple[np.ndarray, np.ndarray]:
 
 
 def candidates(phase: float = PHASE) -> Candidates:
-    """The points of section IV: along a profile at equal distances from the internal tip circle to the external one, as
-    the radii that Table 7 names stand.
+    """The points of section IV, at equal distances along a profile from the internal tip circle to the external one.
+
+    The radii in Table 7 have the same spacing.
 
     Args:
         phase: as for `rolls`.
@@ -126,7 +130,7 @@ def candidates(phase: float = PHASE) -> Candidates:
     tooth, roll = rolls(phase)
     begin = np.asarray(both.external.radius_at(jnp.asarray(roll) + both.ends(jnp.asarray(roll))[0]))
     tip = float(both.external.tip_radius)
-    # those that a tooth has less of than others count before its first point, and are left out again
+    # a tooth with fewer points than others gets extra ones before its first point, which are left out below
     missing = np.array([most - POINTS[number] for number in tooth])
     share = np.maximum(np.arange(most) - missing[:, None], 0) / (most - 1 - missing)[:, None]
     radius = begin[:, None] + share * (tip - begin)[:, None]
@@ -142,11 +146,11 @@ def candidates(phase: float = PHASE) -> Candidates:
 
 
 def influence(both: Tables, points: Candidates) -> np.ndarray:
-    """Approach of each point per force on each, of both gears, section IV, shape (point, point) [m/N].
+    """Approach of each point per force on each point, both gears together, section IV, shape (point, point) [m/N].
 
     Args:
-        both: of the external and of the internal gear.
-        points: that may touch.
+        both: influence tables of the external and of the internal gear.
+        points: points that may touch.
     """
     whole = np.asarray(_on_grid(both, jnp.asarray(points.grid)))
     return whole[np.ix_(points.there, points.there)]

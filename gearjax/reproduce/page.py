@@ -18,12 +18,12 @@ Written by `gearjax reproduce --all`; the tests fail where this page differs fro
 - **not published**: a value of ours that tells something about the others.
 
 """
-ROUNDING = 1e-6  # below it a value, in whatever unit it is shown, is rounding, which differs from machine to machine
+ROUNDING = 1e-6  # smaller values, in whatever unit, are rounding errors, which differ from machine to machine
 STATUSES = ("reproduced", "inferred", "not reproduced", "not published")
 
 
 def validation_page(reports: Iterable[tuple[str, list[Row]]]) -> str:
-    """The page.
+    """The text of the validation page.
 
     Args:
         reports: the title of each paper, and its values.
@@ -35,7 +35,7 @@ def validation_page(reports: Iterable[tuple[str, list[Row]]]) -> str:
 
 
 def section(title: str, rows: list[Row]) -> str:
-    """What the page says of one paper: a table, and the notes that it names."""
+    """The section of one paper: a table, and the notes to which the table refers."""
     notes = {why: number for number, why in enumerate(dict.fromkeys(row.why for row in rows if row.why), 1)}
     lines = "".join(f"| {' | '.join(_cells(row, notes))} |\n" for row in rows)
     said = "".join(f"{number}. {plain(why)}\n" for why, number in notes.items())
@@ -44,7 +44,7 @@ def section(title: str, rows: list[Row]) -> str:
 
 
 def counted(title: str, rows: list[Row]) -> str:
-    """The line of a paper in the table at the head."""
+    """The line of one paper in the table at the head of the page: how many values have each status."""
     of = Counter(row.status for row in rows)
     return f"| {title} | {' | '.join(str(of[status]) for status in STATUSES)} |\n"
 

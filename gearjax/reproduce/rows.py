@@ -10,10 +10,10 @@ class Row:
 
     Args:
         item: where the value stands in the paper.
-        published: the printed value, as text, so that its precision is kept; empty where the paper has none, and ours
-            tells something about the others.
-        computed: ours; nan where the paper does not give what it rests on.
-        unit: of both.
+        published: the printed value, as text, so that its precision is kept; empty if the paper has none, and our
+            value explains other values.
+        computed: our value; nan if the paper does not give the data for it.
+        unit: unit of both values.
         tolerance: deviation up to which the value counts as reproduced.
         inferred: whether it rests on constants that the paper does not give.
         why: what a reader should know about the deviation.
@@ -29,7 +29,7 @@ class Row:
 
     @property
     def deviation(self) -> float:
-        """Computed minus published; nan without a published value."""
+        """Computed minus published value; nan without a published value."""
         return self.computed - float(self.published) if self.published else math.nan
 
     @property
@@ -44,7 +44,7 @@ class Row:
         return "reproduced" if abs(self.deviation) <= self.tolerance else "not reproduced"
 
     def as_json(self) -> dict:
-        """The row as ``gearjax reproduce --json`` prints it; a value that is missing is ``None``."""
+        """The row as ``gearjax reproduce --json`` prints it; a missing value is ``None``."""
         why = self.why or f"within {self.tolerance:.2g} {self.unit}"
         known = math.isfinite(self.computed)
         compared = known and bool(self.published)

@@ -17,9 +17,9 @@ from gearjax.systems import RVCycloidal
 from gearjax.units import deg, mm, rpm
 
 PAPER = "Hu, Li, Zhu, Cui (2020), An Elastic Transmission Error Compensation Method for RV Speed Reducers"
-TORQUE = 1037.0  # N m, inferred: the seed of eqs. 45-47 gives the printed first deformation for 1033.8 to 1037.3
-SHARE = 0.55  # of the torque that one disc carries
-STOP = 1e-3  # change of the force at which the paper's iteration ends
+TORQUE = 1037.0  # N m, inferred: the seed of eqs. 45-47 gives the first printed deformation for 1033.8 to 1037.3
+SHARE = 0.55  # share of the torque that one disc carries
+STOP = 1e-3  # relative change of the force at which the paper's iteration ends
 INFERRED = "T = 1037 N m and E b / (1 - mu^2) = 2.49e6 N/mm are inferred, not given in the paper"
 ADAMS = "from an Adams model that the paper does not give"
 
@@ -33,7 +33,7 @@ class Design(NamedTuple):
 
 
 INITIAL = Design(-0.022, -0.0437)
-MODIFIED = Design(-0.022, -0.0266)  # Table 6 without its smaller pin, which no printed force contains
+MODIFIED = Design(-0.022, -0.0266)  # Table 6 without its smaller pin, which enters no printed force
 SMALLER_PIN = -0.0279  # mm, of Table 6
 
 
@@ -52,7 +52,7 @@ def system(design: Design = INITIAL, *, discs: int = 2) -> RVCycloidal:
 
 
 def steel() -> HuLineContact:
-    """The line contacts of the paper: 206 GPa, 0.3 and 11 mm are natural, only the product E b is fitted."""
+    """The line contacts of the paper: 206 GPa, 0.3 and 11 mm are usual values, only the product E b is fitted."""
     return HuLineContact(youngs_modulus=2.06e11, poissons_ratio=0.3, face_width=11 * mm)
 
 
@@ -62,13 +62,13 @@ def scene(design: Design = INITIAL, *, discs: int = 2) -> Scene:
 
 
 class Contacts(NamedTuple):
-    """The paper's half of the pins, one every 9 degrees from the throw, torque on one disc."""
+    """Contacts as in the paper: half of the pins, one every 9 degrees from the throw, and the torque on one disc."""
 
     design: Cycloid
 
     @property
     def lever(self) -> np.ndarray:
-        """Over the rolling radius, shape (pin,)."""
+        """Lever over the rolling radius, shape (pin,)."""
         return np.asarray(touch(self.design.modified_short_width, self._angles).lever)
 
     @property
@@ -82,14 +82,14 @@ class Contacts(NamedTuple):
 
     def deformation(self, force: float) -> float:
         """Largest normal deformation under the largest force (eqs. 38-40) [m]."""
-        # the curvature of eq. 40 is that of the unmodified offset
+        # eq. 40 uses the curvature of the profile with unmodified offset
         disc = self.design._replace(isometric=jnp.zeros_like(self.design.isometric))
         curved = curvature(disc, jnp.arccos(disc.modified_short_width))
         springs = steel().springs(Radii(self.design.pin_radius[None], curved[None]))
         return float(springs.approach(jnp.array([force]))[0])
 
     def teeth(self, deformation: float) -> np.ndarray:
-        """Pins in contact, counted from 1 at 9 degrees."""
+        """Numbers of the pins in contact; pin 1 is at 9 degrees."""
         return np.flatnonzero(self.lever * deformation > self.clearance) + 1
 
     def force(self, deformation: float) -> float:
@@ -100,12 +100,12 @@ class Contacts(NamedTuple):
         return float(SHARE * TORQUE / (float(self.design.rolling_radius) * share))
 
     def seed(self) -> float:
-        """Force to start from: the mean of eqs. 46 and 47 with the K1 that the print lost [N]."""
+        """Initial force of the iteration: mean of eqs. 46 and 47, with the factor K1 that is missing in print [N]."""
         short, circle = float(self.design.modified_short_width), float(self.design.pin_circle)
         return 0.5 * (2.2 * TORQUE / (short * self.design.teeth * circle) + SHARE * TORQUE / (short * circle))
 
     def iterated(self) -> tuple[float, int]:
-        """The paper's iteration (its Fig. 6): mean of the last two forces [N], and how many steps it took."""
+        """Result of the paper's iteration (its Fig. 6): mean of the last two forces [N], and number of steps."""
         before = self.seed()
         for count in range(1, 200):
             force = self.force(self.deformation(before))
@@ -125,9 +125,9 @@ _STEPS = {
     "Table 4": (INITIAL, (("0.0303", "1320.3"), ("0.0152", "1657.3"), ("0.0081", "2464.7"), ("0.0101", "2121.5"))),
     "Table 7": (MODIFIED, (("0.0303", "1068.4"), ("0.0077", "1512.0"), ("0.0066", "1612.3"), ("0.0092", "1403.5"))),
 }
-_SEEDS = {"Table 4": 2545.1, "Table 7": 1246.1}  # N, printed differences give the forces before the first ones
+_SEEDS = {"Table 4": 2545.1, "Table 7": 1246.1}  # N, forces before the first printed ones, from printed differences
 _FINAL = {"Table 4": ("0.0116", "1910.3", 1911.7), "Table 7": ("0.0088", "1435.9", 1439.9)}
-_DEFORMATIONS = {  # Tables 5 and 8 [1e-4 mm], the first pin at 18 degrees, and the force that they follow from [N]
+_DEFORMATIONS = {  # Tables 5 and 8: force [N] that causes the deformations [1e-4 mm], from the pin at 18 degrees on
     "Table 5": (INITIAL, 1911.7, (103, 113, 116, 115, 112, 108, 103, 97, 91)),
     "Table 8": (MODIFIED, 1439.9, (78, 86, 88, 88, 86, 83, 79, 74, 69, 64, 58, 51)),
 }
@@ -145,7 +145,7 @@ _INDICES = {
 
 def rows(say: Progress = silent) -> list[Row]:
     """Every published value of Tables 2 to 8 and of the text next to ours."""
-    del say  # it takes seconds
+    del say  # the computation takes only seconds
     return [*_table_2(), *_short_width(), *_forces(), *_deformations(), *_loaded(), *_percentages(), *_adams()]
 
 
@@ -245,7 +245,7 @@ def _deformations() -> list[Row]:
 
 
 def _loaded() -> list[Row]:
-    """The largest force over the rotation by gearjax' own equilibrium, next to the published one."""
+    """The largest force over the rotation by the equilibrium of gearjax, next to the published force."""
     report = []
     for table, design in (("Table 4", INITIAL), ("Table 7", MODIFIED)):
         published = _FINAL[table][1]
@@ -277,7 +277,7 @@ def _percentages() -> list[Row]:
 
 
 def _adams() -> list[Row]:
-    """Simulated and measured values that rest on models which are not given."""
+    """Simulated and measured values that rest on models which the paper does not give."""
     none = float("nan")
     return [
         Row("Fig. 9, TE of the initial prototype", "1.4559", none, "arcmin", 0.0, why=ADAMS),

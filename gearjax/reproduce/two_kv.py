@@ -18,7 +18,7 @@ from gearjax.systems import TwoKV
 from gearjax.units import arcmin, deg, mm, rpm, um
 
 PAPER = "Wang, Su, Zou (2020), Uneven Load Contact Dynamic Modelling and Transmission Error Analysis of a 2K-V Reducer"
-SPACING = 1e-4  # s between samples: what Table 4 was most likely computed with
+SPACING = 1e-4  # s between samples; Table 4 was most likely computed with it
 
 # Phases of planet 1, planet 2, revolution and output wheel [deg]: Table 2, section 2.4.2 and Table 3.
 PHASES = {
@@ -63,7 +63,7 @@ def scene(
     wheels = {1: (10 * um, planet_1), 2: (20 * um, planet_2)}
     errors = {f"planet_{i}": Eccentricity(f"planet_{i}", *wheels[i]) for i in wheels}
     turned = 0.0
-    if pair is not None:  # alone it is pair 1, which sees the other bodies half a turn from where pair 2 does
+    if pair is not None:  # a single pair is pair 1; for pair 2 other bodies are half a turn later
         errors = {"planet_1": Eccentricity("planet_1", *wheels[pair])}
         turned = 180 * deg if pair == 2 else 0.0
     errors["revolution"] = Eccentricity("revolution", 10 * um, revolution - turned)
@@ -81,7 +81,7 @@ def scene(
 
 
 class _Item(NamedTuple):
-    """Published values of one curve; ``reached`` is the deviation an independent study of the paper reached."""
+    """Published values of one curve; ``reached`` holds the deviations reached by an independent study of the paper."""
 
     label: str
     window: float
@@ -199,7 +199,7 @@ _DYNAMIC = (
 
 def rows(say: Progress = silent) -> list[Row]:
     """Every published value of Figs. 4, 5, 13, 15 and Table 4 next to ours."""
-    del say  # it takes seconds
+    del say  # the computation takes only seconds
     report = []
     for pair, values, reached in _SINGLE_PAIRS:
         report += _compare(_item(f"Fig. 4, NLTE of pair {pair}", 15.8, values, reached), scene(pair=pair))
@@ -217,7 +217,7 @@ def rows(say: Progress = silent) -> list[Row]:
 def _compare(item: _Item, scene: Scene) -> list[Row]:
     theta = scene.system.input_speed * jnp.linspace(0.0, item.window, round(item.window / SPACING) + 1)
     te = transmission_error(scene, theta, item.torque)
-    # extremes of the samples, as in the paper: those between them are up to 0.0002 arcmin further out
+    # extremes of the samples, as in the paper; extremes between samples are up to 0.0002 arcmin further out
     highest, lowest = float(te.te.max()), float(te.te.min())
     ours = {
         "peak_to_peak": highest - lowest,

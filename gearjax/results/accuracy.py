@@ -1,4 +1,4 @@
-"""Accuracy of the gears of a scene that were measured."""
+"""Accuracy grades of the measured gears of a scene."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ class GradedGear:
     Args:
         body: the gear.
         flank: ``"driving"`` or ``"back"``.
-        deviations: by name, and their grades.
+        deviations: deviations with their grades, by name.
     """
 
     body: str
@@ -24,16 +24,16 @@ class GradedGear:
     deviations: dict[str, GradedDeviation]
 
     def as_json(self) -> dict:
-        """Its deviations in um, and their grades, ``null`` beyond the coarsest one."""
+        """The deviations in um with their grades; a grade is ``null`` beyond the coarsest one."""
         graded = {name: {"um": one.value / um, "grade": one.grade} for name, one in self.deviations.items()}
         return {"body": self.body, "flank": self.flank, "deviations": graded}
 
 
 def graded_gears(scene: Scene) -> list[GradedGear]:
-    """Deviations and grades of all gears that were measured, one entry for each of their flanks.
+    """Deviations and grades of all measured gears, one entry for the driving and one for the back flanks.
 
     Raises:
-        ParameterError: a size is outside of what ISO 1328-1 covers.
+        ParameterError: a size is outside the range of ISO 1328-1.
     """
     measured = [error for error in scene.errors.values() if isinstance(error, AbstractMeasured)]
     told = [

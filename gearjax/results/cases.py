@@ -1,4 +1,4 @@
-"""Results of a run: cases with their metrics, and files that hold them with units and the configuration inside."""
+"""Results of a run: cases with their metrics, and the files that hold them with units and the configuration."""
 
 import dataclasses
 import math
@@ -37,10 +37,10 @@ from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin
 
-FEWEST_PER_WAVE = 4  # samples of a wave of the stiffness, of which a curve shows that it is there
+FEWEST_PER_WAVE = 4  # samples per wave of the stiffness, from which on a curve shows the wave
 
 if TYPE_CHECKING:
-    import xarray as xr  # otherwise where it is needed: importing it takes a second
+    import xarray as xr  # imported in the functions that need it: the import takes a second
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,12 +49,12 @@ class Case:
 
     Args:
         analysis: ``no_load``, ``backlash``, ``static`` or ``dynamic``.
-        torque: size of the load torque [N m], 0 without.
-        window: length of the record that the metrics count [s].
-        cycle: time after which the errors repeat, of which a shorter window is a part [s].
-        result: the analysis' own result.
-        metrics: by name [rad].
-        published: values to compare with, or ``None``.
+        torque: size of the load torque [N m], 0 without load.
+        window: length of the part of the record that the metrics use [s].
+        cycle: time after which the errors repeat [s]; a shorter window is a part of it.
+        result: result of the analysis.
+        metrics: metrics by name [rad].
+        published: published values to compare with, or ``None``.
     """
 
     analysis: str
@@ -73,7 +73,7 @@ class Case:
 
     @property
     def span(self) -> str:
-        """The window in seconds, and of how many it is a part."""
+        """The window in seconds and, if the window is only a part of the cycle, the cycle in seconds."""
         return f"{self.window:g}" + (f" of {self.cycle:g}" if self.window < self.cycle * (1 - 1e-6) else "")
 
     @property
@@ -92,7 +92,7 @@ def required_run(scene: Scene) -> Run:
     """The run section of a scene.
 
     Raises:
-        SceneError: it has none.
+        SceneError: the scene has no run section.
     """
     if scene.run is None:
         raise SceneError("the configuration has no [run]: list duration, samples and analyses")
@@ -100,7 +100,7 @@ def required_run(scene: Scene) -> Run:
 
 
 def remarks(scene: Scene) -> list[str]:
-    """What a reader of the metrics should know about the record that the run section asks for."""
+    """Remarks on the record of the run section that a reader of the metrics should know."""
     run, speed = required_run(scene), float(scene.system.input_speed)
     lines = []
     words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
@@ -113,7 +113,7 @@ def remarks(scene: Scene) -> list[str]:
 
 
 def _missed_waves(scene: Scene, run: Run) -> str | None:
-    """Where samples in motion are too few for the waves of the stiffness: metrics see them, curves do not."""
+    """Remark if a motion has too few samples for the waves of the stiffness: metrics include them, curves do not."""
     waves = stiffness_order(scene) * float(scene.system.input_speed) * run.duration / (2 * math.pi)
     if "dynamic" not in run.analyses or run.samples - 1 >= FEWEST_PER_WAVE * waves:
         return None
@@ -124,8 +124,10 @@ def _missed_waves(scene: Scene, run: Run) -> str | None:
 
 
 def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
-    """Interference of the rigid bodies over the record, as the cases found it, or looked for where none of them did;
-    ``None`` where the room between both flanks is not known."""
+    """Interference of the rigid bodies over the record; ``None`` if the clearance between both flanks is not known.
+
+    The first result of a case that holds the interference is used; if there is none, the interference is computed.
+    """
     if not scene.has_clearance:
         return None
     for case in cases:
@@ -136,8 +138,7 @@ def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
 
 
 def growth_remark(scene: Scene, case: Case) -> str | None:
-    """What a reader of a chaotic motion should know; ``None`` where disturbances do not grow, or the load does not
-    alternate."""
+    """Remark on a chaotic motion; ``None`` if disturbances do not grow, or if the load does not alternate."""
     run = required_run(scene)
     if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates:
         return None
@@ -148,29 +149,29 @@ def growth_remark(scene: Scene, case: Case) -> str | None:
 
 
 def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 1) -> Iterator[Case]:
-    """Every analysis that the run section lists, one after the other.
+    """Run every analysis that the run section lists, one after the other.
 
     Args:
         scene: the scene.
-        stepper: of the dynamic TE, in place of `suitable_step`.
-        workers: analyses whose programs are compiled side by side, in threads, which see what is set for the whole
-            process and not for the calling thread alone.
+        stepper: stepper of the dynamic TE, in place of `suitable_step`.
+        workers: number of analyses whose programs are compiled in parallel, in threads. A thread uses the settings of
+            the whole process, but not settings of the calling thread alone.
 
     Raises:
-        SceneError: no run section, or an analysis that cannot be done.
+        SceneError: there is no run section, or an analysis cannot be done.
     """
     run = required_run(scene)
     if "dynamic" in run.analyses:
-        suitable_step(scene, run.duration)  # refuses before anything is computed
+        suitable_step(scene, run.duration)  # raises its error before anything is computed
     ts = jnp.asarray(run.times)
     torques = {name: run.torques if name in ("static", "dynamic") else (0.0,) for name in run.analyses}
-    # XLA's threads wait for each other for ever where two programs of many small factorisations run side by side
+    # XLA's threads wait for each other for ever if two programs with many small factorisations run in parallel
     if workers == 1 or couples(scene.compliance):
         for analysis in run.analyses:
             yield from (_computed(scene, run, analysis, torque, ts, stepper) for torque in torques[analysis])
         return
     with ThreadPoolExecutor(workers) as pool:
-        # the first torque compiles for all; the last analysis, the dynamic one, takes longest
+        # the program of the first torque serves all torques; the last analysis, the dynamic one, takes longest
         begun = {
             analysis: pool.submit(_computed, scene, run, analysis, torques[analysis][0], ts, stepper)
             for analysis in reversed(run.analyses)
@@ -199,7 +200,7 @@ def _computed(scene: Scene, run: Run, analysis: str, torque: float, ts: Array, s
 
 
 def torque_history(scene: Scene, ts: Array, torque: float) -> Array | float:
-    """Load torque of a scene over time [N m]: shape (n,) where it alternates, else one number."""
+    """Load torque of a scene over time [N m]: shape (n,) if it alternates, else one number."""
     if scene.load is None or not scene.load.alternates:
         return torque
     turns = scene.system.input_speed * ts / (2 * jnp.pi)
@@ -208,7 +209,7 @@ def torque_history(scene: Scene, ts: Array, torque: float) -> Array | float:
 
 @eqx.filter_jit
 def _metrics_of(result: TransmissionError | Backlash | Motion) -> dict[str, Scalar]:
-    """All metrics in one program: each operation by itself would be compiled by itself."""
+    """All metrics in one program: otherwise each operation would be compiled separately."""
     return {name: getattr(result, name) for name in METRICS}
 
 
@@ -231,7 +232,7 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
 
     Args:
         scene: the scene.
-        cases: its cases.
+        cases: cases of the run.
         config: text of the configuration.
     """
     import xarray as xr
@@ -269,7 +270,7 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
 
 
 def save(scene: Scene, cases: list[Case], config: str, folder: Path) -> list[Path]:
-    """Write ``results.nc`` (netCDF), ``curves.csv`` and ``metrics.csv``; of a cycloidal disc its profile too.
+    """Write ``results.nc`` (netCDF), ``curves.csv`` and ``metrics.csv``; for a cycloidal disc its profile too.
 
     Raises:
         GearjaxError: the folder cannot be written.
@@ -289,14 +290,14 @@ def stored_config(path: Path) -> str:
     """The configuration inside a results file.
 
     Raises:
-        GearjaxError: the file holds none.
+        GearjaxError: the file is not a results file of gearjax.
     """
     import xarray as xr
 
     try:
         with xr.open_dataset(path, engine="scipy") as stored:
             return str(stored.attrs["config"])
-    except Exception as fault:  # a damaged file breaks its reader in many ways
+    except Exception as fault:  # the reader raises many kinds of errors for damaged files
         raise GearjaxError(f"{path}: not a results file of gearjax") from fault
 
 
@@ -338,14 +339,14 @@ def _metrics(cases: list[Case]) -> str:
 
 @eqx.filter_jit
 def _sharing(result: TransmissionError | Motion) -> Array:
-    """Load-sharing factor where it counts, not a number elsewhere."""
+    """Load-sharing factor; nan for a motion before it has settled."""
     return (
         jnp.where(result.settled, result.load_sharing, jnp.nan) if isinstance(result, Motion) else result.load_sharing
     )
 
 
 def highest_load_sharing(case: Case) -> float | None:
-    """Highest load-sharing factor of a case, after settling; ``None`` without forces."""
+    """Highest load-sharing factor of a case, after settling; ``None`` if the case has no forces."""
     if isinstance(case.result, Backlash) or case.result.forces is None:
         return None
     sharing = np.asarray(_sharing(case.result))

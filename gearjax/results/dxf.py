@@ -1,10 +1,10 @@
-"""A closed curve of arcs as a drawing: DXF of AutoCAD 2000, the oldest version whose header can name millimetres."""
+"""Drawing of a closed curve of arcs in DXF of AutoCAD 2000, the oldest version whose header can name millimetres."""
 
 import numpy as np
 
-DIGITS = 10  # behind the point, in mm
+DIGITS = 10  # decimal places of numbers in mm
 
-# Group codes and values, as AutoCAD wants to find them before it opens a file; no value has a blank in it.
+# Group codes and values that AutoCAD requires before it opens a file. No value may contain a blank.
 _HEAD = """
 0 SECTION 2 HEADER
 9 $ACADVER 1 AC1015 9 $HANDSEED 5 FFFF 9 $INSUNITS 70 4 9 $MEASUREMENT 70 1
@@ -65,13 +65,13 @@ _TAIL = """
 
 
 def drawing(points: np.ndarray, bulges: np.ndarray, layer: str) -> str:
-    """The text of a drawing in mm with one closed polyline of arcs.
+    """The text of a DXF drawing in mm with one closed polyline of arcs.
 
     Args:
         points: vertices, shape (n, 2) [mm].
-        bulges: tangent of a quarter of the angle of the arc from each vertex to the next, positive where it runs
+        bulges: tangent of a quarter of the angle of the arc from each vertex to the next, positive if the arc runs
             counter-clockwise, shape (n,).
-        layer: name of its layer, without blanks.
+        layer: name of the layer, without blanks.
     """
     low_x, low_y, high_x, high_y = (f"{edge:.6f}" for edge in (*points.min(axis=0), *points.max(axis=0)))
     words = {"low_x": low_x, "low_y": low_y, "high_x": high_x, "high_y": high_y}

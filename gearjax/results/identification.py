@@ -1,4 +1,4 @@
-"""What ``gearjax compare`` and ``gearjax identify`` find, as files."""
+"""Results of ``gearjax compare`` and ``gearjax identify``, and the files that hold them."""
 
 import dataclasses
 import json
@@ -19,13 +19,13 @@ from gearjax.studies.select import numbers, pick
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Identified:
-    """What was identified, beside the recordings, and the advice.
+    """Result of an identification, comparison with the recordings, and advice on reassembly.
 
     Args:
-        section: what was asked for.
-        found: the numbers.
-        beside: the recordings beside the scene found.
-        advice: turns of bodies, where they were asked for.
+        section: settings of the identification.
+        found: the identified numbers.
+        beside: comparison of the recordings with the identified scene.
+        advice: turns of bodies to reassemble the unit, ``None`` if they were not asked for.
     """
 
     section: IdentifySection
@@ -40,7 +40,7 @@ class Identified:
 
 
 def identified(section: IdentifySection, scene: Scene, records: list[Measurement], progress: Progress) -> Identified:
-    """Identify, compare, and advise where that was asked for."""
+    """Identify the unknowns, compare with the recordings and, if asked for, advise on reassembly."""
     found = identify(
         scene,
         records,
@@ -70,14 +70,16 @@ def identified(section: IdentifySection, scene: Scene, records: list[Measurement
 
 
 def save_identified(result: Identified, text: str, folder: Path, base: Path) -> list[Path]:
-    """Write what was found: ``identification.json``, ``identified.toml``, ``residual.csv``, and the reducer for other
-    programs in ``joint``, where there is one.
+    """Write ``identification.json``, ``identified.toml``, ``residual.csv``, and a model of the reducer in ``joint``.
+
+    The model in ``joint`` is for other programs. It is left out if no recording has a torque. If the reducer has no
+    such model, ``joint.txt`` states why.
 
     Args:
-        result: what was found.
-        text: the configuration that it began with.
-        folder: where the files go.
-        base: that files named in the configuration are relative to.
+        result: result of the identification.
+        text: text of the configuration before the identification.
+        folder: folder of the files.
+        base: folder to which file names in the configuration are relative.
     """
     found = result.found
     paths = [path for path in numbers(found.scene) if path.startswith("errors.") or path in found.unknowns.names]

@@ -1,4 +1,4 @@
-"""A reducer for others: its transmission error as orders, as a function without gearjax, and as a robot's joint."""
+"""A reducer for other programs: transmission error as orders, function without gearjax, joint of a robot."""
 
 import dataclasses
 import io
@@ -18,28 +18,28 @@ from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.units import arcmin
 
-SHARES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # of the largest torque, at which curves are worked out
-PER_TURN = 24  # angles per turn of what turns fastest
+SHARES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # shares of the largest torque at which curves are computed
+PER_TURN = 24  # angles per turn of the fastest order
 MOST_ANGLES = 1 << 17
-FAINT = 1e-3  # of the largest order, below which orders are left out
+FAINT = 1e-3  # share of the largest order; smaller orders are left out
 MOST_ORDERS = 400
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Joint:
-    """A reducer as a joint: where its output is under a torque, at each input angle.
+    """A reducer as a joint: the position of its output under a torque, at each input angle.
 
     Args:
-        ratio: turns of the input per turn of the output, 1 / ratio the other way.
+        ratio: turns of the input per turn of the output; the output makes 1 / ratio turns per turn of the input.
         orders: cycles per turn of the input, shape (m,).
-        torques: increasing, shape (k,) [N m].
-        mean: of the TE under each torque, shape (k,) [rad].
+        torques: load torques, increasing, shape (k,) [N m].
+        mean: mean TE under each torque, shape (k,) [rad].
         cosine, sine: amplitudes of each order under each torque, shape (k, m) [rad].
-        left_out: largest standard deviation of what the orders leave out [rad].
-        backlash: mean travel without torque, 0 where none is modelled [rad].
+        left_out: largest standard deviation of the part of the TE that the orders leave out [rad].
+        backlash: mean travel of the output without torque [rad]; 0 if no backlash is modelled.
         stiffness: mean torsional stiffness at the largest torque [N m/rad].
-        damping: of the output against its ideal motion while flanks touch [N m s/rad]; 0 where none is modelled.
-        inertia: of the output [kg m2]; ``None`` where none is modelled.
+        damping: damping of the output against its ideal motion while flanks touch [N m s/rad]; 0 if none is modelled.
+        inertia: moment of inertia of the output [kg m2]; ``None`` if none is modelled.
     """
 
     ratio: float
@@ -55,7 +55,7 @@ class Joint:
     inertia: float | None
 
     def as_json(self) -> dict[str, Any]:
-        """For a file, SI and radians."""
+        """The object for a file, in SI and radians."""
         return {
             "ratio": self.ratio,
             "backlash_rad": self.backlash,
@@ -72,24 +72,26 @@ class Joint:
 
 
 def _largest(name: str, value: Any) -> None:
-    """A torque above zero."""
+    """Check that a torque is above zero."""
     arguments.torque(name, value)
     arguments.positive(name, value)
 
 
 @arguments.checked(torque=_largest)
 def joint_model(scene: Scene, torque: float) -> Joint:
-    """A reducer as a joint for other programs.
+    """Model a reducer as a joint for other programs.
 
-    Its static TE under some torques, in both directions where back flanks are modelled, as orders of one cycle. Between
-    the torques the position goes along straight lines, so that of a position and an input angle the torque is known.
+    The model is the static TE under several torques, as orders over one cycle; it has torques in both directions if
+    back flanks are modelled. Between the torques the position is interpolated linearly, so that the torque follows from
+    a position and an input angle.
 
     Args:
         scene: the gear set, with a compliance.
-        torque: largest load torque that matters [N m].
+        torque: largest load torque of the application [N m].
 
     Raises:
-        SceneError: the scene has no compliance, or its ratio is not constant.
+        SceneError: the scene has no compliance, its ratio is not constant, its cycle needs too many angles, or no flank
+            carries some torque.
 
     Example:
         >>> import gearjax as gj
@@ -123,7 +125,7 @@ def joint_model(scene: Scene, torque: float) -> Joint:
     left = te - np.fft.irfft(whole * size, size, axis=1)
     zero = torques.size // 2
     backlash = float((te[zero - 1] - te[zero]).mean()) if both else 0.0
-    if both:  # the part of both that is elastic, off
+    if both:  # without the elastic part of both sides
         backlash -= float(
             torques[zero]
             * 2
@@ -146,7 +148,7 @@ def joint_model(scene: Scene, torque: float) -> Joint:
 
 
 def _motion(scene: Scene) -> tuple[float, float | None]:
-    """Damping and inertia of the output."""
+    """Damping and moment of inertia of the output."""
     if scene.inertia is None:
         return 0.0, None
     lever = scene.contacts(jnp.zeros_like(scene.system.input_speed)).output_levers
@@ -162,23 +164,23 @@ def _motion(scene: Scene) -> tuple[float, float | None]:
 
 @arguments.checked(torque=_largest)
 def export_joint(scene: Scene, folder: str | Path, *, torque: float) -> list[Path]:
-    """Write a reducer for other programs.
+    """Write the files that model a reducer for other programs.
 
-    ``orders.csv`` and ``orders.nc`` hold the TE as orders with phases by torque; ``te_model.py`` a function
-    ``te(theta, torque)`` of numpy alone, and ``torque_of(theta, position)``; ``joint.json`` ratio, backlash, stiffness,
-    damping and orders; ``joint.xml`` a joint for MuJoCo (MJCF) with ``joint_mujoco.py``, which gives it the reducer's
-    forces.
+    ``orders.csv`` and ``orders.nc`` hold the TE as orders with phases, by torque. ``te_model.py`` holds the functions
+    ``te(theta, torque)`` and ``torque_of(theta, position)``, which need only numpy. ``joint.json`` holds ratio,
+    backlash, stiffness, damping and orders. ``joint.xml`` is a joint for MuJoCo (MJCF); ``joint_mujoco.py`` adds the
+    forces of the reducer to it.
 
     Args:
-        scene: the gear set, with a compliance, and inertia and damping where a joint should have them.
-        folder: where the files go.
-        torque: largest load torque that matters [N m].
+        scene: the gear set, with a compliance, and with inertia and damping if the joint should have them.
+        folder: folder of the files.
+        torque: largest load torque of the application [N m].
 
     Returns:
-        The files.
+        The paths of the files.
 
     Raises:
-        SceneError: as of `joint_model`.
+        SceneError: as for `joint_model`.
         GearjaxError: the folder cannot be written.
 
     Example:

@@ -1,4 +1,4 @@
-"""Texts of the files that hand a reducer on to other programs. They need numpy, and MuJoCo, but no gearjax."""
+"""Texts of the files that model a reducer for other programs. They need numpy, or numpy and MuJoCo, but no gearjax."""
 
 TE_FILE = '''"""Transmission error of a reducer, by orders: SI and radians. Needs numpy alone; written by gearjax."""
 
@@ -124,7 +124,7 @@ def install(model, motor="motor", output="output"):
 
 
 def mjcf(inertia: float) -> str:
-    """A model of one joint with its reducer: a motor's rotor, and what the output turns."""
+    """A MuJoCo model of one joint with its reducer: the rotor of a motor, and the link that the output turns."""
     return f"""<mujoco model="joint with a reducer">
   <!-- forces between both joints: joint_mujoco.install(model) -->
   <option timestep="1e-5" gravity="0 0 0"/>

@@ -1,8 +1,8 @@
-"""What a tolerance study takes of memory, disk and time, told before any of it is set up.
+"""Memory, disk space and time that a tolerance study needs, estimated and reported before anything is set up.
 
-Sizes follow from what the study holds: its results, its further studies, and the curves of the examples that its
-program is made from. What a program itself takes was measured (peaks of whole runs on two cores, float64; the numbers
-below are above all of them, by up to two): it is told from the kind of its curves.
+Most sizes follow from the data of the study: its results, its further studies, and the curves of the example gear sets
+from which its program is made. The memory of a program itself was measured (peaks of whole runs on two cores, float64;
+the numbers below are above all these peaks, by a factor of up to two). It depends on the kind of the curves.
 """
 
 import dataclasses
@@ -26,34 +26,34 @@ from gearjax.tolerance.curves import FINE
 from gearjax.tolerance.measures import TOGETHER
 from gearjax.tolerance.population import EXAMPLES
 
-PROGRAM = 0.5 * GIB  # Python, JAX, and programs of few contacts while they are compiled
+PROGRAM = 0.5 * GIB  # bytes of Python, JAX, and programs of few contacts while they are compiled
 PROGRAM_PER_CONTACT = 4e6
 NUMBER = 8.0  # bytes
-JUDGED = 5  # numbers for each sample while a measure is judged: values, those that are good, sorted, below, drawn
-STRATA = 6  # the same of a Latin hypercube, whose orders of strata are kept for up to four names
+JUDGED = 5  # numbers for each sample in the statistics of a measure: values, good ones, sorted, below, drawn
+STRATA = 6  # the same for a Latin hypercube, which keeps its orders of strata for up to four names
 RESAMPLED = 1000  # numbers for each base sample while SALib resamples it, 100 times
-ROWS = 6  # copies of what a chunk is drawn from, on the host and on the devices
+ROWS = 6  # copies of the numbers from which a chunk is drawn, on the host and on the devices
 LISTED = 300  # bytes for each chunk of a study
-TAKEN = 5  # arrays of the size of the examples' curves
-LOOKED_AT = 9  # arrays of the size of the contacts of gear sets whose analyses are done in full, for each curve
+TAKEN = 5  # number of arrays that are as large as the curves of the examples
+LOOKED_AT = 9  # arrays for each curve, as large as the contacts of the gear sets, for analyses done in full
 STEPS = 8  # numbers for each step and gear set of a motion
-BLOCK = 4096  # bytes that a file takes on disk, at least
-SECONDS = {"quick": 0.6e-9, "balances": 3e-9, "other": 40e-9, "dynamic": 3e-9}  # of two cores, see `_work`
+BLOCK = 4096  # bytes: smallest size of a file on disk
+SECONDS = {"quick": 0.6e-9, "balances": 3e-9, "other": 40e-9, "dynamic": 3e-9}  # two cores, see `_work`
 DRAWN = 4e-7  # seconds for each number drawn, on the host
-BETWEEN = 7.0  # times as long where extremes are looked for between the samples
-SLOWER = 2.5  # the same for each angle of two-sided contacts, more of which are looked at then
+BETWEEN = 7.0  # times as long if extremes are searched between the samples
+SLOWER = 2.5  # the same for each angle of two-sided contacts, which then need more angles too
 SEARCHED = 1.5e-3  # seconds for each contact of a curve whose extremes are searched in full
 
 
 @dataclasses.dataclass(frozen=True)
 class Needs:
-    """What a study takes.
+    """Memory, disk space and time that a study needs.
 
     Args:
-        memory: at its peak, by the key of the configuration that it grows with [B]; "" for what does not grow.
-        disk: of the stored samples [B].
-        files: that hold them.
-        seconds: roughly, without compiling and further studies.
+        memory: peak memory, by the key of the configuration with which it grows; "" for the part that is constant [B].
+        disk: disk space of the stored samples [B].
+        files: number of files that hold the stored samples.
+        seconds: rough time, without compilation and further studies [s].
     """
 
     memory: dict[str, float]
@@ -62,17 +62,17 @@ class Needs:
     seconds: float
 
     def words(self, stored: bool) -> str:
-        """The needs as they are told."""
+        """The needs in words, as they are reported."""
         disk = f", {size_words(self.disk)} on disk" if stored else ""
         return f"needs about {size_words(sum(self.memory.values()))} of memory{disk} and roughly {_time(self.seconds)}"
 
 
 def needs(section: ToleranceSection, devices: int) -> Needs:
-    """What the study of a section takes; nothing of its size is made for that.
+    """Estimate what the study of a section needs, without making arrays of its size.
 
     Args:
-        section: what is asked for.
-        devices: how many work side by side.
+        section: settings of the study.
+        devices: number of devices that compute in parallel.
     """
     free, measured = len(section.tolerances.paths), len(section.measures)
     chunk = min(section.chunk, section.samples)
@@ -98,15 +98,15 @@ def needs(section: ToleranceSection, devices: int) -> Needs:
 
 
 def affordable(section: ToleranceSection, devices: int, folder: Path | None) -> Needs:
-    """What the study of a section takes, where this machine has it.
+    """Estimate what the study of a section needs, and refuse the study if this machine does not have it.
 
     Args:
-        section: what is asked for.
-        devices: how many work side by side.
-        folder: of the stored samples; ``None`` where they are not stored.
+        section: settings of the study.
+        devices: number of devices that compute in parallel.
+        folder: folder of the stored samples; ``None`` if they are not stored.
 
     Raises:
-        ParameterError: there is too little memory or disk, with what would fit.
+        ParameterError: there is too little memory or disk space; the message states what would fit.
     """
     needed, available = needs(section, devices), free_memory()
     total = sum(needed.memory.values())
@@ -136,7 +136,7 @@ def _check_disk(section: ToleranceSection, needed: Needs, folder: Path) -> None:
     if not hasattr(os, "statvfs"):
         return
     disk = os.statvfs(level)
-    if disk.f_files and needed.files * left > disk.f_favail:  # 0 where there are as many as one likes
+    if disk.f_files and needed.files * left > disk.f_favail:  # 0 if the file system sets no limit
         least = math.ceil(section.chunk * needed.files * left / max(disk.f_favail, 1))
         words = f"its samples take {needed.files} files, {disk.f_favail} more can be made in {place(level)}"
         raise ParameterError("tolerance.chunk", section.chunk, f"{words}; raise it to {least} or more")
@@ -160,13 +160,13 @@ def _fitting(given: int, share: float, key: str) -> str:
 
 
 def _contacts(scene: Scene) -> int:
-    """Candidate contacts of a gear set, both flanks."""
+    """Number of candidate contacts of a gear set, both flanks included."""
     contacts = jax.eval_shape(scene.contacts, jax.ShapeDtypeStruct((), scene.dtype))
     return contacts.gap.shape[0]
 
 
 def _kinds(section: ToleranceSection) -> set[str]:
-    """How the curves of the measures come, as `gearjax.tolerance.measures` chooses."""
+    """The ways to compute the curves of the measures, as `gearjax.tolerance.measures` chooses them."""
     scene, paths = section.tolerances.scene, section.tolerances.paths
     kinds = {"dynamic"} if any(measure.analysis == "dynamic" for measure in section.measures) else set()
     still = [measure for measure in section.measures if measure.analysis != "dynamic"]
@@ -182,7 +182,7 @@ def _kinds(section: ToleranceSection) -> set[str]:
 
 
 def _places(section: ToleranceSection) -> int | None:
-    """Angles from one sample to the next that curves of kind ``balances`` are worked out at."""
+    """Number of angles per spacing of the samples at which curves of kind ``balances`` are computed."""
     if section.extremes == "samples":
         return 1
     run, scene = section.tolerances.scene.run, section.tolerances.scene
@@ -194,25 +194,25 @@ def _places(section: ToleranceSection) -> int | None:
 
 def _angles(section: ToleranceSection) -> int:
     run = section.tolerances.scene.run
-    assert run is not None  # read_tolerance refuses a scene without
+    assert run is not None  # read_tolerance refuses a scene without a run section
     return run.samples
 
 
 def _numbers_of(section: ToleranceSection, dynamic: bool) -> int:
-    """How many curves of gear sets are looked at."""
+    """Number of different curves that are computed for each gear set."""
     return len({(m.analysis, m.torque) for m in section.measures if (m.analysis == "dynamic") == dynamic})
 
 
 def _curves(section: ToleranceSection, kind: str, contacts: int, devices: int) -> float:
-    """Memory of curves over all input angles [B]."""
+    """Memory of the curves over all input angles [B]."""
     scene = section.tolerances.scene
     together = TOGETHER[kind] * devices
     if kind == "dynamic":
         return (_steps(scene) + _angles(section) * contacts) * STEPS * NUMBER * together
-    if kind == "quick":  # examples at the angles and between them, and gear sets side by side
+    if kind == "quick":  # examples at the angles and between them, and gear sets in parallel
         shared = EXAMPLES * FINE * TAKEN
         return _angles(section) * NUMBER * contacts * (shared + together * _numbers_of(section, False))
-    if kind == "balances":  # what one unit of each number opens, where errors of single pins look at all pins
+    if kind == "balances":  # gap per unit of each number; errors of single pins need arrays over all pins
         known = numbers(scene)
         tables = 5 + 2 * len({path.split(".")[1] for path in section.tolerances.paths if path.count(".")})
         angles = _angles(section) * (_places(section) or 1)
@@ -221,7 +221,7 @@ def _curves(section: ToleranceSection, kind: str, contacts: int, devices: int) -
 
 
 def _work(section: ToleranceSection, kind: str, contacts: int) -> float:
-    """Time of a gear set on two cores, roughly [s]."""
+    """Rough time of one gear set on two cores [s]."""
     if kind == "dynamic":
         return _numbers_of(section, True) * _steps(section.tolerances.scene) * SECONDS[kind]
     seconds = _angles(section) * SECONDS[kind]
@@ -233,7 +233,7 @@ def _work(section: ToleranceSection, kind: str, contacts: int) -> float:
 
 
 def _steps(scene: Scene) -> float:
-    """Steps of a motion."""
+    """Number of time steps of a motion."""
     run = scene.run
     assert run is not None
     return max(run.duration / suitable_step(scene, run.duration).step, float(run.samples))

@@ -1,4 +1,4 @@
-"""What ``gearjax optimise`` finds: grid and gradients side by side, and the scene before and after."""
+"""Results of ``gearjax optimise``: grid search and gradient search, and the scene before and after."""
 
 import dataclasses
 from pathlib import Path
@@ -23,16 +23,16 @@ from gearjax.units import Dimension, arcmin
 
 @dataclasses.dataclass(frozen=True)
 class Optimisation:
-    """Both searches and what they are worth.
+    """Results of the grid search and the gradient search, and the analyses before and after.
 
     Args:
-        section: what was asked for.
-        scene: the scene before.
-        before: the objective of the scene as it was [rad, or - for load sharing].
-        grid: the grid search, ``None`` where no step was given.
-        gradient: the search by gradients.
+        section: settings of the optimisation.
+        scene: the scene before the optimisation.
+        before: objective of the scene before the optimisation [rad, or - for load sharing].
+        grid: result of the grid search, ``None`` if no step was given.
+        gradient: result of the gradient search.
         best: the better point of both searches, shape (free,), SI.
-        sensitivity: around the best point.
+        sensitivity: local sensitivity around the best point.
         cases: analyses of the run section by stage: ``before``, ``grid`` and ``after`` (the best of both searches).
     """
 
@@ -52,7 +52,7 @@ class Optimisation:
         return {path: known[path] for path in self.gradient.paths}
 
     def shown(self, path: str, value: float) -> float:
-        """A free number in the unit that it is shown in."""
+        """A free number in the unit in which it is shown."""
         return value / self.parameters[path].shown_in[1]
 
     def as_json(self) -> dict:
@@ -91,11 +91,11 @@ class Optimisation:
 
     @property
     def unit(self) -> Dimension:
-        """What the objective is shown in."""
+        """Unit in which the objective is shown."""
         return self.section.objective.dimension
 
     def _key(self, name: str) -> str:
-        """With the unit of the objective, where it has one."""
+        """The name of an entry, with the unit of the objective if it has one."""
         return name if self.unit is SHARE else f"{name}_{self.unit.shown}"
 
     def _point(self, objective: float, point: np.ndarray) -> dict:
@@ -135,10 +135,10 @@ def _metrics(cases: list[Case]) -> dict:
 
 
 def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Optimisation:
-    """Search by grid and by gradients, judge both, and analyse the scene before and after.
+    """Search by grid and by gradients, take the better result, and analyse the scene before and after.
 
     Raises:
-        ParameterError: the objective does not depend on a number.
+        ParameterError: the objective does not depend on one of the free numbers.
         SceneError: an analysis of the run section cannot be done.
     """
     asked = {"where": section.where, "bounds": section.bounds, "progress": progress}
@@ -165,13 +165,13 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
 
 
 def save_optimisation(optimisation: Optimisation, config: str, folder: Path, base: Path) -> list[Path]:
-    """Write ``starts.csv`` (every start's end), ``metrics.csv`` (before, grid, after), and ``optimised.toml``.
+    """Write ``starts.csv`` (end point of every start), ``metrics.csv`` (before, grid, after) and ``optimised.toml``.
 
     Args:
         optimisation: the optimisation.
-        config: text of the configuration that it started from.
-        folder: where to.
-        base: folder that files named in the configuration are relative to.
+        config: text of the configuration before the optimisation.
+        folder: folder of the files.
+        base: folder to which file names in the configuration are relative.
 
     Raises:
         GearjaxError: the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Profiles of discs and gears for CAD and measuring machines: DXF and CSV, as fine as is asked for."""
+"""Profiles of discs and gears for CAD and measuring machines, in DXF and CSV, within a given tolerance."""
 
 from pathlib import Path
 
@@ -17,36 +17,37 @@ from gearjax.units import mm, um
 FORMATS = (".csv", ".dxf")
 TOLERANCE = 0.1 * um
 FINEST, COARSEST = 1e-10, 1e-4  # tolerances [m]
-FIRST = 4  # pieces of half a tooth, before any of them is halved
-PROBES = np.arange(1, 32) / 32  # where on a piece its distance from the profile is measured
-SAFETY = 0.9  # of the tolerance that a piece may use up: between the probes it may be a little further away
+FIRST = 4  # pieces of half a tooth before any piece is halved
+PROBES = np.arange(1, 32) / 32  # places along a piece at which its distance from the profile is measured
+SAFETY = 0.9  # share of the tolerance for a piece at the probes: between them it may be a little further away
 MOST_POINTS = 5_000_000
 
 
 def export_profile(
     of: AbstractSystem | Scene, path: str | Path, *, body: str | None = None, tolerance: float = TOLERANCE
 ) -> Path:
-    """Write the outline of a gear, once around counter-clockwise and closed, in mm: the modified profile of a cycloidal
-    disc, or the teeth of a non-circular gear.
+    """Write the outline of a gear in mm: the profile of a cycloidal disc, or the teeth of a non-circular gear.
 
-    DXF (AutoCAD 2000, units of the drawing millimetres) has one polyline, of arcs for discs and of straight lines for
-    teeth; CSV has points for straight lines, the last of them the first again. Pieces are halved until each is within
-    the tolerance of the profile, so that they are short where it is curved. Half of the backlash of a scene is taken
-    from the teeth of each gear; fillets of teeth are not modelled.
+    The outline runs once around the gear, counter-clockwise, and is closed; the profile of a disc includes its
+    modifications. DXF (AutoCAD 2000, drawing units millimetres) holds one polyline, of arcs for discs and of straight
+    lines for teeth. CSV holds points for straight lines; the last point repeats the first. The pieces are
+    within the tolerance of the profile; those of a disc are halved one by one, so that they are short where it is
+    curved. Half of the backlash
+    of a scene is taken from the teeth of each gear. Fillets of teeth are not modelled.
 
     Args:
         of: the gear set, or a scene of it.
-        path: ends in ``.csv`` or ``.dxf``; folders that are missing are made.
-        body: which gear of a non-circular pair, the driver without; discs are all alike.
-        tolerance: largest distance between what is written and the profile [m].
+        path: path of the file, which ends in ``.csv`` or ``.dxf``; missing folders are created.
+        body: gear of a non-circular pair, the driver if not given; discs are all alike.
+        tolerance: largest distance between the written curve and the profile [m].
 
     Returns:
         The path.
 
     Raises:
         SceneError: the gear set has no profiles.
-        ParameterError: another ending, a gear that it does not have, or a tolerance that is not a length that can be
-            kept.
+        ParameterError: the path has another ending, the gear does not exist, or the tolerance is not a length that can
+            be kept.
         GearjaxError: the file cannot be written.
 
     Example:
@@ -84,7 +85,7 @@ def export_profile(
 
 
 def _teeth(system: GearOutlines, body: str, backlash: float, tolerance: float) -> np.ndarray:
-    """Points of a gear's teeth within the tolerance of straight lines, counter-clockwise, shape (n, 2) [m]."""
+    """Points of a gear's teeth; straight lines between them keep the tolerance; counter-clockwise, shape (n, 2) [m]."""
     number = FIRST + 1
     while True:
         fine = system.teeth_of(body, 2 * number - 1, backlash)
@@ -104,21 +105,21 @@ def _teeth(system: GearOutlines, body: str, backlash: float, tolerance: float) -
     pieces = [piece[:, ::2] for piece in fine]
     points = outline(pieces)
     apart = np.hypot(*(points - np.roll(points, 1, axis=0)).T)
-    points = points[apart > FINEST]  # pieces that meet share a point
+    points = points[apart > FINEST]  # adjacent pieces share a point
     x, y = points.T
     return points if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0 else points[::-1]
 
 
 def _csv(points: np.ndarray) -> str:
-    """A header, the points, and the first of them again."""
+    """The text of the CSV file: a header, the points, and the first point again."""
     rows = [f"{x:.{DIGITS}f},{y:.{DIGITS}f}" for x, y in points.tolist()]
     return "\n".join(["x [mm],y [mm]", *rows, rows[0]]) + "\n"
 
 
 def _pieces(disc: Cycloid, tolerance: float, arcs: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Where pieces within the tolerance begin, shape (n, 2) [m], and their bulges, shape (n,), 0 for straight ones.
+    """Starting points of pieces within the tolerance, shape (n, 2) [m], and their bulges, shape (n,), 0 if straight.
 
-    By numpy, which keeps float64 whatever JAX was told: float32 ends at some nanometres.
+    The computation is in numpy with float64, whatever precision JAX has: float32 resolves only some nanometres.
     """
     exact = disc._replace(**{name: float(part) for name, part in disc._asdict().items() if name != "pins"})
     phases = np.linspace(0.0, np.pi, FIRST + 1)
@@ -140,15 +141,15 @@ def _pieces(disc: Cycloid, tolerance: float, arcs: bool) -> tuple[np.ndarray, np
 
 
 def _curve(disc: Cycloid, phases: np.ndarray) -> np.ndarray:
-    """The profile, counter-clockwise, shape (n, 2) [m]: with rising phase it runs clockwise."""
+    """The profile, counter-clockwise, shape (n, 2) [m]; `profile` itself runs clockwise with rising phase."""
     return np.asarray(profile(disc, -phases))
 
 
 def _measured(disc: Cycloid, phases: np.ndarray, arcs: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Bulge of each piece between neighbouring phases, and how far the profile is from it [m]; shape (n - 1,) each.
+    """Bulge of each piece between neighbouring phases, and distance of the profile from it [m]; shape (n - 1,) each.
 
-    In axes along and across its chord an arc through both ends, half a chord c from the middle, and with its top at
-    height s is ``s (x^2 + y^2 - c^2) = (s^2 - c^2) y``, which holds for straight pieces too.
+    The axes x and y lie along and across the chord, with the origin in its middle; c is half the chord. An arc through
+    both ends whose top has the height s is ``s (x^2 + y^2 - c^2) = (s^2 - c^2) y``, also for straight pieces (s = 0).
     """
     begin, spans = phases[:-1, None], np.diff(phases)[:, None]
     inner = _curve(disc, (begin + spans * PROBES).ravel()).reshape(len(spans), len(PROBES), 2)
@@ -160,7 +161,7 @@ def _measured(disc: Cycloid, phases: np.ndarray, arcs: bool) -> tuple[np.ndarray
     x = np.einsum("npi,ni->np", offset, along)
     y = along[:, :1] * offset[..., 1] - along[:, 1:] * offset[..., 0]
     s = np.zeros_like(c)
-    if arcs:  # through the middle probe
+    if arcs:  # the arc passes through the middle probe
         bend = y[:, len(PROBES) // 2] / (x[:, len(PROBES) // 2] ** 2 + y[:, len(PROBES) // 2] ** 2 - c**2)
         s = -2 * bend * c**2 / (1 + np.sqrt(1 + 4 * (bend * c) ** 2))
     s, chord = s[:, None], c[:, None]

@@ -1,4 +1,4 @@
-"""Spectra of the cases of a run, over whole cycles of the gear set: a line for each order, and nothing between them."""
+"""Spectra of the cases of a run. Over whole cycles of the gear set each order is one line, with nothing between."""
 
 import math
 from typing import NamedTuple
@@ -15,9 +15,9 @@ from gearjax.results.cases import Case, required_run, torque_history
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float
 
-MOST_SAMPLES = 100_000  # of a cycle that is computed for its spectrum alone
+MOST_SAMPLES = 100_000  # largest number of samples of a cycle that is computed only for its spectrum
 FEWEST_SAMPLES = 8
-WHOLE = 1e-6  # by which a number of turns may miss a whole one
+WHOLE = 1e-6  # deviation up to which a number of cycles, samples or turns counts as whole
 
 
 class OrderLines(NamedTuple):
@@ -25,8 +25,8 @@ class OrderLines(NamedTuple):
 
     Args:
         order: cycles per turn of the output, shape (m,) [-].
-        amplitude: of the sine at each order, shape (m,) [rad].
-        whole: whether it is of whole cycles; else of the record as it is, under a Hann window.
+        amplitude: amplitude of the sine at each order, shape (m,) [rad].
+        whole: whether the spectrum is of whole cycles; if not, it is of the record as it is, with a Hann window.
     """
 
     order: np.ndarray
@@ -35,11 +35,11 @@ class OrderLines(NamedTuple):
 
 
 def order_lines(scene: Scene, case: Case) -> OrderLines | None:
-    """The spectrum of a case, ``None`` where its record is too short for one.
+    """The order spectrum of a case; ``None`` if its record is too short for a spectrum.
 
-    Of the whole cycles at the end of the record; where it holds none, of one cycle that is computed for this, as finely
-    as the record. Under a Hann window, and of the record as it is, where a load does not repeat with the gear set, or
-    its cycle would take more than `MOST_SAMPLES`.
+    The spectrum is taken over the whole cycles at the end of the record. If the record holds no whole cycle, one cycle
+    is computed for the spectrum, with about the spacing of the record. The record as it is, with a Hann window, is used
+    if the load does not repeat with the gear set, or if its cycle would take more than `MOST_SAMPLES`.
     """
     turn = 2 * math.pi / scene.system.orders["output"]
     record = _whole_cycles(scene, case)
@@ -55,7 +55,7 @@ def order_lines(scene: Scene, case: Case) -> OrderLines | None:
 
 
 def _whole_cycles(scene: Scene, case: Case) -> tuple[np.ndarray, np.ndarray] | None:
-    """Values and input angles of whole cycles, evenly spaced, the end left out; ``None`` where there are none."""
+    """Values and input angles of whole cycles, evenly spaced, without the end point; ``None`` if there are none."""
     run, speed = required_run(scene), float(scene.system.input_speed)
     spacing, cycle = run.duration / (run.samples - 1), scene.system.cycle / speed
     number, settled = round(cycle / spacing), run.settle if case.analysis == "dynamic" else 0.0
@@ -89,7 +89,7 @@ def _repeats(scene: Scene) -> bool:
 
 @eqx.filter_jit
 def _curve(scene: Scene, theta: Float[Array, " n"], torque: Array | float | None) -> Float[Array, " n"]:
-    """Quasi-static TE at input angles, without what else an analysis works out."""
+    """Quasi-static TE at input angles, without the other results of an analysis."""
     scene = scene.anchored()
     if torque is None:
         return jax.vmap(no_load, in_axes=(None, 0))(scene, theta)

@@ -1,10 +1,11 @@
 """Samples of a study on disk: a zarr group that xarray opens, written chunk by chunk, checked whenever it is read.
 
-A chunk is one file for each measure and one for the result codes, not compressed, so that what is there can be told
-before it is decoded. A mark is written after them, a hash of the study, of the chunk's place and of its files: a chunk
-that is missing, damaged, out of place or of another study does not fit its mark and is worked out again, and so is one
-that a killed run had no time to mark. The zarr metadata follow from the study; where they are damaged they are written
-again. The configuration is inside; one with other samples does not go on with them. One run at a time holds the folder.
+A chunk has one file for each measure and one for the result codes. The files are not compressed, so that they can be
+checked before they are decoded. After these files a mark is written: a hash of the study, of the index of the chunk and
+of its files. A chunk that is missing, damaged, out of place or from another study does not match its mark and is
+computed again; so is a chunk that a killed run could not mark. The zarr metadata follow from the study; if they are
+damaged they are written again. The group holds the configuration; a configuration with other samples cannot continue
+the study. Only one run at a time may use the folder.
 """
 
 import contextlib
@@ -31,7 +32,7 @@ _FORMAT = 2
 _NEW = f".{NAME}.new"
 _MARKS, _CODES = "done", "result"
 _ABOUT = "zarr.json"
-_LOOKED_AT = 64  # chunks that may tell whose samples these are, where the metadata do not
+_LOOKED_AT = 64  # most chunks that are read to identify the study if the metadata do not
 _MARK_BYTES = 8
 
 
@@ -39,17 +40,18 @@ class Store:
     """Samples of one study in a folder.
 
     Args:
-        folder: where; made if it is not there.
-        definition: the tables of the configuration.
+        folder: folder of the samples; it is created if it does not exist.
+        definition: tables of the configuration.
         work: the study.
         config: text of the configuration.
 
     Attributes:
-        done: which chunks are there.
-        damaged: indices of the chunks that were there and are so no more.
+        done: which chunks are stored.
+        damaged: indices of the chunks that were stored and are damaged or missing now.
+        healed: whether damaged metadata were written again.
 
     Raises:
-        GearjaxError: the folder cannot be written, or holds another study; the first differences are named.
+        GearjaxError: the folder cannot be written, or holds another study; the message names the first differences.
     """
 
     def __init__(self, folder: Path, definition: dict[str, Any], work: Work, config: str):
@@ -73,17 +75,17 @@ class Store:
 
     @property
     def pending(self) -> list[tuple[int, int]]:
-        """Chunks that are not there yet."""
+        """Chunks that are not stored yet."""
         return [chunk for chunk, done in zip(self.work.chunks, self.done, strict=True) if not done]
 
     @property
     def samples_done(self) -> int:
-        """How many samples are there."""
+        """Number of stored samples."""
         return sum(end - begin for (begin, end), done in zip(self.work.chunks, self.done, strict=True) if done)
 
     @property
     def remarks(self) -> list[str]:
-        """What of the stored samples was damaged, in words."""
+        """Remarks on damage to the stored samples."""
         lines = [f"{self.path}: its metadata were damaged and are written again"] if self.healed else []
         if len(self.damaged):
             chunks = self.work.chunks
@@ -95,7 +97,7 @@ class Store:
         return lines
 
     def put(self, chunk: tuple[int, int], evaluated: Evaluated) -> None:
-        """Write a chunk; a chunk that is there already stays as it is."""
+        """Write a chunk; a chunk that is stored already is not changed."""
         index = chunk[0] // self.work.chunk
         if self.done[index]:
             return
@@ -115,7 +117,7 @@ class Store:
         """Measures and result codes of all samples.
 
         Raises:
-            GearjaxError: a chunk was damaged since it was looked at.
+            GearjaxError: a chunk was damaged after it was checked.
         """
         values = np.empty((self.work.number, len(self.work.names)))
         codes = np.empty(self.work.number, np.int32)
@@ -140,22 +142,22 @@ class Store:
         return self.path / _MARKS / "c" / str(index)
 
     def _mark(self, index: int, contents: list[bytes]) -> bytes:
-        """What tells that these are the files of this chunk of this study."""
+        """Hash by which the files of this chunk of this study are recognised."""
         mark = hashlib.blake2b(f"{self._study}\0{index}\0".encode(), digest_size=_MARK_BYTES)
         for content in contents:
             mark.update(content)
         return mark.digest()
 
     def _marked(self, index: int) -> bool:
-        """Whether the chunk was there once, as far as its mark tells."""
+        """Whether the chunk has a mark, which means that it was stored once."""
         return self._mark_file(index).exists()
 
     def _read(self, index: int) -> list[np.ndarray] | None:
-        """A chunk's measures and codes, shape (chunk,) each; ``None`` where it is not what was written."""
+        """Measures and codes of a chunk, shape (chunk,) each; ``None`` if they are not what was written."""
         try:
             contents = [path.read_bytes() for path in self._files(index)]
             mark = self._mark_file(index).read_bytes()
-        except OSError:  # missing, or what the disk cannot read any more
+        except OSError:  # a file is missing, or the disk cannot read it any more
             return None
         sizes = [self.work.chunk * dtype.itemsize for dtype in self._dtypes]
         if [len(content) for content in contents] != sizes or mark != self._mark(index, contents):
@@ -163,7 +165,7 @@ class Store:
         return [np.frombuffer(content, dtype) for content, dtype in zip(contents, self._dtypes, strict=True)]
 
     def _metadata(self, config: str) -> dict[str, bytes]:
-        """What zarr says about such a study, by file."""
+        """The zarr metadata of the study, by file name."""
         import zarr
         from zarr.storage import MemoryStore
 
@@ -190,7 +192,7 @@ class Store:
         import shutil
 
         started = self.path.with_name(_NEW)
-        shutil.rmtree(started, ignore_errors=True)  # of a run that was killed here
+        shutil.rmtree(started, ignore_errors=True)  # left by a run that was killed here
         for name, content in about.items():
             write_file(started / name, content)
         for name in (*self._columns, _MARKS):
@@ -201,16 +203,16 @@ class Store:
         settle(self.path.parent)
 
     def _check_study(self, wanted: dict[str, Any]) -> None:
-        """Refuse what is not this study."""
+        """Refuse a folder that holds another study."""
         stored = _definition(self.path)
         differing = [key for key in sorted({*stored, *wanted}) if stored.get(key) != wanted.get(key)]
         if not differing:
             return
         marked = (index for index in range(len(self.work.chunks)) if self._marked(index))
         looked_at = itertools.islice(marked, _LOOKED_AT)
-        foreign = not stored and _object(self.path / _ABOUT) is not None  # it says that it is something else
+        foreign = not stored and _object(self.path / _ABOUT) is not None  # readable metadata of something else
         if not foreign and any(self._read(index) is not None for index in looked_at):
-            return  # the samples are of this study: only what is said about them is damaged
+            return  # the samples belong to this study: only their metadata are damaged
         if not stored:
             raise GearjaxError(f"--out {place(self.path.parent)}: {NAME} is not a study of gearjax: choose another")
         words = "; ".join(f"{key}: {_shown(stored, key)} there, {_shown(wanted, key)} now" for key in differing[:3])
@@ -220,14 +222,14 @@ class Store:
         )
 
     def _heal(self, about: dict[str, bytes]) -> bool:
-        """Write metadata again that are not as they were written; whether there were such."""
+        """Write damaged metadata again; return whether there were any."""
         damaged = False
         for name, content in about.items():
             there, right = _object(self.path / name), json.loads(content)
             if there == right:
                 continue
             for one in (there, right) if name == _ABOUT else ():
-                # the text of the configuration is that of the last run: limits in it may have changed
+                # the text of the configuration is from the last run; its limits may have changed since
                 if one is not None and isinstance(one.get("attributes"), dict):
                     one["attributes"].pop("config", None)
             damaged |= there != right
@@ -237,10 +239,10 @@ class Store:
 
 @contextlib.contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Hold a folder: another run that asks for it is refused, until this one ends or is killed.
+    """Lock a folder: another run that wants the folder is refused until this run ends or is killed.
 
     Raises:
-        GearjaxError: another run holds it.
+        GearjaxError: another run has locked the folder.
     """
     import filelock
 
@@ -260,7 +262,7 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def _object(path: Path) -> dict[str, Any] | None:
-    """The JSON object in a file; ``None`` where there is none."""
+    """The JSON object in a file; ``None`` if there is none."""
     try:
         parsed = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
@@ -269,7 +271,7 @@ def _object(path: Path) -> dict[str, Any] | None:
 
 
 def _definition(path: Path) -> dict[str, Any]:
-    """What study a group says that it is of; empty where it does not."""
+    """The definition of the study in the metadata of a group; empty if there is none."""
     attributes = (_object(path / _ABOUT) or {}).get("attributes")
     text = attributes.get("definition") if isinstance(attributes, dict) else None
     try:

@@ -1,4 +1,4 @@
-"""What ``gearjax tolerance`` finds: distributions and yields, sensitivities, allocation, matched assembly."""
+"""Results of ``gearjax tolerance``: distributions and yields, sensitivities, allocation, matched assembly."""
 
 import dataclasses
 import math
@@ -26,28 +26,28 @@ from gearjax.tolerance.variance import Sensitivities, sensitivities, tightened
 from gearjax.units import arcmin
 
 TIGHTENED_SAMPLES = 10_000
-CHECKED = 256  # samples whose extremes between the input angles are looked at
-SHIFTED = 10_000  # samples that float32 is compared with float64 on
+CHECKED = 256  # samples whose interference and extremes between the input angles are checked
+SHIFTED = 10_000  # samples on which float32 is compared with float64
 LISTED = 20  # failed samples that the JSON lists
 NO_MOTION = ("no_load", "static", "backlash")
 
 
 @dataclasses.dataclass(frozen=True)
 class ToleranceResults:
-    """All that was asked for.
+    """Results of all studies that were asked for.
 
     Args:
-        section: what was asked for.
+        section: settings of the studies.
         study: the Monte Carlo study.
-        missed: by measure, by how much the highest samples lie below the extremes between them, on average [rad];
-            empty where those are looked at.
-        sensitivity: for each measure.
+        missed: by measure, how far its value from the samples alone lies below its value with the extremes between the
+            samples, on average [rad]; empty if the study computes these extremes.
+        sensitivity: sensitivities of each measure.
         tightened: yields with one tolerance halved, by measure and path.
-        allocation, assembly: or ``None``.
-        seconds: wall time of the Monte Carlo study without compilation [s], of the samples of this run.
-        computed: samples of this run; the others were there before.
-        problems: what could not be done, and why.
-        clashes: interference of the first gear sets; ``None`` where the room between both flanks is not known.
+        allocation, assembly: results of these studies, or ``None``.
+        seconds: wall time of the Monte Carlo study for the samples of this run, without compilation [s].
+        computed: number of samples computed in this run; the others were stored before.
+        problems: studies that could not be made, with the reasons.
+        clashes: interference of the first gear sets; ``None`` if the clearance between both flanks is not known.
     """
 
     section: ToleranceSection
@@ -160,7 +160,7 @@ def _assembly(assembly: MatchedAssembly) -> dict[str, Any]:
 
 
 def prepared(section: ToleranceSection) -> Work:
-    """The Monte Carlo study of a section, in its precision.
+    """The Monte Carlo study of a section, in its floating-point precision.
 
     Raises:
         GearjaxError: the scene lacks what a measure needs.
@@ -186,18 +186,18 @@ def _in_precision(section: ToleranceSection) -> tuple[Tolerances, dict[str, Any]
 def finished(
     section: ToleranceSection, work: Work, study: Study, seconds: float, computed: int, progress: Progress
 ) -> ToleranceResults:
-    """The further studies of a section after its Monte Carlo study.
+    """Make the further studies of a section after its Monte Carlo study.
 
     Args:
-        section: what is asked for.
-        work, study: the Monte Carlo study and what it found.
-        seconds, computed: wall time without compilation, and samples of this run.
-        progress: told how far it is.
+        section: settings of the studies.
+        work, study: the Monte Carlo study and its result.
+        seconds, computed: wall time without compilation [s], and number of samples computed in this run.
+        progress: function that is called with lines of progress.
     """
     problems: list[str] = []
 
     def tried(study: Callable[[ToleranceSection, Progress], Any], otherwise: Any) -> Any:
-        """A further study; what is found already is not lost where it fails."""
+        """Make a further study; if it fails, the other results are kept."""
         try:
             return study(section, progress)
         except GearjaxError as fault:
@@ -296,7 +296,7 @@ def _named(section: ToleranceSection, name: str):
 
 
 def _missed(section: ToleranceSection, work: Work) -> dict[str, float]:
-    """How much the samples of quasi-static curves miss of their extremes, on average [rad]."""
+    """By how much the samples of quasi-static curves miss the extremes between them, on average, by measure [rad]."""
     measures = [m for m in section.measures if m.analysis in NO_MOTION and m.metric not in ("mean", "std")]
     if not measures:
         return {}
@@ -314,11 +314,11 @@ def save_tolerance(results: ToleranceResults, work: Work, config: str, folder: P
     """Write ``tolerance.json``, and the worst sample of each measure as ``worst_MEASURE.toml``.
 
     Args:
-        results: of the study.
-        work: that it did.
+        results: results of the study.
+        work: the Monte Carlo study.
         config: text of the configuration.
-        folder: where to.
-        base: folder that files named in the configuration are relative to.
+        folder: folder of the files.
+        base: folder to which file names in the configuration are relative.
 
     Raises:
         GearjaxError: the folder cannot be written.

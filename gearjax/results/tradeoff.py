@@ -1,4 +1,4 @@
-"""What ``gearjax tradeoff`` measures, as JSON and CSV."""
+"""Results of ``gearjax tradeoff`` as JSON and CSV."""
 
 from pathlib import Path
 

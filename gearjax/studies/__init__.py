@@ -1,4 +1,4 @@
-"""Studies of a scene: searches over its numbers."""
+"""Studies of a scene: searches over its numbers, and sensitivity at an optimum."""
 
 from gearjax.studies.compensate import compensate
 from gearjax.studies.compensation import Compensation

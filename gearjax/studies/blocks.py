@@ -8,13 +8,13 @@ import numpy as np
 
 
 def in_blocks(evaluate: Callable[..., Any], size: int, *arrays: np.ndarray, done: Callable[[int], None] | None = None):
-    """Results of a batched function, as numpy arrays, with the first axis of the arrays cut into blocks.
+    """Results of a batched function, as numpy arrays, with the first axis of its arguments cut into blocks.
 
     Args:
-        evaluate: from arrays of ``size`` rows to a tree of arrays of ``size`` rows.
-        size: of a block; the last one is filled up with its last row.
-        arrays: of n rows each, n at least 1.
-        done: told how many rows are finished after each block.
+        evaluate: function from arrays of ``size`` rows to a tree of arrays of ``size`` rows.
+        size: number of rows of a block; the last block is padded with its last row.
+        arrays: arrays of n rows each, n at least 1.
+        done: called after each block with the number of rows that are finished.
     """
     number = len(arrays[0])
     results = []

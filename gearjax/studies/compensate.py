@@ -1,8 +1,8 @@
-"""Compensation: a design's numbers chosen to minimise the loaded transmission error over given sets of errors.
+"""Compensation: choice of a design's numbers that minimise the loaded transmission error over given sets of errors.
 
-Sequential linear programming with a trust region, which suits requirements on the smallest of many values: gradients in
-forward mode, side by side over the sets of errors. The result is judged by the hard law, between the samples too, and
-tightened until it holds there.
+The method is sequential linear programming with a trust region, which suits requirements on the smallest of many
+values. Gradients are computed in forward mode, for all sets of errors at once. The result is evaluated with the hard
+contact law, also between the samples, and requirements are tightened until they are met there too.
 """
 
 import dataclasses
@@ -35,9 +35,9 @@ SHORT_LEVER = 0.1  # of the mean lever, below which a contact counts as radial
 CLEAR = 1e-2  # m, gap of contacts that are not radial
 MOST_STEPS = 100
 LONGEST_STEP, SHORTEST_STEP = 0.1, 1e-6  # of the span between the bounds
-LEAST_GAIN = 1e-7  # of the objective, that a step must promise
-PENALTY = 30.0  # of a radian that is missed of what is required, in radians of the objective
-FEASIBLE = 1e-4  # of the objective, that may be missed at the samples
+LEAST_GAIN = 1e-7  # of the objective: a step must promise more
+PENALTY = 30.0  # of one radian by which a requirement is missed, in radians of the objective
+FEASIBLE = 1e-4  # of the objective: amount by which a requirement may be missed at the samples
 Errors = Mapping[str, AbstractError]
 
 
@@ -66,30 +66,30 @@ def compensate(
 ) -> Compensation:
     """Choose numbers of a design, such as modifications, to minimise its loaded transmission error.
 
-    The mean over all sets of errors is minimised. A design with less than the minimum backlash under any of them is
-    never accepted, nor is one whose tips and roots touch: what looks like a small error may be interference
-    (Hu et al. 2020).
+    The mean over all sets of errors is minimised. Designs with less than the minimum backlash under any set, or
+    whose tips and roots touch, come after all others, because a small error may only be due to interference (Hu et al.
+    2020); if no other was found, the result has ``holds`` false.
 
     Args:
         scene: the design to start from, with a compliance and back flanks.
         theta: input angles, increasing, shape (n,) [rad].
         torque: load torque [N m].
-        where: the numbers to choose. Those of errors, such as tip relief, are then the same in all sets of errors.
-        bounds: lowest and highest value of each, by path, SI.
-        objective: ``"mean_lag"``, or ``"peak_to_peak"``, which needs a maximum backlash: without, ever more backlash
-            pays.
-        error_sets: errors in place of the scene's, as it has them; without, the scene's own.
-        minimum_backlash: at every angle, under every set [rad].
-        maximum_backlash: mean over the angles, under every set [rad].
-        maximum_pressure: by Hertz [Pa].
-        law: material and face width for the pressure, where the compliance does not have them.
+        where: the numbers to choose. Numbers of errors, such as tip relief, are then the same in all sets of errors.
+        bounds: lowest and highest value of each number, by path, SI.
+        objective: ``"mean_lag"``, or ``"peak_to_peak"``, which needs a maximum backlash: without it, the objective
+            falls with ever more backlash.
+        error_sets: sets of errors in place of the scene's errors, in the same form; by default the scene's own.
+        minimum_backlash: smallest backlash at every angle, under every set [rad].
+        maximum_backlash: largest mean backlash over the angles, under every set [rad].
+        maximum_pressure: largest pressure by Hertz [Pa].
+        law: material and face width for the pressure, if the compliance does not have them.
         require_positive: functions of the scene that must not be negative, such as
             ``lambda scene: scene.system.tip_clearance - 10e-6``.
-        starts: designs to descend from: the given one, and others spread between the bounds.
+        starts: number of designs to descend from: the given one, and others spread between the bounds.
 
     Raises:
-        ParameterError: a value is wrong, or a number changes nothing.
-        SceneError: the scene lacks what it needs.
+        ParameterError: a value is wrong, or a number has no influence.
+        SceneError: the scene lacks a part that is needed.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -112,7 +112,7 @@ def compensate(
     physics = scene.physics("backlash", "compliance")
     sets, number = _stacked(scene, error_sets), 1 if error_sets is None else len(error_sets)
     for errors in error_sets or ():
-        pick(dataclasses.replace(scene, errors=dict(errors)), where)  # has all that is chosen
+        pick(dataclasses.replace(scene, errors=dict(errors)), where)  # raises if the set lacks a chosen number
     limits = Limits(minimum_backlash, maximum_backlash, maximum_pressure, tuple(require_positive))
     theta, torque = angles_of(scene, theta), jnp.asarray(torque, scene.dtype)
     task = _Task(physics, sets, free, theta, torque, law, maximum_pressure is not None, number)
@@ -148,7 +148,7 @@ class _Task(eqx.Module):
     number: int = eqx.field(static=True)
 
     def _under(self, values: Array, errors: Any) -> tuple[Scene, Equilibrium, Array, Array | None]:
-        """The scene under one set of errors, its rests and backlash at every angle, and pressures there."""
+        """The scene under one set of errors, its equilibria and backlash at every angle, and the pressures there."""
         scene = self.free.set(dataclasses.replace(self.physics, errors=errors), values).anchored()
         rests = jax.vmap(lambda angle: rest(scene, angle, self.torque))(self.theta)
         backlash = jax.vmap(lambda angle: play(scene, angle))(self.theta)
@@ -156,8 +156,11 @@ class _Task(eqx.Module):
         return scene, rests, backlash, pressure
 
     def curves(self, values: Array) -> tuple[Array, Array, Array, Array | None]:
-        """Loaded TE and backlash, shape (set, n) [rad], radial clearance [rad of the mean lever] and largest pressure
-        [Pa], shape (set,)."""
+        """Curves and extremes of a design that the search needs.
+
+        They are the loaded TE and the backlash, shape (set, n) [rad], the radial clearance as an angle at the mean
+        lever [rad] and the largest pressure [Pa], shape (set,).
+        """
 
         def one(errors: Any) -> tuple[Array, Array, Array, Array | None]:
             scene, rests, backlash, pressure = self._under(values, errors)
@@ -167,7 +170,7 @@ class _Task(eqx.Module):
         return jax.vmap(one, axis_size=self.number)(self.sets)
 
     def _radial(self, scene: Scene) -> tuple[Array, Array]:
-        """Smallest gap of contacts that turn next to nothing [m], and over the mean lever [rad]."""
+        """Smallest gap of radial contacts, whose lever is short [m], and the same divided by the mean lever [rad]."""
 
         def at(angle: Scalar) -> tuple[Array, Array]:
             contacts = scene.contacts(angle)
@@ -182,7 +185,7 @@ class _Task(eqx.Module):
     def at(
         self, values: Array, margin: Scalar, objective: str, limits: Limits
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Derivatives of the objective and of what must not be negative; and these themselves."""
+        """Derivatives of the objective and of the slacks, and their values."""
 
         def both(values: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
             te, backlash, radial, pressure = self.curves(values)
@@ -194,7 +197,7 @@ class _Task(eqx.Module):
 
     @eqx.filter_jit
     def judged(self, values: Array) -> Judged:
-        """Everything that is told of a design."""
+        """The evaluation of a design with the hard contact law."""
 
         def one(errors: Any) -> tuple:
             scene, rests, backlash, pressure = self._under(values, errors)
@@ -211,14 +214,16 @@ class _Task(eqx.Module):
 
 
 def _with_ends(task: _Task, begins: list[np.ndarray], objective: str, limits: Limits) -> list[np.ndarray]:
-    """The starts, and where a number changes nothing nearby, those with it at either bound: it would stay as it was.
+    """The starts, and further ones with a number at each of its bounds if it has no influence near the starts.
+
+    Without these, the search would never change that number.
 
     Raises:
-        ParameterError: a number changes neither the objective nor what is required there either.
+        ParameterError: a number changes neither the objective nor a requirement at its bounds either.
     """
 
     def at(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Objective and what is required, and how much each number moves them."""
+        """The objective and the slacks, and the sum of the derivatives' sizes for each number."""
         values, margin = (jnp.asarray(part, task.physics.dtype) for part in (place, 0.0))
         slopes, sizes = task.at(values, margin, objective, limits)
         slope, size = (np.concatenate([np.asarray(part[0])[None], np.asarray(part[1])]) for part in (slopes, sizes))
@@ -246,9 +251,9 @@ def _others(free: Free, number: int) -> list[np.ndarray]:
 def _descend(
     task: _Task, start: np.ndarray, objective: str, limits: Limits, margin: float
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """The best values nearby, and how far they are from what is required, then how good.
+    """The best values near a start, and a pair to compare them by: by how much a requirement is missed, the objective.
 
-    Each step is that of the linear programme within a trust region (Fletcher and Sainz de la Maza 1989).
+    Each step solves the linear programme within a trust region (Fletcher and Sainz de la Maza 1989).
     """
     from scipy import optimize
 
@@ -268,7 +273,7 @@ def _descend(
     goal, slope, slack, slopes = at(place)
     for _ in range(MOST_STEPS):
         unit = max(abs(goal), 1e-12)
-        programme = optimize.linprog(  # moves over the bounds' span, then by how much the worst requirement is missed
+        programme = optimize.linprog(  # of steps as shares of the bounds' spans, and the miss of the worst requirement
             np.append(slope, PENALTY * unit) / unit,
             A_ub=np.column_stack([-slopes, -np.full(len(slack), unit)]) / unit,
             b_ub=slack / unit,
@@ -296,7 +301,7 @@ def _stacked(scene: Scene, error_sets: Sequence[Errors] | None) -> Any:
     """Sets of errors with a leading axis.
 
     Raises:
-        SceneError: none given, or of different kinds.
+        SceneError: no set is given, or the sets list different errors.
     """
     sets = [dict(scene.physics().errors)] if error_sets is None else [dict(errors) for errors in error_sets]
     if not sets:

@@ -1,4 +1,4 @@
-"""A compensated design: what is required of it, and how it is judged."""
+"""A compensated design: its requirements, and its evaluation with the hard contact law."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,25 +12,25 @@ from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 from gearjax.units import deg, um
 
-RADIAL = 2e-6  # rad of the mean lever, that radial contacts stay clear by: 0.1 um at 50 mm
+RADIAL = 2e-6  # least clearance of radial contacts, as an angle at the mean lever [rad]: 0.1 um at 50 mm
 Requirement = Callable[[Scene], Scalar]
 
 
 class Judged(eqx.Module):
-    """A design under each set of errors, by the hard law.
+    """A design under each set of errors, evaluated with the hard contact law.
 
     Args:
-        mean_lag: mean of the loaded transmission error, positive where the output lags, shape (set,) [rad].
-        peak_to_peak: of the loaded transmission error at the samples, shape (set,) [rad].
-        minimum_backlash: smallest backlash over the angles, between samples too, shape (set,) [rad].
-        mean_backlash: mean over the angles, shape (set,) [rad].
-        largest_force: shape (set,) [N].
-        largest_pressure: by Hertz, shape (set,) [Pa]; ``None`` where no limit was given.
-        overlap: largest interference over the angles, negative where all contacts can be clear (`gj.interference`),
+        mean_lag: mean of the loaded transmission error, positive if the output lags, shape (set,) [rad].
+        peak_to_peak: peak-to-peak of the loaded transmission error at the samples, shape (set,) [rad].
+        minimum_backlash: smallest backlash over the angles, also between samples, shape (set,) [rad].
+        mean_backlash: mean backlash over the angles, shape (set,) [rad].
+        largest_force: largest contact force, shape (set,) [N].
+        largest_pressure: largest pressure by Hertz, shape (set,) [Pa]; ``None`` if no limit was given.
+        overlap: largest interference over the angles, negative if all contacts can be clear (`gj.interference`),
             shape (set,) [m].
-        overlap_contact, overlap_theta: the contact and the input angle [rad] of it, shape (set,).
+        overlap_contact, overlap_theta: contact and input angle [rad] of the largest interference, shape (set,).
         radial_clearance: smallest gap of contacts whose lever is less than a tenth of the mean, such as pins at tips
-            and roots, shape (set,) [m]; 10 mm where there are none.
+            and roots, shape (set,) [m]; 10 mm if there are none.
     """
 
     mean_lag: Float[Array, " set"]
@@ -45,7 +45,7 @@ class Judged(eqx.Module):
     overlap_theta: Float[Array, " set"]
 
     def clash(self, scene: Scene) -> str | None:
-        """Interference in words, ``None`` where there is none under any set."""
+        """Interference in words, ``None`` if there is none under any set."""
         worst = int(jnp.argmax(self.overlap))
         interfering = self.overlap > tolerated(self.overlap.dtype)
         if not bool(interfering[worst]):
@@ -60,15 +60,16 @@ class Judged(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Compensation:
-    """A compensated design next to the one it started from.
+    """A compensated design, and the design from which the search started.
 
     Args:
         scene: the compensated scene.
-        values: its numbers by path, SI.
-        before, after: both designs judged.
-        holds: whether every requirement holds, judged by the hard contact law under every set of errors.
-        complaints: what does not hold, one line each.
-        interferes: whether bodies of the start interfere under some set of errors (`Judged.clash` names them).
+        values: the chosen numbers by path, SI.
+        before, after: evaluation of the design at the start and of the compensated design.
+        holds: whether every requirement is met under every set of errors, evaluated with the hard contact law.
+        complaints: requirements that are not met, one line each.
+        interferes: whether bodies of the design at the start interfere under some set of errors (`Judged.clash` names
+            them).
     """
 
     scene: Scene
@@ -81,13 +82,13 @@ class Compensation:
 
     @property
     def lag_reduction(self) -> float:
-        """Share of the mean lag over all sets that is gone [-]."""
+        """Share by which the mean lag over all sets was reduced [-]."""
         return 1 - float(self.after.mean_lag.mean() / self.before.mean_lag.mean())
 
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """What is required of a design, under each set of errors: as of `gearjax.compensate`."""
+    """Requirements on a design under each set of errors, as in `gearjax.compensate`."""
 
     minimum_backlash: float
     maximum_backlash: float | None
@@ -97,9 +98,9 @@ class Limits:
     def slack(
         self, scene: Scene, backlash: Array, radial: Array, pressure: Array | None, margin: Scalar
     ) -> Float[Array, " requirement"]:
-        """What must not be negative, each about 1 per radian of backlash, or per share of a pressure.
+        """Slacks of the requirements, which must not be negative: in radians, or a thousandth of a share of pressure.
 
-        The samples keep a margin from the minimum backlash [rad].
+        At the samples, the backlash must exceed its minimum by a margin [rad].
         """
         slacks = [-top(-backlash) - self.minimum_backlash - margin, radial - RADIAL]
         if self.maximum_backlash is not None:
@@ -110,7 +111,7 @@ class Limits:
         return jnp.concatenate(slacks)
 
     def complaints(self, scene: Scene, judged: Judged) -> tuple[str, ...]:
-        """What does not hold."""
+        """Requirements that are not met, one line each."""
         complaints = []
         sets = len(judged.mean_lag)
         short = judged.minimum_backlash < self.minimum_backlash

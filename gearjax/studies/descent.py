@@ -1,7 +1,7 @@
-"""Gradient descent of a smoothed objective whose temperature falls, from one start; batched by vmap.
+"""Gradient descent of a smoothed objective with falling temperature, from one start; batched by vmap.
 
-Optimisers are objects: an optax gradient transformation, stepped along a geometric fall of the temperature, or an
-optimistix minimiser, run to its own end at `LEVELS` temperatures one after the other.
+The optimiser is an object. An optax gradient transformation makes one step at each temperature of a geometric series;
+an optimistix minimiser runs until it stops at each of `LEVELS` temperatures.
 """
 
 import functools
@@ -16,7 +16,7 @@ from gearjax.checks import GearjaxError
 from gearjax.typing import Array, Float, Int, Scalar
 
 if TYPE_CHECKING:
-    import optax  # otherwise where it is needed: importing it takes longer than many a run
+    import optax  # functions import it themselves, because the import takes longer than many runs
 
     Optimiser: TypeAlias = optax.GradientTransformation | optimistix.AbstractMinimiser
 else:
@@ -28,17 +28,17 @@ Loss = Callable[[Float[Array, " free"], Array], Scalar]
 
 @functools.cache
 def default_optimiser(steps: int, rate: float = 0.4) -> Optimiser:
-    """Adam with a short memory, its rate falling to nothing as a cosine."""
+    """Adam with a short memory, whose learning rate falls to zero as a cosine."""
     import optax
 
     return optax.adam(optax.cosine_decay_schedule(rate, max(steps, 1)), b1=0.8, b2=0.95)
 
 
 def check_optimiser(optimiser: Any) -> None:
-    """Refuse what is neither from optax nor from optimistix.
+    """Refuse anything but an optimiser from optax or optimistix.
 
     Raises:
-        GearjaxError: saying what would be right.
+        GearjaxError: says what would be right.
     """
     import optax
 
@@ -52,14 +52,14 @@ def check_optimiser(optimiser: Any) -> None:
 def descend(
     loss: Loss, start: Float[Array, " free"], optimiser: Optimiser, steps: int, temperatures: tuple[Array, Array]
 ) -> tuple[Float[Array, " free"], Float[Array, " step"], Int[Array, ""]]:
-    """Where the descent ends, its losses, and how many times loss and gradient were evaluated.
+    """Descend from one start: the end, the losses on the way, and the number of evaluations of loss and gradient.
 
     Args:
         loss: ``loss(numbers, temperature)``.
         start: unconstrained numbers, shape (free,).
-        optimiser: from optax or optimistix.
-        steps: number of steps; the most steps of an optimistix minimiser, over all temperatures.
-        temperatures: first and last, numbers or arrays of whatever shape the loss takes.
+        optimiser: optimiser from optax or optimistix.
+        steps: number of steps; for an optimistix minimiser the largest number, over all temperatures.
+        temperatures: first and last temperature, numbers or arrays of the shape that the loss takes.
     """
     if isinstance(optimiser, optimistix.AbstractMinimiser):
         return _levels(loss, start, optimiser, steps, temperatures)
@@ -76,7 +76,7 @@ def descend(
             return loss(numbers, temperature)
 
         value, slope = jax.value_and_grad(at)(numbers)
-        # optax mixes dtypes and ranks, which a user may have forbidden
+        # optax mixes dtypes and ranks, which a user may have forbidden in jax
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             change, state = update(slope, state, numbers, value=value, grad=slope, value_fn=at)
         return (numbers + change, state), value

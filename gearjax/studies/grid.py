@@ -22,10 +22,11 @@ from gearjax.timing import Stopwatch
 from gearjax.typing import ArrayLike
 
 CHUNK = 16384  # combinations between two lines of progress
-JUDGED = 16  # combinations judged at once
+JUDGED = 16  # combinations evaluated on all times at once
 BOUND_SAMPLES = 16  # per turn of the fastest error
 MOST_COMBINATIONS = 100_000_000
-ROUNDED, NO_MORE = 0.7, 0.01  # of a bound: power of the dtype's spacing, and positions that may round away [rad]
+# slack of a bound for rounding: relative, a power of the dtype's spacing; absolute, that spacing of positions [rad]
+ROUNDED, NO_MORE = 0.7, 0.01
 
 
 class GridSearch(eqx.Module):
@@ -35,10 +36,10 @@ class GridSearch(eqx.Module):
         paths: the free numbers.
         combinations: size of the grid.
         evaluated: combinations that were evaluated on all times; the others were excluded by a bound.
-        runners_up: values of the best combinations, best first, shape (m, free).
-        objectives: their objectives, shape (m,).
+        runners_up: values of the best combinations, best first, shape (m, free), SI.
+        objectives: objectives of the best combinations, shape (m,).
         seconds: wall time without compilation [s].
-        compile_seconds: of tracing and compiling [s].
+        compile_seconds: wall time of tracing and compiling [s].
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
@@ -56,7 +57,7 @@ class GridSearch(eqx.Module):
 
     @property
     def objective(self) -> float:
-        """The minimum."""
+        """The minimum of the objective."""
         return float(self.objectives[0])
 
 
@@ -73,12 +74,13 @@ def grid_search(
     keep: int = 10,
     progress: Progress | None = None,
 ) -> GridSearch:
-    r"""The exact minimum of an objective over every combination of levels.
+    r"""Find the exact minimum of an objective over every combination of levels.
 
-    Periodic numbers have levels from minus half a period, the other end left out; others from their lowest to their
-    highest bound. The amplitude and the peak-to-peak of the hard no-load TE over numbers of errors are searched by
-    their structure (`gearjax.studies.separable`). Other amplitudes and peak-to-peaks are bounded from below on a part
-    of their samples, and evaluated where they may be among the best; everything else is evaluated for all combinations.
+    The levels of a periodic number go from minus half a period to plus half a period, without the latter; those of
+    other numbers go from the lowest to the highest bound. For the amplitude and the peak-to-peak of the hard no-load
+    TE over numbers of errors, most combinations are excluded by bounds (`gearjax.studies.separable`). Other amplitudes
+    and peak-to-peaks are bounded from below on a part of their samples, and only combinations that may be among the
+    best are evaluated. All other objectives are evaluated for every combination.
 
     Args:
         loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\ s to be summed, or a function of the
@@ -86,10 +88,10 @@ def grid_search(
         scene: the scene.
         where: paths of the free numbers.
         step: spacing of the levels in SI, one for all or by path.
-        theta: input angles of a named loss [rad]; without, those of the scene's run section, or one cycle.
+        theta: input angles of a named loss [rad]; by default those of the scene's run section, or one cycle.
         torque: load torque of a static loss [N m].
-        bounds: bounds by path, for numbers that are not periodic.
-        keep: how many of the best combinations to return.
+        bounds: lowest and highest value by path, SI, for numbers that are not periodic.
+        keep: number of best combinations to return.
         progress: called with a line of text now and then; the first says how large the grid is.
 
     Raises:
@@ -154,13 +156,13 @@ def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]
     return low + spacing * np.arange(number)
 
 
-Kept = tuple[list[tuple[float, np.ndarray]], int]  # the best, objective and numbers each, and how many evaluated
+Kept = tuple[list[tuple[float, np.ndarray]], int]  # the best (objective and numbers each), and how many were evaluated
 
 
 def _structured(
     objective: Objective, scene: Scene, free: Free, levels: tuple[np.ndarray, ...], keep: int, progress: Progress
 ) -> Kept:
-    """Bound, prune, evaluate the survivors exactly; the best of them by the objective itself."""
+    """Exclude combinations by a bound; evaluate the rest on all times, and the best by the objective itself."""
     dtype = objective.theta.dtype
     axes = tuple(jnp.asarray(axis, dtype) for axis in levels)
     contributions = separable.contributions(scene, free, axes, objective.theta)
@@ -173,7 +175,7 @@ def _structured(
         chosen = separable.levels_of(flat, plan, contributions.shape)
         return np.stack([axis[level] for axis, level in zip(levels, chosen, strict=True)], axis=1)
 
-    # the objective counts extremes between samples too: no combination whose bound is above it can be kept
+    # the objective includes extremes between samples, so a combination whose bound is above it can be excluded
     spread = objective.terms[0].metric == "peak_to_peak"
     best = separable.certified(
         contributions, plan, spread=spread, keep=keep, reach=lambda flat: judge(numbers(flat)) / weight
@@ -182,7 +184,7 @@ def _structured(
     kept: list[tuple[float, np.ndarray]] = []
     for begin in range(0, len(best.flat), JUDGED):
         if len(kept) == keep and weight * best.scores[begin] > kept[-1][0]:
-            break  # the samples bound the objective from below
+            break  # the score of the samples bounds the objective from below: no later combination is better
         part = numbers(best.flat[begin : begin + JUDGED])
         kept = sorted([*kept, *zip(judge(part).tolist(), part, strict=True)], key=lambda item: item[0])[:keep]
     return kept, best.evaluated
@@ -191,7 +193,7 @@ def _structured(
 def _require_contributions(
     contributions: separable.Contributions, scene: Scene, free: Free, axes: tuple, objective: Objective
 ) -> None:
-    """Refuse a number whose table is empty, though its neighbours are not zero."""
+    """Refuse a number that has no influence, also with nonzero numbers beside it."""
     for index, path in enumerate(free.paths):
         if len(axes[index]) > 1 and not np.ptp(np.asarray(contributions.axes[index]), axis=0).any():
             again = separable.contributions(probed(scene, free), free, axes, objective.theta)
@@ -202,10 +204,10 @@ def _require_contributions(
 def _exhaustive(
     objective: Objective, scene: Scene, free: Free, levels: tuple[np.ndarray, ...], keep: int, progress: Progress
 ) -> Kept:
-    """Every combination, in chunks.
+    """Search all combinations, in chunks.
 
-    An objective made of largest values is bounded from below by a part of its samples: all combinations are bounded,
-    and only those that may be among the best are evaluated.
+    An objective made of largest values is bounded from below by a part of its samples. The bounds of all combinations
+    are computed, and only combinations that may be among the best are evaluated.
     """
     shape = tuple(len(axis) for axis in levels)
     total = math.prod(shape)
@@ -248,8 +250,11 @@ def _best_of(
     slack: tuple[float, float],
     progress: Progress,
 ) -> Kept:
-    """The best combinations from lower bounds of all: judged from the lowest bound on, until no other can be better by
-    more than rounding, relative and in rad."""
+    """The best combinations, found from lower bounds of all.
+
+    ``judge`` computes the objective with the hard contact law. Combinations are evaluated from the lowest bound on,
+    until no other can be better by more than ``slack``: rounding, relative and in rad.
+    """
     order = np.argsort(np.where(np.isfinite(bounds), bounds, np.inf), kind="stable")
     kept: list[tuple[float, int]] = []
     evaluated = 0

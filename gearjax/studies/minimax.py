@@ -1,11 +1,12 @@
-"""Polish of a sum of largest values: the epigraph form, solved by proximal linear steps.
+"""Polish of a sum of largest values: its epigraph form, solved by proximal linear steps.
 
     minimise sum_k w_k s_k   subject to   v_kj(x) <= s_k
 
-Each step linearises the values (local extremes of a curve over time: the active set finds itself), adds
-``mu |d|^2 / 2`` and solves that convex quadratic programme by a primal-dual interior-point method (Nocedal and Wright
-2006, ch. 16). Steps that do not lower the sum are taken back and mu grows; where they keep their promise it falls, and
-then the kinked optimum is reached with the speed of Newton's method. One start; batched by vmap.
+The values are local extremes of a curve over time. Each step linearises all of them, so that no active set has to be
+chosen, adds ``mu |d|^2 / 2`` and solves this convex quadratic programme by a primal-dual interior-point method (Nocedal
+and Wright 2006, ch. 16). A step that does not lower the sum is taken back, and mu grows. If steps reach the predicted
+decrease, mu falls, and the optimum at a kink is then approached as fast as by Newton's method. One start; batched by
+vmap.
 """
 
 from collections.abc import Callable
@@ -20,17 +21,17 @@ from gearjax.typing import Array, Float, Scalar
 
 INTERIOR_STEPS = 12
 FIRST_MU, SMALLEST_MU, LARGEST_MU = 0.1, 1e-4, 1e6
-LONGEST = 1.0  # step of one scaled number
+LONGEST = 1.0  # longest step of one scaled number
 NEAR = 0.01  # step per slope, relative to the objective, in `least_slope`
 
 
 class Polished(NamedTuple):
-    """Where a polish ends.
+    """The end of a polish.
 
     Args:
-        numbers: shape (free,), scaled.
-        value: the objective there.
-        promise: share of it that one more step would still win, by the linear model.
+        numbers: scaled numbers at the end, shape (free,).
+        value: the objective at the end.
+        promise: share of the objective by which one more step would lower it, by the linear model.
         history: the best objective after each evaluation, shape (steps,).
     """
 
@@ -51,11 +52,12 @@ def polish(
     """Lower a sum of largest values, from one start.
 
     Args:
-        pieces: the values and weights at scaled numbers, shape (free,).
-        start: shape (free,).
-        lowest, highest: bounds, infinite without, shape (free,) each.
-        steps: evaluations of the pieces and their derivatives.
-        bend: curvature of the objective that its pieces do not show, positive semidefinite; none without.
+        pieces: function from scaled numbers, shape (free,), to values and weights.
+        start: scaled numbers to start from, shape (free,).
+        lowest, highest: bounds, infinite for an unbounded number, shape (free,) each.
+        steps: number of evaluations of the pieces and their derivatives.
+        bend: function from scaled numbers to the curvature of the smooth part of the objective, positive semidefinite;
+            ``None`` for no curvature.
     """
     dtype = start.dtype
     group = groups(pieces, start)
@@ -92,7 +94,7 @@ def polish(
 
 
 def groups(pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Float[Array, " free"]) -> np.ndarray:
-    """To which of the largest values each value belongs, shape (m,)."""
+    """Number of the largest value (the piece) to which each value belongs, shape (m,)."""
     sizes = [piece.values.shape[0] for piece in jax.eval_shape(pieces, numbers)]
     return np.repeat(np.arange(len(sizes)), sizes)
 
@@ -100,7 +102,10 @@ def groups(pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Flo
 def linearised(
     pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Float[Array, " free"], group: np.ndarray
 ) -> tuple[Float[Array, " m"], Float[Array, "m free"], Float[Array, " k"], Scalar]:
-    """Values, their slopes, the weights of the largest ones, and their weighted sum; ``group`` from `groups`."""
+    """Values, their slopes, the weights of the pieces, and the weighted sum of the largest values.
+
+    ``group`` is from `groups`.
+    """
 
     def both(numbers):
         parts = pieces(numbers)
@@ -115,9 +120,9 @@ def linearised(
 def least_slope(
     pieces: Callable[[Float[Array, " free"]], list[Pieces]], numbers: Float[Array, " free"]
 ) -> Float[Array, " free"]:
-    """The gradient, or where several values are the largest the shortest vector between theirs: zero at an optimum.
+    """The gradient, or at a kink the shortest vector in the convex hull of the gradients: zero at an optimum.
 
-    Values that a step of `NEAR` could make the largest count too.
+    At a kink several values are the largest. Values that a step of `NEAR` could make the largest count as well.
     """
     group = groups(pieces, numbers)
     values, slopes, weights, value = linearised(pieces, numbers, group)
@@ -184,7 +189,7 @@ def proximal_step(
 
 
 def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Solution of a small symmetric positive definite system; in a batch faster than a library call for each."""
+    """Solution of a small symmetric positive definite system; in a batch faster than one library call per system."""
     table = jnp.concatenate([matrix, right[:, None]], axis=1)
     for pivot in range(matrix.shape[0]):
         row = table[pivot] / table[pivot, pivot]

@@ -1,4 +1,7 @@
-"""Multi-start minimisation: smoothed descent, polish to the kinked optimum, hard judgement."""
+"""Multi-start minimisation: descent of a smoothed objective, then polish (refinement) of the hard objective.
+
+The best ends are finally evaluated with the hard contact law on all angles.
+"""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -31,33 +34,33 @@ CODES = {
     3: "nothing better than its start was found",
 }
 UNIMPROVED = "no start was improved upon: narrow the bounds, or give more starts or steps"
-SETTLED = 1e-3  # share of the objective that one more step must not promise
+SETTLED = 1e-3  # share of the objective: a start has converged if one more step promises less
 DESCENT_SAMPLES, POLISH_SAMPLES = 10, 16  # per turn of the fastest error
-MOST_NUMBERS = 2**22  # samples times starts that are worked on at once
+MOST_NUMBERS = 2**22  # samples times starts that are computed at once
 MOST_STARTS = 256  # at once
 MOST_MOTIONS = 16  # starts at once of an objective with dynamic terms
-BLOCK = 64  # points whose objectives are worked out at once: their number depends on what was found, the program not
-JUDGED = 10  # best ends that are judged on all angles
-SMALLEST = 1e-12  # rad of TE: below, a temperature makes no sense
+BLOCK = 64  # points evaluated at once: a fixed size, so that one program serves any number of points
+JUDGED = 10  # best ends that are evaluated on all angles
+SMALLEST = 1e-12  # rad of TE: least objective to which a temperature is relative
 
 
 class Minimisation(eqx.Module):
-    """What a multi-start minimisation found, every start's own end included.
+    """The result of a multi-start minimisation, with the end point of every start.
 
     Args:
         paths: the free numbers.
-        starts: starting points, shape (starts, free).
-        ends: end points, shape (starts, free).
-        objectives: objectives of the end points, inf where a start was dropped, shape (starts,); of all angles for
-            the ten best, of 16 samples per turn with the extremes between them for the others.
-        valley: number of the valley that an end point lies in, 0 for the best one's, -1 if dropped, shape (starts,).
-        result: 0 converged, 1 still falling, 2 dropped because it was not finite, 3 no better than its start, which is
-            then its end (`CODES`), shape (starts,).
+        starts: starting points, shape (starts, free), SI.
+        ends: end points, shape (starts, free), SI.
+        objectives: objectives of the end points, inf for a dropped start, shape (starts,); over all angles for the ten
+            best, over 16 samples per turn with the extremes between them for the others.
+        valley: number of the valley of each end point, 0 for the valley of the best, -1 if dropped, shape (starts,).
+        result: 0 converged, 1 still falling, 2 dropped because not finite, 3 no better than its start, which is then
+            its end (`CODES`), shape (starts,).
         history: the objective at the start, then after each evaluation: smoothed in the descent, hard in the polish,
             shape (starts, 1 + steps).
-        evaluations: of the objective with its gradient, all starts together.
+        evaluations: number of evaluations of the objective with its gradient, of all starts together.
         seconds: wall time without compilation [s].
-        compile_seconds: of tracing and compiling [s].
+        compile_seconds: wall time of tracing and compiling [s].
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
@@ -78,7 +81,7 @@ class Minimisation(eqx.Module):
 
     @property
     def objective(self) -> float:
-        """The objective there, by the scene's own contact law, over all angles."""
+        """The objective at the best end point, by the scene's own contact law, over all angles."""
         return float(self.objectives.min())
 
     @property
@@ -88,7 +91,7 @@ class Minimisation(eqx.Module):
 
     @property
     def improved(self) -> bool:
-        """Whether any start was improved upon."""
+        """Whether any end point is better than its start."""
         return bool((self.result < 2).any())
 
     def within(self, share: float = 0.01) -> int:
@@ -113,34 +116,35 @@ def minimise(
     key: Array | None = None,
     progress: Progress | None = None,
 ) -> Minimisation:
-    r"""The minimum of an objective over numbers of a scene, from many starts at once.
+    r"""Minimise an objective over numbers of a scene, from many starts at once.
 
-    From each start the smoothed objective (`gearjax.studies.objective`) is descended while its temperature falls. The
-    end is polished on the hard objective (`gearjax.studies.minimax`), whose optima lie on kinks, and judged by it.
-    Angles are periodic; other numbers stay within their bounds, by a logistic transform in the descent and exactly in
-    the polish. The descent looks at 10 samples per turn of the fastest error, the polish at 16 with the extremes
-    between them, the judgement at all.
+    Each start descends the smoothed objective (`gearjax.studies.objective`) while its temperature falls. The end is
+    polished on the objective with the hard contact law (`gearjax.studies.minimax`), whose optima lie on kinks. Angles
+    are periodic; other numbers stay within their bounds, by a logistic transform in the descent and exactly in the
+    polish. The descent uses 10 samples per turn of the fastest error, the polish 16 with the extremes between them; the
+    objectives of the ten best ends are computed on all samples.
 
     Args:
         loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\ s to be summed, or a function of the
-            scene that returns a number (it sees a smooth contact law in the descent).
+            scene that returns a number (in the descent, the scene that it gets has a smooth contact law).
         scene: the scene; its own numbers are the first start.
         where: paths of the free numbers, or a function that returns them.
-        starts: how many starts, random but for the first; or the starting points themselves, shape (starts, free), SI.
-        theta: input angles [rad]; without, those of the scene's run section, or one cycle.
+        starts: number of starts, all but the first random; or the starting points, shape (starts, free), SI.
+        theta: input angles [rad]; by default those of the scene's run section, or one cycle.
         torque: load torque of a static or dynamic loss given by name [N m].
-        bounds: lowest and highest value by path, SI; needed for numbers that are not angles, unless they are declared
-            near each other (a hundredfold, or 2 of a ratio or radian).
-        optimiser: of the descent, from optax (``optax.adam(0.1)``) or optimistix (``optimistix.BFGS(1e-4, 1e-6)``).
-        steps: of the descent.
-        polish_steps: of the polish, 0 for none.
+        bounds: lowest and highest value by path, SI; needed for numbers that are not angles, unless their declared
+            bounds are close to each other (a factor of 100, or a span of 2 for a ratio or angle).
+        optimiser: optimiser of the descent, from optax (``optax.adam(0.1)``) or optimistix
+            (``optimistix.BFGS(1e-4, 1e-6)``).
+        steps: number of steps of the descent.
+        polish_steps: number of steps of the polish, 0 for none.
         temperatures: first and last temperature of the descent, as shares of the objective at the start.
         key: random key of the starts.
         progress: called with a line of text now and then.
 
     Returns:
-        All end points. Starts that are not finite are dropped and counted, not raised; it warns where no start was
-        improved upon.
+        All end points. Starts that are not finite are dropped and counted, without an error. A warning is given if no
+        end is better than its start.
 
     Raises:
         ParameterError: a path or a bound is wrong, or the objective does not depend on a number.
@@ -178,7 +182,7 @@ def minimise(
             raise GearjaxError(f"minimise {objective.name}: no start has a finite objective ({len(points)} dropped)")
         ends = np.where(result[:, None] == 2, np.nan, free.wrapped(np.asarray(descents.ends)))
         objectives = np.where(result == 2, np.inf, descents.value if polish_steps else sampled(ends))
-        back = (begun < objectives) & (result != 2)  # a start that lost is its own end
+        back = (begun < objectives) & (result != 2)  # an end that is worse than its start is replaced by it
         ends[back], objectives[back] = points[back], begun[back]
         result = np.where(back, 3, result)
         if not (result < 2).any():
@@ -226,7 +230,7 @@ def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | None) -
 
 
 class _Descents(NamedTuple):
-    """The end of one start, or of many."""
+    """End of one start, or of many starts."""
 
     ends: Any
     value: Any
@@ -236,7 +240,7 @@ class _Descents(NamedTuple):
 
 
 class _Search(eqx.Module):
-    """The whole way of one start."""
+    """Descent and polish of one start."""
 
     descent: Objective
     polishing: Objective
@@ -245,7 +249,7 @@ class _Search(eqx.Module):
     temperatures: Float[Array, "2"]
 
     def __call__(self, physics: Scene, start: Float[Array, " free"], begun: Scalar, optimiser: Optimiser) -> _Descents:
-        """From a start and the objective there."""
+        """Descend and polish from a start and the objective there."""
         dtype = start.dtype
         size = jnp.maximum(jnp.abs(begun), SMALLEST)
         numbers, losses, evaluations = start, jnp.zeros((0,), dtype), jnp.asarray(0)
@@ -267,13 +271,13 @@ class _Search(eqx.Module):
         return _Descents(ended.numbers, ended.value, result, history, evaluations + self.steps[1])
 
     def _loss(self, physics: Scene, numbers: Float[Array, " free"], share: Scalar, size: Scalar) -> Scalar:
-        """The smoothed objective over its value at the start; the temperature is a share of that."""
+        """The smoothed objective divided by the objective at the start, of which the temperature is a share."""
         moved = self.free.set(physics, self.free.constrained(numbers))
         return self.descent.smooth(moved, share * size) / size
 
     def _polish(self, physics: Scene, numbers: Float[Array, " free"]) -> Polished:
         free, dtype = self.free, numbers.dtype
-        if not self.steps[1]:  # whether it has converged is not known
+        if not self.steps[1]:  # without polish it is not known whether the start has converged
             return Polished(numbers, jnp.zeros((), dtype), jnp.zeros((), dtype), jnp.zeros((0,), dtype))
         origins, scales = jnp.asarray(free.origins, dtype), jnp.asarray(free.scales, dtype)
         low, high = ((bound - free.origins) / free.scales for bound in np.array(free.bounds).T)
@@ -304,7 +308,7 @@ def _run(search: _Search, physics: Scene, starts: Array, begun: Array, optimiser
 def _in_chunks(
     search: _Search, physics: Scene, points: np.ndarray, begun: np.ndarray, optimiser: Optimiser, progress: Progress
 ) -> _Descents:
-    """All starts, so many at once that they fit into memory."""
+    """Run all starts, in chunks that fit into memory."""
     dtype = search.descent.theta.dtype
     most = max(1, min(MOST_STARTS, MOST_NUMBERS // search.polishing.theta.shape[0]))
     if search.descent.is_dynamic:

@@ -1,9 +1,9 @@
-"""Objectives of a study: metrics of analyses as one number of a scene, hard to judge by and smooth to descend.
+"""Objectives of a study: metrics of analyses as one number of a scene, hard for results and smooth for descent.
 
-A largest value over time becomes ``T log(sum(exp(values / T)))``: above the largest sample by at most ``T log(n)``,
-with the temperature T in radians of transmission error; the contacts become `QuadraticContact` of the width
-``T r / 1.5``. For the exact optimum, which lies on kinks, an objective also offers its `pieces`: the local extremes
-whose largest ones make it up.
+In the smooth objective, a largest value over time becomes ``T log(sum(exp(values / T)))``, which is above the largest
+sample by at most ``T log(n)``; the temperature T is in radians of transmission error. The contacts become
+`QuadraticContact` of the width ``T r / 1.5`` with the mean lever r. The exact optimum lies on kinks; to find it, an
+objective also offers its `pieces`: local extremes, the largest of which make up the objective.
 """
 
 import dataclasses
@@ -40,22 +40,22 @@ from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 from gearjax.units import Dimension
 
-SAMPLES = 8001  # of one cycle, where nothing else is said
-EXTREMES = 32  # highest and as many lowest points that `pieces` looks at; a polished curve has many equal ones
-SPLITS = 5  # of the intervals they lie in
-DIRECTIONS = 16  # of the phasor of an order
+SAMPLES = 8001  # default number of samples of one cycle
+EXTREMES = 32  # highest points, and as many lowest ones, in `pieces`; a polished curve has many equal extremes
+SPLITS = 5  # of the intervals that contain the extremes
+DIRECTIONS = 16  # on which the phasor of an order is projected
 WIDTH = 1 / 1.5  # smoothing of the contacts per smoothing over time
 
 
 class Pieces(NamedTuple):
-    """Values whose largest, times a weight, is a part of an objective; a smooth part has one value."""
+    """Values whose maximum, times a weight, is a part of an objective; a smooth part has one value."""
 
     values: Float[Array, " m"]
     weight: Scalar
 
 
 class Table(eqx.Module):
-    """Poses of the samples and how they change with the input angle, shared by all assemblies."""
+    """Poses of the samples and their derivatives by the input angle, the same for all assemblies."""
 
     pose: Pose
     rate: Pose
@@ -74,12 +74,12 @@ class Objective(eqx.Module):
     """A weighted sum of metrics over a window of input angles, or a function of the scene.
 
     Args:
-        name: of its one term, of the function, or ``weighted_sum``.
+        name: name of the only term, of the function, or ``weighted_sum``.
         theta: input angles, shape (n,) [rad].
-        terms: its terms; none with a function.
+        terms: terms of the sum; empty with a function.
         function: ``function(scene) -> number``.
-        stepper, start, settle: of dynamic terms.
-        table: of the samples, where they have been worked out before.
+        stepper, start, settle: time steps, start and settling time of dynamic terms.
+        table: poses of the samples, if they were computed before.
     """
 
     name: str = eqx.field(static=True)
@@ -102,8 +102,8 @@ class Objective(eqx.Module):
         """An objective from a name, terms, or a function, over the given angles, the scene's run, or one cycle.
 
         Raises:
-            ParameterError: an unknown name, or something that the name needs is missing.
-            SceneError: the scene lacks what the objective needs.
+            ParameterError: a name is unknown, or something that it needs is missing.
+            SceneError: the scene lacks a part that the objective needs.
         """
         if isinstance(loss, Objective):
             return loss
@@ -137,24 +137,24 @@ class Objective(eqx.Module):
         return objective
 
     def physics(self, scene: Scene, free: Free) -> Scene:
-        """What the objective depends on, and the parts that hold free numbers."""
+        """The parts of the scene that the objective depends on, and those with free numbers."""
         slots = {slot for term in self.terms for slot in SLOTS[term.analysis]}
         if self.function is not None:
             slots = set(SLOTS["dynamic"])
         return scene.physics(*slots, *(path.split(".")[0] for path in free.paths))
 
     def at(self, theta: Float[Array, " n"]) -> "Objective":
-        """The same over other angles; the dynamic TE keeps its own."""
+        """The same objective over other angles; with dynamic terms it keeps its own angles."""
         return self if self.is_dynamic else dataclasses.replace(self, theta=theta, table=None)
 
     def tabulated(self, scene: Scene, free: Free) -> "Objective":
-        """The same with a table of its samples, where no number of the system is free."""
+        """The same objective with a table of its samples, if no number of the system is free."""
         if self.function is not None or any(path.startswith("system.") for path in free.paths):
             return self
         return dataclasses.replace(self, table=_tabulate(self.physics(scene, free), self.theta))
 
     def coarse(self, scene: Scene, per_turn: int) -> "Objective":
-        """The same over a part of its angles: so many per turn of the fastest error."""
+        """The same objective over a part of its angles: ``per_turn`` of them per turn of the fastest error."""
         if self.function is not None or self.theta.shape[0] < 2:
             return self
         orders = [order for name, order in scene.system.orders.items() if name != "mesh"]
@@ -165,7 +165,7 @@ class Objective(eqx.Module):
         return self.at(self.theta[chosen])
 
     def result(self, scene: Scene, term: Term) -> TransmissionError | Backlash | Motion:
-        """The analysis that a term measures."""
+        """The result of the analysis that a term evaluates."""
         if term.analysis == "backlash":
             return backlash(scene, self.theta)
         if term.analysis != "dynamic":
@@ -176,7 +176,7 @@ class Objective(eqx.Module):
         return simulate(scene, ts, term.torque, start=self.start, settle=self.settle, stepper=self.stepper)
 
     def _shares(self, scene: Scene, term: Term) -> Float[Array, " m"]:
-        """Load of each pair at each angle over the mean load of those that could carry, shape (n * pair,) [-]."""
+        """Load of each pair at each angle over the mean load of pairs that could carry, shape (n * pair,) [-]."""
         assert term.torque is not None
         torque = term.torque
 
@@ -187,7 +187,7 @@ class Objective(eqx.Module):
         return jax.vmap(at)(self.theta if self.table is None else self.table.pose).ravel()
 
     def hard(self, scene: Scene) -> Scalar:
-        """The objective by the scene's own contact law, extremes between samples included."""
+        """The objective by the scene's own contact law, with the extremes between samples."""
         if self.function is not None:
             return self.function(scene)
         return self._sum(lambda term: self._metric(scene, term))
@@ -197,7 +197,7 @@ class Objective(eqx.Module):
         return jnp.concatenate([term.weight * values for term, values in self._each(metric)]).sum()
 
     def _each(self, measure: Callable[[Term], Any]) -> list[tuple[Term, Any]]:
-        """Terms that differ in their torques alone as one batch, with their measures: they compile once."""
+        """Terms with their measures; terms that differ only in torque are one batch, so that they compile once."""
         batches: dict[tuple, list[Term]] = {}
         for term in self.terms:
             batches.setdefault((term.name, term.order), []).append(term)
@@ -211,7 +211,7 @@ class Objective(eqx.Module):
         return measured
 
     def _metric(self, scene: Scene, term: Term) -> Scalar:
-        """A metric by the contact law of the scene, without its weight."""
+        """The metric of a term by the contact law of the scene, without its weight."""
         if term.name in SHARES:
             return top(self._shares(scene.anchored(), term))
         result = self.result(scene, term)
@@ -227,8 +227,8 @@ class Objective(eqx.Module):
 
         Args:
             scene: the scene.
-            temperature: smoothing of the largest values, in the unit of the objective: rad, or a part of load sharing,
-                which tells no width of contacts: they stay hard.
+            temperature: smoothing of the largest values, in the unit of the objective: rad, or a share of load for load
+                sharing. A share of load gives no width of contacts, which then stay hard.
         """
         smoothed = functools.partial(_soft_largest, temperature)
         hard_alone = couples(scene.compliance)
@@ -240,7 +240,7 @@ class Objective(eqx.Module):
         return self._of_samples(soft, smoothed)
 
     def sampled(self, scene: Scene) -> Scalar:
-        """The objective of the samples alone: without the extremes between them, which takes less time."""
+        """The objective of the samples, without the extremes between them, which takes less time."""
         return self._of_samples(scene, jnp.max)  # never differentiated
 
     def _of_samples(self, scene: Scene, largest: Callable[[Float[Array, " n"]], Scalar]) -> Scalar:
@@ -268,14 +268,15 @@ class Objective(eqx.Module):
         return self._sum(metric)
 
     def refined(self, scene: Scene) -> Scalar:
-        """The objective from its `pieces`: close to the hard one, and faster where the samples have a table."""
+        """The objective from its `pieces`: close to `hard`, and faster if the samples have a table."""
         tops = [piece.weight * piece.values.max() for piece in self.pieces(scene)]  # never differentiated
         return jnp.stack(tops).sum()
 
     def pieces(self, scene: Scene) -> list[Pieces]:
-        """What the objective is made of, by the scene's own contact law: sums of largest values.
+        """The parts of the objective by the scene's own contact law: it is the sum of their weighted largest values.
 
-        The curves have local extremes; where they are is held fixed, so that the derivative of each value is its own.
+        The values are local extremes of curves. The input angle of each extreme is held fixed in derivatives, so that
+        each value has a derivative of its own.
         """
         if self.function is not None:
             return [Pieces(jnp.atleast_1d(self.function(scene)), jnp.ones((), self.theta.dtype))]
@@ -302,32 +303,32 @@ class Objective(eqx.Module):
 
     @property
     def dimension(self) -> Dimension:
-        """With the unit that it is shown in: load sharing alone has none."""
+        """Dimension of the objective, with the unit in which it is shown; none for load sharing alone."""
         return SHARE if self.terms and all(term.dimension is SHARE for term in self.terms) else ANGLE
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether one of its terms measures a motion."""
+        """Whether one of the terms is dynamic."""
         return any(term.analysis == "dynamic" for term in self.terms)
 
     @property
     def is_bounded(self) -> bool:
-        """Whether a part of its samples bounds it from below: it is made of largest values over time."""
+        """Whether a part of the samples bounds the objective from below, as it is made of largest values over time."""
         bounded = ("amplitude", "peak_to_peak")
         return bool(self.terms) and all(t.metric in bounded and t.analysis != "dynamic" for t in self.terms)
 
     @property
     def is_bent(self) -> bool:
-        """Whether a part of it is smooth, so that its curvature counts where its pieces are straight."""
+        """Whether a part of the objective is smooth: its curvature then has to be added to its linearised pieces."""
         return any(term.metric == "std" and term.analysis != "dynamic" for term in self.terms)
 
     def smooth_part(self, scene: Scene) -> Scalar:
-        """The weighted sum of its smooth terms."""
+        """The weighted sum of the smooth terms."""
         smooth = tuple(term for term in self.terms if term.metric == "std" and term.analysis != "dynamic")
         return dataclasses.replace(self, terms=smooth)._sum(lambda term: self._metric(scene, term))
 
     def _directions(self, term: Term, scene: Scene) -> Float[Array, " m"]:
-        """Projections of the phasor of an order on directions, its own first: the largest one is its amplitude."""
+        """Projections of the phasor of an order on directions, its own first: the largest is the amplitude."""
         curve, physics = term.curve(scene)
         points = self.theta if self.table is None else self.table.pose
         record = jax.vmap(curve, in_axes=(None, 0))(physics, points)
@@ -347,22 +348,22 @@ class Objective(eqx.Module):
             table = jax.lax.stop_gradient(self.table)
             along = jax.vmap(lambda pose, rate: jax.jvp(lambda pose: curve(frozen, pose), (pose,), (rate,)))
             samples, slopes = along(table.pose, table.rate)
-        each = jax.vmap(curve, in_axes=(None, 0))
-        edges = each(physics, theta[jnp.array([0, -1])])
-        if theta.shape[0] < 3:
+        each, last = jax.vmap(curve, in_axes=(None, 0)), theta.shape[0] - 1
+        if last < 2:
+            edges = each(physics, theta[jnp.array([0, last])])
             return edges, -edges
-
-        def side(sign: Scalar, bounds: Float[Array, " interval"]) -> Float[Array, " m"]:
-            intervals = highest_intervals(bounds, EXTREMES)
-            points = turning_points(at, sign, (theta, slopes, samples), intervals, splits=SPLITS)
-            values = points.values(lambda angle: curve(physics, angle))
-            # where samples are few, slopes may tell of no turning point, or not of the highest one
-            best = theta[jnp.argmax(sign * samples)]
-            besides = jnp.concatenate([edges, curve(physics, best)[None]])
-            # a place without turning point repeats an end of the window
-            values = jnp.where(points.heights > -jnp.inf, values, sign * edges[:1])
-            return jnp.concatenate([values, sign * besides])
-
         signs = jnp.array([1.0, -1.0], theta.dtype)
-        high, low = jax.vmap(side)(signs, jnp.stack(tangent_bounds(theta, samples, slopes)))
+        intervals = jnp.stack([highest_intervals(side, EXTREMES) for side in tangent_bounds(theta, samples, slopes)])
+        turns = jnp.broadcast_to(signs[:, None], intervals.shape)
+        points = jax.lax.stop_gradient(turning_points(at, turns, (theta, slopes, samples), intervals, splits=SPLITS))
+        # with few samples, the slopes may show no turning point, or miss the highest one
+        besides = theta[
+            jnp.stack([jnp.zeros((), int), last + jnp.zeros((), int), jnp.argmax(samples), jnp.argmin(samples)])
+        ]
+        found = each(physics, jnp.concatenate([besides, points.ends.reshape(-1)]))
+        edges, highest, lowest, sides = found[:2], found[2:3], found[3:4], found[4:].reshape(points.ends.shape)
+        # an interval without turning point repeats an end of the window
+        values = jnp.where(points.heights > -jnp.inf, points.values(sides), (signs * edges[0])[:, None])
+        high = jnp.concatenate([values[0], edges, highest])
+        low = jnp.concatenate([values[1], -edges, -lowest])
         return high, low

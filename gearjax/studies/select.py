@@ -1,4 +1,4 @@
-"""Free numbers of a scene: picked by path or by function, with their periods, bounds and transforms."""
+"""Free numbers of a scene: chosen by path or by function, with their periods, bounds and transforms."""
 
 import math
 import re
@@ -18,8 +18,8 @@ from gearjax.typing import Array, Float
 Where = str | Sequence[str] | Callable[[Scene], Any]
 Bounds = Mapping[str, tuple[float, float]]
 PARTS = ("system", "errors", "backlash", "compliance", "supports", "shafts", "inertia", "damping", "load", "contact")
-OF_BODIES = {"inertia": "body_inertia"}  # where numbers of single bodies are, [inertia.BODY]
-_PROBE = 1e-6  # stands for a zero beside a free number when its influence is tried [SI]
+OF_BODIES = {"inertia": "body_inertia"}  # slot with the numbers of single bodies, [inertia.BODY]
+_PROBE = 1e-6  # replaces a zero beside a free number when the influence of the free number is tested [SI]
 
 
 class Free(eqx.Module):
@@ -27,9 +27,10 @@ class Free(eqx.Module):
 
     Args:
         paths: dotted paths such as ``errors.planet_1.phase``, or ``compliance.phases[0]`` in a series.
-        periods: period of each, ``2 pi`` for angles, else ``None``.
-        bounds: lowest and highest value of each in SI; infinite where the declaration sets none.
-        searchable: which may be searched between their bounds: those that were given, or declared near each other.
+        periods: period of each number, ``2 pi`` for angles, else ``None``.
+        bounds: lowest and highest value of each number in SI; infinite if the declaration sets none.
+        searchable: whether each number may be searched between its bounds: if the user gave them, or if they are
+            declared close to each other.
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
@@ -38,13 +39,13 @@ class Free(eqx.Module):
     searchable: tuple[bool, ...] = eqx.field(static=True)
 
     def get(self, scene: Scene) -> Float[Array, " free"]:
-        """Values in a scene, shape (free,), SI."""
+        """Values of the free numbers in a scene, shape (free,), SI."""
         return jnp.stack([_number(scene, path) for path in self.paths])
 
     def set(self, scene: Scene, values: Float[Array, " free"]) -> Scene:
-        """The scene with other values."""
+        """The scene with other values of the free numbers."""
         whole: dict[str, Any] = {}
-        parts: dict[str, dict[int, int]] = {}  # of a leaf: its place, and that in the values
+        parts: dict[str, dict[int, int]] = {}  # by leaf: place in the leaf, and place in the values
         for column, path in enumerate(self.paths):
             leaf, place = _split(path)
             if place is None:
@@ -54,23 +55,23 @@ class Free(eqx.Module):
         for leaf, columns in parts.items():
             known = _leaf(scene, leaf)
             sources = [len(known) + columns[i] if i in columns else i for i in range(len(known))]
-            whole[leaf] = jnp.concatenate([known, values])[np.array(sources)]  # not one by one, of which there are many
+            whole[leaf] = jnp.concatenate([known, values])[np.array(sources)]  # all at once, as there may be many
         return eqx.tree_at(lambda s: [_leaf(s, path) for path in whole], scene, list(whole.values()))
 
     @property
     def scales(self) -> np.ndarray:
-        """What counts as one unit of each: a radian, or the span between the bounds, shape (free,)."""
+        """Size of one unit of each number in a search: a radian, or the span between the bounds, shape (free,)."""
         spans = [1.0 if period else high - low for period, (low, high) in zip(self.periods, self.bounds, strict=True)]
         return np.array(spans)
 
     @property
     def origins(self) -> np.ndarray:
-        """Zero for angles, else the lowest value, shape (free,)."""
+        """Origin of each number in a search: zero for angles, else the lowest value, shape (free,)."""
         return np.array([0.0 if p else low for p, (low, _) in zip(self.periods, self.bounds, strict=True)])
 
     @property
     def periodic(self) -> np.ndarray:
-        """Which are angles, shape (free,)."""
+        """Whether each number is an angle, shape (free,)."""
         return np.array([period is not None for period in self.periods])
 
     @property
@@ -85,25 +86,25 @@ class Free(eqx.Module):
         return np.where(self.periodic, _turned(values), np.clip(values, low, high))
 
     def way(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """The short way from one point to another, angles the short way round; shape (..., free)."""
+        """Vector from one point to another, angles in the shorter direction; shape (..., free)."""
         return np.where(self.periodic, _turned(end - start), end - start)
 
     def unconstrained(self, values: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Angles as they are, bounded numbers by the logit of their place between the bounds."""
+        """Unconstrained numbers: angles unchanged, bounded numbers as the logit of their place between the bounds."""
         origins, scales = (jnp.asarray(part, values.dtype) for part in (self.origins, self.scales))
         place = jnp.clip((values - origins) / scales, 1e-3, 1 - 1e-3)
         return jnp.where(self.periodic, values, jnp.log(place / (1 - place)))
 
     def constrained(self, numbers: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Back from `unconstrained`."""
+        """The inverse of `unconstrained`."""
         origins, scales = (jnp.asarray(part, numbers.dtype) for part in (self.origins, self.scales))
         return jnp.where(self.periodic, numbers, origins + scales * jax.nn.sigmoid(numbers))
 
     def require_bounds(self) -> None:
-        """Refuse numbers that are neither angles nor bounded.
+        """Refuse numbers that are neither angles nor have bounds to search between.
 
         Raises:
-            ParameterError: naming the number.
+            ParameterError: names the number.
         """
         for path, period, (low, high), known in zip(
             self.paths, self.periods, self.bounds, self.searchable, strict=True
@@ -115,7 +116,7 @@ class Free(eqx.Module):
 
 
 def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
-    """Free numbers by their paths, or by a function of the scene that returns its leaves.
+    """Choose free numbers by their paths, or by a function of the scene that returns its leaves.
 
     Args:
         scene: the scene.
@@ -124,7 +125,7 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
         bounds: narrower bounds than the declared ones, by path, in SI.
 
     Raises:
-        ParameterError: a path leads nowhere, or not to one number; the nearest path is named.
+        ParameterError: a path does not exist, or is not that of one number; the nearest path is named.
     """
     known = numbers(scene)
     paths = _paths(scene, where, known)
@@ -148,14 +149,14 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
 
 
 def members(path: str, known: Mapping[str, Parameter]) -> tuple[str, ...]:
-    """The numbers that a path stands for: those of a whole series if it ends with ``[*]``, else its own."""
+    """The numbers that a path stands for: all numbers of a series if it ends with ``[*]``, else one number."""
     if not isinstance(path, str) or not path.endswith("[*]"):
         return (path,)
     return tuple(name for name in known if series_of(name) == path) or (path,)
 
 
 def series_of(path: str) -> str:
-    """What stands for all numbers of the series that a path is in; empty where it is in none."""
+    """The path with ``[*]`` for the series that a number belongs to; empty if it belongs to none."""
     return re.sub(r"\[\d+\]$", "[*]", path) if path.endswith("]") else ""
 
 
@@ -170,7 +171,7 @@ def _paths(scene: Scene, where: Where, known: Mapping[str, Parameter]) -> tuple[
 
 
 def numbers(scene: Scene) -> dict[str, Parameter]:
-    """Every single number of a scene with its declaration, by path."""
+    """All numbers of a scene with their declarations, by path."""
     parameters: dict[str, Parameter] = {}
 
     def visit(path: str, part: Any) -> None:
@@ -192,9 +193,9 @@ def numbers(scene: Scene) -> dict[str, Parameter]:
 
 
 def probed(scene: Scene, free: Free) -> Scene:
-    """The scene with small numbers in place of zeros beside the free ones, such as the amplitude of a free phase.
+    """The scene with small numbers in place of zeros beside free numbers, such as the amplitude of a free phase.
 
-    A number whose neighbour is zero has no influence now, but it is modelled.
+    With a zero beside it, a free number has no influence at present, although the model depends on it.
     """
     owners = {path.rpartition(".")[0] for path in free.paths}
     zeros = [
@@ -215,13 +216,13 @@ def _turned(angles: np.ndarray) -> np.ndarray:
 
 
 def _split(path: str) -> tuple[str, int | None]:
-    """Path of a leaf, and the place in it."""
+    """Path of the leaf, and the number's place in it, ``None`` for a scalar."""
     match = re.fullmatch(r"(.*)\[(\d+)\]", path)
     return (match[1], int(match[2])) if match else (path, None)
 
 
 def _leaf(scene: Any, path: str) -> Any:
-    """The leaf that a path leads to."""
+    """The leaf at a path."""
     slot, *steps = path.split(".")
     bodies = getattr(scene, OF_BODIES.get(slot, ""), {})
     part = bodies if steps[0] in bodies else getattr(scene, slot)

@@ -1,4 +1,4 @@
-"""Local sensitivity of an optimum: slopes, flat directions, and what assembly errors cost."""
+"""Local sensitivity of an optimum: slopes, flat directions, and the rise of the objective by assembly errors."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -22,29 +22,30 @@ from gearjax.units import deg
 
 SAMPLES = 24  # per turn of the fastest error
 TEMPERATURE = 0.01  # share of the objective at which slopes and curvatures are taken
-FLAT = 0.01  # share of the objective that a step along a flat direction costs at most
+FLAT = 0.01  # share by which the objective rises at most in a step along a flat direction
 FLAT_STEP = 10 * deg
 MOST_CORNERS = 1024
 
 
 class LocalSensitivity(eqx.Module):
-    """How an objective changes around a point. Angles count in radians, other numbers in spans of their bounds.
+    """Change of an objective around a point. Angles count in radians, other numbers in spans of their bounds.
 
     Args:
         paths: the free numbers.
-        angles: which of them are angles.
-        point: their values, shape (free,), SI.
-        objective: the objective there.
-        gradient: of the hard objective; at a kink the shortest of its subgradients, zero at an optimum, shape (free,).
-        temperature: of the smoothed objective that the Hessian belongs to [rad].
-        eigenvalues: of the Hessian, smallest first, shape (free,).
-        directions: eigenvectors, one row each, shape (free, free).
-        rises: share by which the hard objective rises 10 degrees (or 0.17 spans) along each direction, the worse
-            of both ways, shape (free,).
+        angles: whether each number is an angle.
+        point: values of the numbers at the point, shape (free,), SI.
+        objective: the objective at the point.
+        gradient: gradient of the hard objective; at a kink its shortest subgradient, which is zero at an optimum, shape
+            (free,).
+        temperature: temperature of the smoothed objective whose Hessian is given [rad].
+        eigenvalues: eigenvalues of the Hessian, smallest first, shape (free,).
+        directions: eigenvectors of the Hessian, one row each, shape (free, free).
+        rises: share by which the hard objective rises over 10 degrees (or 0.17 spans) along each direction, the larger
+            rise of both senses, shape (free,).
         deviations: assembly errors, shape (m,) [rad or spans].
         single: objective with each number off by plus and minus each deviation, shape (m, free, 2).
         worst: highest objective over all combinations of plus, minus and no deviation, shape (m,).
-        mean: mean objective over them, shape (m,).
+        mean: mean objective over these combinations, shape (m,).
     """
 
     paths: tuple[str, ...] = eqx.field(static=True)
@@ -63,7 +64,7 @@ class LocalSensitivity(eqx.Module):
 
     @property
     def flat(self) -> np.ndarray:
-        """Which directions cost nothing: less than 1 % of the objective, shape (free,)."""
+        """Whether each direction is flat: the objective rises by less than 1 % along it, shape (free,)."""
         return self.rises < FLAT
 
     def told(self, deviation: float) -> str:
@@ -86,14 +87,14 @@ def local_sensitivity(
     bounds: Bounds | None = None,
     deviations: Sequence[float] = (5 * deg, 10 * deg),
 ) -> LocalSensitivity:
-    """Gradient, curvature and flat directions of an objective at a point, and what deviations from the point cost.
+    """Gradient, curvature and flat directions of an objective at a point, and its rise by deviations from the point.
 
     The Hessian is that of the smoothed objective (`gearjax.studies.objective`) at a temperature of 1 % of the
-    objective; everything else is judged by the hard contact law.
+    objective; everything else is evaluated with the hard contact law.
 
     Args:
         loss, scene, where, theta, torque, bounds: as in `gearjax.minimise`.
-        at: the point, shape (free,), SI; without, the scene's own numbers.
+        at: the point, shape (free,), SI; by default the scene's own numbers.
         deviations: assembly errors of angles [rad]; of other numbers, in spans of their bounds.
 
     Raises:
@@ -152,7 +153,7 @@ def local_sensitivity(
 
 
 def _signs(size: int) -> np.ndarray:
-    """Combinations of plus, minus and none, but not none of all; random ones where there are too many."""
+    """Combinations of plus, minus and zero, without that of zeros only; random signs if there are too many."""
     if 3**size <= MOST_CORNERS:
         signs = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=size)))
         return signs[np.abs(signs).sum(axis=1) > 0]
@@ -163,7 +164,7 @@ def _signs(size: int) -> np.ndarray:
 def _curvature(
     objective: Objective, physics: Scene, free: Free, point: Float[Array, " free"], temperature: Scalar
 ) -> tuple[Float[Array, " free"], Float[Array, "free free"]]:
-    """Least slope of the objective, and Hessian of the smoothed one, in scaled numbers."""
+    """Shortest subgradient of the objective, and Hessian of the smoothed objective, in scaled numbers."""
     scales = jnp.asarray(free.scales, point.dtype)
 
     def smooth(step: Float[Array, " free"]) -> Scalar:

@@ -1,13 +1,13 @@
-"""Grids of the no-load transmission error, by its structure.
+"""Grid search of the no-load transmission error, which uses that gaps are sums of contributions of single errors.
 
-The gaps are sums of contributions of single errors, so a grid over numbers of errors needs sines once per axis, level
-and time: ``te_i(t) = base_i(t) + sum_axis table_axis[level, t, i]``. The highest value over time of the largest pair is
-the largest of the pairs' own highest values; only the lowest one, ``min_t max_i te_i``, needs every combination.
-Axes that several pairs feel are walked outside, axes that one pair feels form the inner outer product. The walk is
-spread over the local devices.
+A grid over numbers of errors therefore needs sines only once per axis (free number), level and time:
+``te_i(t) = base_i(t) + sum_axis table_axis[level, t, i]``. The highest value over time and pairs is the largest of the
+pairs' own highest values; only the lowest value, ``min_t max_i te_i``, needs every combination. An outer loop, called
+the walk, runs over the axes that affect several pairs. Axes that affect one pair only form an outer product inside it.
+The walk is distributed over the local devices.
 
-Certified minimum: any subset of times bounds the amplitude from below, so combinations whose bound exceeds an amplitude
-already reached are out; the rest is evaluated on all times.
+The minimum is certified: any subset of times bounds the amplitude from below, so combinations whose bound exceeds an
+amplitude already reached are excluded. The others are evaluated on all times.
 """
 
 import functools
@@ -24,9 +24,9 @@ from gearjax.studies.blocks import in_blocks
 from gearjax.studies.select import Free, pick
 from gearjax.typing import Array, Float
 
-BLOCK = 16  # times written out in the inner loop
-TOGETHER = 4  # outer combinations walked together
-COARSE, MEDIUM = 16, 96  # times of the bound of the lowest and of the highest value
+BLOCK = 16  # times by which the inner loop is unrolled
+TOGETHER = 4  # outer combinations computed together
+COARSE, MEDIUM = 16, 96  # times from which the lowest and the highest value are bounded
 SURVIVORS = 512  # combinations evaluated at once
 
 
@@ -34,8 +34,8 @@ class Contributions(NamedTuple):
     """Contributions to the transmission error of each pair [rad].
 
     Args:
-        base: of everything that is not free, shape (time, pair).
-        axes: of each free number, shape (level, time, pair) each.
+        base: contribution of everything that is not free, shape (time, pair).
+        axes: contributions of each free number, shape (level, time, pair) each.
     """
 
     base: Float[Array, "time pair"]
@@ -43,14 +43,16 @@ class Contributions(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Levels of each axis."""
+        """Number of levels of each axis."""
         return tuple(axis.shape[0] for axis in self.axes)
 
 
 def is_separable(scene: Scene, free: Free) -> bool:
-    """Whether every free number belongs to an error of its own, and the same contacts drive at all times: which of
-    contacts whose levers tell their side do changes with the input angle, a train's touch as its shafts turn, and exact
-    gaps of several errors are no sum."""
+    """Whether the TE is a sum over free numbers: each belongs to another error, and the same contacts always drive.
+
+    In a layout whose ``sides_turn``, the driving contacts change with the input angle. In a train, the touching
+    contacts change as its shafts turn. Exact gaps of several errors are no sums.
+    """
     owners = [tuple(path.split(".")[:2]) for path in free.paths]
     apart = all(owner[0] == "errors" for owner in owners) and len(set(owners)) == len(owners)
     return apart and not (scene.layout.sides_turn or scene.is_train or scene.system.exact)
@@ -58,7 +60,7 @@ def is_separable(scene: Scene, free: Free) -> bool:
 
 @eqx.filter_jit
 def contributions(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Float[Array, " time"]) -> Contributions:
-    """The contributions of a scene over the levels of its free numbers; only its hard no-load TE is separable."""
+    """The contributions of a scene over the levels of its free numbers; only the hard no-load TE is separable."""
 
     def each(scene: Scene) -> Float[Array, "time pair"]:
         def at(angle):
@@ -87,19 +89,19 @@ def contributions(scene: Scene, free: Free, levels: tuple[Array, ...], theta: Fl
 
 
 class Plan(NamedTuple):
-    """Which axes are walked outside and which inside, from where the contributions are zero."""
+    """Axes of the walk and axes inside it, found from where the contributions are zero."""
 
     outer: tuple[int, ...]
     inner: tuple[tuple[int, ...], ...]  # per pair
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """All axes in the order of the walk."""
+        """All axes, the outer ones first, in the order in which combinations are numbered."""
         return (*self.outer, *(axis for inner in self.inner for axis in inner))
 
 
 def plan(contributions: Contributions) -> Plan:
-    """Axes that one pair feels are inner, axes that several feel are outer."""
+    """The plan of a grid: axes that affect one pair are inner axes, all others are outer axes."""
     felt = [np.any(np.asarray(axis), axis=(0, 1)) for axis in contributions.axes]
     inner = tuple(
         tuple(a for a, pairs in enumerate(felt) if pairs.sum() == 1 and pairs[i])
@@ -110,11 +112,11 @@ def plan(contributions: Contributions) -> Plan:
 
 
 class Grid(NamedTuple):
-    """The contributions laid out for the walk: own curves of each pair, and what every outer combination adds.
+    """The contributions arranged for the walk: curves of each pair, and the contributions of outer combinations.
 
     Args:
         own: curves over the inner axes of each pair, shape (time, inner) each, in the order of `itertools.product`.
-        outer: added by each outer combination, shape (outer, time, pair).
+        outer: contribution of each outer combination, shape (outer, time, pair).
     """
 
     own: tuple[Float[Array, "time inner"], ...]
@@ -123,7 +125,7 @@ class Grid(NamedTuple):
 
 @functools.partial(jax.jit, static_argnames=("plan", "number"))
 def lay_out(contributions: Contributions, plan: Plan, number: int) -> Grid:
-    """The grid at some of the times, evenly spread; the last one is repeated to fill up blocks."""
+    """The grid at ``number`` evenly spread times; the last time is repeated to fill up blocks."""
     size = contributions.base.shape[0]
     times = np.linspace(0, size - 1, min(number, size)).round().astype(int)
     block = min(BLOCK, len(times))
@@ -144,10 +146,11 @@ def lay_out(contributions: Contributions, plan: Plan, number: int) -> Grid:
 def walk(
     own: tuple[Array, ...], shift: Float[Array, "time pair"]
 ) -> tuple[Float[Array, "..."], list[Float[Array, " inner"]]]:
-    """Of one outer combination ``min_t max_i te_i``, shape (inner of pair 1, inner of pair 2, ...), and the highest
-    values of each pair, shape (inner,) each.
+    """Lowest values of one outer combination, and the highest values of each pair.
 
-    Maxima are written as selections: a maximum that hands nan on takes twice the time.
+    The lowest values are ``min_t max_i te_i``, shape (inner of pair 1, inner of pair 2, ...); the highest values have
+    the shape (inner,) for each pair. Maxima are written as selections: a maximum that propagates nan takes twice the
+    time.
     """
     sizes = tuple(curve.shape[1] for curve in own)
     block = min(BLOCK, shift.shape[0])
@@ -167,17 +170,18 @@ def walk(
 
 
 def score(low: Array, high: Array, spread: bool) -> Array:
-    """Peak-to-peak or amplitude from the lowest and the highest value."""
+    """Peak-to-peak (``spread``) or amplitude, from the lowest and the highest value."""
     return high - low if spread else jnp.maximum(high, -low)
 
 
 @functools.partial(jax.jit, static_argnames="spread")
 def sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Float[Array, "outer ..."], Float[Array, " outer"]]:
-    """Score of every combination at the times of two grids, and the least one of each outer combination.
+    """Score of every combination at the times of two grids, and the least score of each outer combination.
 
     Args:
-        lowest, highest: grids whose times the lowest and the highest values count; one for both without the other.
-        spread: peak-to-peak instead of amplitude.
+        lowest, highest: grids at the times used for the lowest and the highest values; if ``highest`` is ``None``,
+            ``lowest`` serves for both.
+        spread: whether scores are peak-to-peak values instead of amplitudes.
     """
     devices = jax.local_devices()
     grids = (lowest,) if highest is None else (lowest, highest)
@@ -205,7 +209,7 @@ def sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Float[Array
 
 
 def _padded(own: tuple[Array, ...]) -> tuple[Array, ...]:
-    """The last pair's curves filled up to whole vectors of the processor."""
+    """The curves of all pairs, those of the last pair padded to whole vectors of the processor."""
     lanes = 64 // own[-1].dtype.itemsize
     return (*own[:-1], jnp.pad(own[-1], ((0, 0), (0, -own[-1].shape[1] % lanes)), mode="edge"))
 
@@ -215,13 +219,13 @@ def _greater(one: Array, other: Array) -> Array:
 
 
 def _largest(rows: list[Array]) -> Float[Array, "..."]:
-    """Largest of the pairs for every combination of their inner axes, shape (inner of pair 1, inner of pair 2, ...)."""
+    """Largest value of the pairs for each combination of inner axes, shape (inner of pair 1, inner of pair 2, ...)."""
     axes = range(len(rows))
     return functools.reduce(_greater, [jnp.expand_dims(row, [a for a in axes if a != i]) for i, row in enumerate(rows)])
 
 
 def scores_at(contributions: Contributions, plan: Plan, flat: np.ndarray, spread: bool) -> np.ndarray:
-    """Scores over all times of single combinations, given by their number in the order of the walk, shape (n,)."""
+    """Scores over all times of combinations, which are given by their number in the order of the walk, shape (n,)."""
 
     def each(part: np.ndarray) -> Float[Array, " n"]:
         return _scores_at(contributions, levels_of(part, plan, contributions.shape), spread)
@@ -249,11 +253,11 @@ def levels_of(flat: np.ndarray, plan: Plan, shape: tuple[int, ...]) -> tuple[np.
 
 
 class Best(NamedTuple):
-    """Combinations that may be among the best, by their scores over all times, best first.
+    """Combinations that may be among the best, sorted by their scores over all times, best first.
 
     Args:
-        flat: their numbers in the order of the walk.
-        scores: their scores.
+        flat: numbers of the combinations in the order of the walk.
+        scores: scores of the combinations.
         evaluated: how many combinations were evaluated on all times.
     """
 
@@ -263,14 +267,15 @@ class Best(NamedTuple):
 
 
 def certified(contributions: Contributions, plan: Plan, *, spread: bool, keep: int, reach=None) -> Best:
-    """All combinations whose score may be among the best: bound, prune, evaluate the survivors on all times.
+    """All combinations that may be among the best: others are excluded by bounds, these are evaluated on all times.
 
     Args:
         contributions, plan: the grid.
-        spread: peak-to-peak instead of amplitude.
+        spread: whether scores are peak-to-peak values instead of amplitudes.
         keep: number of best combinations.
-        reach: from combinations to objectives that are at least their scores; the ``keep`` best ones by score are
-            asked, and whatever is bounded above the worst of their objectives is out. Without, the scores.
+        reach: function from combinations to objectives, which are not below the scores. It is evaluated for the
+            ``keep`` best combinations by score; combinations whose bound is above the worst of these objectives are
+            excluded. Without it, objectives are the scores.
     """
     lower, least = (np.asarray(x) for x in sweep(*(lay_out(contributions, plan, n) for n in (COARSE, MEDIUM)), spread))
     inner = lower[0].size
@@ -281,7 +286,7 @@ def certified(contributions: Contributions, plan: Plan, *, spread: bool, keep: i
     first = scores_at(contributions, plan, candidates, spread)
     chosen = np.argsort(first, kind="stable")[:keep]
     reached = (first[chosen] if reach is None else reach(candidates[chosen])).max()
-    survivors = np.flatnonzero(lower <= reached * (1 + 1e-12))  # the walk rounds otherwise than the judge
+    survivors = np.flatnonzero(lower <= reached * (1 + 1e-12))  # the walk and `reach` are rounded differently
     values = scores_at(contributions, plan, survivors, spread)
     order = np.argsort(values, kind="stable")
     return Best(survivors[order], values[order], int(survivors.size))

@@ -20,7 +20,7 @@ ANGLE, SHARE = units.ANGLE._replace(shown="arcmin", per_shown=arcmin), units.RAT
 METRICS = ("amplitude", "peak_to_peak", "std", "order")
 NAMES = (*(f"{analysis}_{metric}" for analysis in ANALYSES for metric in METRICS), "backlash_range")
 SHARES = ("static_load_sharing",)
-"""Of no dimension, beside `NAMES`, which are angles."""
+"""Terms without dimension; those of `NAMES` are angles."""
 SLOTS = {
     "no_load": (),
     "static": ("backlash", "compliance"),
@@ -35,14 +35,15 @@ class Term(eqx.Module):
     Args:
         name: analysis and metric: ``no_load``, ``static``, ``backlash`` or ``dynamic``, then ``_amplitude`` (largest
             absolute value; Wang et al. 2020, eq. 21), ``_peak_to_peak``, ``_std`` or ``_order`` (amplitude of one
-            order). ``static_load_sharing`` is the largest load of a pair at any of the angles over the mean load of
-            those that could carry [-].
+            order). ``static_load_sharing`` is the largest load of a pair over all angles, divided by the mean load of
+            the pairs that could carry [-].
         torque: load torque of a static or dynamic term [N m].
-        weight: its weight in a sum.
-        order: for ``_order``: a name of ``system.orders`` such as ``"crank"``, or cycles per turn of the output.
+        weight: weight of the term in a sum.
+        order: order of an ``_order`` term: a name of ``system.orders`` such as ``"crank"``, or cycles per turn of the
+            output.
 
     Raises:
-        ParameterError: an unknown name, or a torque or an order is missing.
+        ParameterError: a name is unknown, or a torque or an order is missing.
     """
 
     name: str = eqx.field(static=True)
@@ -69,21 +70,21 @@ class Term(eqx.Module):
 
     @property
     def analysis(self) -> str:
-        """Its analysis."""
+        """Name of the analysis."""
         return next(analysis for analysis in ANALYSES if self.name.startswith(analysis))
 
     @property
     def metric(self) -> str:
-        """Its metric; the range of the backlash is its peak-to-peak."""
+        """Name of the metric; the range of the backlash is its peak-to-peak."""
         return self.name.removeprefix(f"{self.analysis}_").replace("range", "peak_to_peak")
 
     @property
     def dimension(self) -> Dimension:
-        """With the unit that it is shown in."""
+        """Dimension of the metric, with the unit in which it is shown."""
         return SHARE if self.name in SHARES else ANGLE
 
     def per_turn(self, scene: Scene) -> float:
-        """Its order in cycles per turn of the input."""
+        """The order in cycles per turn of the input."""
         orders = scene.system.orders
         if isinstance(self.order, str) and self.order not in orders:
             raise ParameterError("order", self.order, nearest(self.order, orders))
@@ -91,10 +92,10 @@ class Term(eqx.Module):
         return orders[self.order] if isinstance(self.order, str) else self.order * orders["output"]
 
     def require_resolved(self, scene: Scene, theta: ArrayLike) -> None:
-        """Refuse an order that the input angles cannot tell from others: fewer than two of them in one of its cycles.
+        """Refuse an order that the input angles do not resolve: fewer than two angles in one of its cycles.
 
         Raises:
-            ParameterError: naming the highest order.
+            ParameterError: names the highest order that is resolved.
         """
         order = self.per_turn(scene)
         if not is_concrete(theta):
@@ -106,7 +107,7 @@ class Term(eqx.Module):
             raise ParameterError("order", self.order, words)
 
     def curve(self, scene: Scene) -> tuple[Callable[[Any, Any], Scalar], Any]:
-        """Its curve over the input angle or the pose, and what the curve depends on; not for the dynamic TE."""
+        """The curve as a function of its arguments and the input angle or pose, and these arguments; not if dynamic."""
         if self.analysis == "no_load":
             return no_load, scene
         return (play, scene) if self.analysis == "backlash" else (static, (scene, self.torque))

@@ -1,4 +1,4 @@
-"""What each choice costs and buys on a scene: errors of the dynamic metrics, run time, gradient time, compile time."""
+"""Accuracy and cost of each choice on a scene: errors of the dynamic metrics, run time, gradient time, compile time."""
 
 import dataclasses
 import math
@@ -29,15 +29,15 @@ from gearjax.units import arcmin
 
 STEPS = (0.8, 0.4, 0.2, 0.1, 0.05)  # rad of the fastest motion
 WIDTHS = (1e-8, 1e-7, 1e-6)  # m
-TRUE_STEP = 0.0125  # rad of the fastest motion, Runge-Kutta: the yardstick
-LONGEST_GRADIENT = 20.0  # s that a gradient may be expected to take: others are not measured
+TRUE_STEP = 0.0125  # rad of the fastest motion: Runge-Kutta steps of the reference
+LONGEST_GRADIENT = 20.0  # s: gradients that are expected to take longer are not measured
 DIFFERENTIATED = ("solver", "fidelity", "precision")  # groups whose gradients are timed
 REPEATS = 3
-YARDSTICK = 0.05  # rad of the fastest motion, Runge-Kutta: the first yardstick of `accurate_step`
-UNSURE = 0.2  # of the error that is asked for, that the yardstick may be off by
+YARDSTICK = 0.05  # rad of the fastest motion: first Runge-Kutta steps of the reference of `accurate_step`
+UNSURE = 0.2  # of the allowed error: largest uncertainty of the reference
 MOST_HALVINGS = 4
 Metrics = dict[float, dict[str, float]]
-"""By torque and name [rad]."""
+"""Metrics by torque and name [rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Setting:
 
     Args:
         group: what is varied: ``solver``, ``contact``, ``samples``, ``harmonics``, ``fidelity`` or ``precision``.
-        name: in words.
+        name: the setting in words.
         scene: the scene as this setting models it.
-        stepper: of `gearjax.simulate`.
-        samples: of the record.
-        gradient: how many runs its gradient may take, to leave out those that take too long.
-        scheme: what settings share whose gradients take about the same multiple of a run: step lengths, precisions and
-            adaptive solvers alike; its own name without.
+        stepper: stepper of `gearjax.simulate`.
+        samples: number of samples of the record.
+        gradient: expected time of a gradient, in runs; gradients that would take too long are left out.
+        scheme: common name of settings whose gradients take about the same multiple of a run (they differ in step
+            length, precision or adaptive solver); empty for the setting's own name.
     """
 
     group: str
@@ -66,18 +66,19 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True)
 class Measured:
-    """What a setting costs and buys.
+    """Accuracy and cost of a setting.
 
     Args:
-        group, name: of the setting.
+        group, name: group and name of the setting.
         error: largest deviation of peak-to-peak, amplitude, mean and standard deviation under all torques [rad].
-        metrics: by torque and name [rad].
-        seconds: of one run, median [s].
-        gradient_seconds: of the gradient of the standard deviation with respect to every number of the errors, reverse
-            mode [s]; ``None`` where it would take long, or the group is not differentiated.
-        gradient_measured: whether that was measured, or is the multiple of a run that another setting of the same
-            scheme took, as programs of gradients compile for 10 s and more: a rough one for the shortest runs.
-        compile_seconds: of the first run [s].
+        metrics: metrics by torque and name [rad].
+        seconds: time of one run, median [s].
+        gradient_seconds: time of the gradient of the standard deviation by every number of the errors, in reverse mode
+            [s]; ``None`` if it would take long, or the group is not differentiated.
+        gradient_measured: whether the gradient's time was measured. Otherwise it is estimated from another setting of
+            the same scheme, in runs, because a gradient compiles for 10 s and more; for the shortest runs the estimate
+            is rough.
+        compile_seconds: compile time of the first run [s].
     """
 
     group: str
@@ -92,14 +93,14 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True)
 class StaticChoice:
-    """What a choice of geometry costs and buys under static torque.
+    """Accuracy and cost of a choice of geometry under static torque.
 
     Args:
-        name: of the choice.
+        name: name of the choice.
         error: largest deviation of the metrics of the static TE under all torques from the most exact choice [rad].
         force_error: largest deviation of a single contact force, over the largest force [-].
-        seconds: of one torque, the first run's compilation apart [s].
-        compile_seconds: [s].
+        seconds: time of one torque, without compilation [s].
+        compile_seconds: compile time [s].
     """
 
     name: str
@@ -111,14 +112,14 @@ class StaticChoice:
 
 @dataclasses.dataclass(frozen=True)
 class Tradeoff:
-    """All settings of a scene and the cheapest one that is good enough.
+    """All settings of a scene, and the fastest one that is accurate enough.
 
     Args:
-        truth: metrics of the yardstick by torque [rad].
-        truth_seconds: what the yardstick took [s].
-        rows: the settings.
-        error: what was asked for [rad].
-        statics: choices of geometry under static torque, where the system has any.
+        truth: metrics of the reference by torque and name [rad].
+        truth_seconds: run time of the reference [s].
+        rows: the settings that were measured.
+        error: allowed error [rad].
+        statics: choices of geometry under static torque; empty if the system has none.
     """
 
     truth: dict[float, dict[str, float]]
@@ -129,7 +130,7 @@ class Tradeoff:
 
     @property
     def best(self) -> Measured | None:
-        """The fastest setting within the error, ``None`` if there is none."""
+        """The fastest setting within the allowed error, ``None`` if there is none."""
         good = [row for row in self.rows if row.error <= self.error]
         return min(good, key=lambda row: row.seconds, default=None)
 
@@ -138,7 +139,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
     """Measure every setting on the run section of a scene.
 
     Args:
-        scene: with a run section that lists ``dynamic``.
+        scene: a scene with a run section that lists ``dynamic``.
         error: allowed error of the metrics [rad].
         progress: called with a line of text now and then.
 
@@ -170,20 +171,21 @@ def _dynamic(scene: Scene) -> Run:
 
 
 def _resolving(scene: Scene, run: Run) -> tuple[float, FixedStep]:
-    """The longest step that follows the fastest motion [s], and the steps of a run."""
+    """The longest step that resolves the fastest motion [s], and the usual steps of a run."""
     usual = suitable_step(scene, run.duration)
     return usual.step / STEP * LONGEST_STEP, usual
 
 
 def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> FixedStep:
-    """The longest steps of the fitted scheme whose metrics are within an error of a yardstick of another scheme.
+    """The longest steps of the fitted scheme whose metrics are within an error of a reference.
 
-    The yardstick is Runge-Kutta's, whose steps are halved until what that changes is small beside the error: steps of
-    one scheme share errors that a comparison among them does not show. How long the steps may be is foretold from the
-    usual ones, whose error falls with their square, and then tried.
+    The reference is computed by Runge-Kutta, a different scheme, because step lengths of one scheme share errors that
+    their comparison does not show. Its steps are halved until the metrics change little compared with the error. The
+    step of the fitted scheme is predicted from the usual one, as the error falls with the square of the step, and
+    then tried.
 
     Args:
-        scene: with a run section that lists ``dynamic``.
+        scene: a scene with a run section that lists ``dynamic``.
         error: allowed error of the metrics [rad].
         progress: called with a line of text now and then.
 
@@ -222,7 +224,7 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
 def _yardstick(
     metrics: Callable[[FixedStep], Metrics], longest: float, error: float, progress: Progress
 ) -> tuple[Metrics, float]:
-    """Metrics by Runge-Kutta, and how far they may be off: a third of what half the step changed [rad]."""
+    """Metrics by Runge-Kutta, and their uncertainty: a third of the change when the step was halved [rad]."""
     step = YARDSTICK * longest
     coarse = metrics(FixedStep(2 * step, solver=RungeKutta4()))
     for _ in range(MOST_HALVINGS):
@@ -241,8 +243,10 @@ def _apart(one: Metrics, other: Metrics) -> float:
 
 
 def static_choices(scene: Scene) -> list[StaticChoice]:
-    """What the choices of a system's geometry cost and buy under static torque, against the most exact of them; none
-    where it has no choice, or the run section lists no static analysis."""
+    """Accuracy and cost of the choices of a system's geometry under static torque, compared with the most exact choice.
+
+    Empty if the system has no choice, or the run section lists no static analysis.
+    """
     run, choices = scene.run, scene.system.choices()
     if run is None or "static" not in run.analyses or not choices:
         return []
@@ -251,7 +255,7 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
     for name, system in choices.items():
         chosen = dataclasses.replace(scene, system=system)
         with Stopwatch() as watch, warnings.catch_warnings():
-            warnings.simplefilter("ignore", FewAngles)  # all choices are looked at the same angles
+            warnings.simplefilter("ignore", FewAngles)  # all choices are compared at the same angles
             errors = [transmission_error(chosen, theta, torque) for torque in run.torques]
             metrics[name] = {
                 torque: {metric: float(getattr(te, metric)) for metric in METRICS}
@@ -268,7 +272,7 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
 
 
 def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[Setting]:
-    """The settings to measure, for the longest step of the scene [s] and its usual steps."""
+    """The settings to measure, from the longest step that resolves the motion of the scene [s] and the usual steps."""
     alone, number, cut = FixedStep(usual.step), run.samples, usual.windows
 
     def even(scheme: str, size: float, after: str = "", **options) -> Setting:
@@ -325,14 +329,14 @@ def _measure(setting: Setting, truth: dict[float, dict[str, float]]) -> Measured
 
 
 def _with_gradients(tried: list[Setting], rows: list[Measured], progress: Progress) -> list[Measured]:
-    """The rows with the times of their gradients: of each scheme the longest run is differentiated that may be."""
+    """The rows with the times of their gradients, measured for the slowest allowed run of each scheme."""
     schemes: dict[str, list[int]] = {}
     for place, (setting, row) in enumerate(zip(tried, rows, strict=True)):
         if setting.group in DIFFERENTIATED and setting.gradient * row.seconds <= LONGEST_GRADIENT:
             schemes.setdefault(setting.scheme or setting.name, []).append(place)
     rows = list(rows)
     for scheme, places in schemes.items():
-        own = [place for place in places if tried[place].group != "precision"]  # whose multiple they take
+        own = [place for place in places if tried[place].group != "precision"]  # float32 takes their multiple
         chosen = max(own or places, key=lambda place: rows[place].seconds)
         multiple = _gradient_seconds(tried[chosen]) / rows[chosen].seconds
         progress(f"gradient, {scheme}: {multiple:.3g} runs")
@@ -359,7 +363,7 @@ def _once(setting: Setting, scene: Scene, ts: Array, torque: float) -> Motion:
 
 
 def _run(setting: Setting, repeats: int) -> tuple[dict[float, dict[str, float]], float, float]:
-    """Metrics by torque, seconds of one run, and of compiling."""
+    """Metrics by torque, time of one run [s], and time of compilation [s]."""
     metrics, times, ts = {}, [], _times(setting)
     with Stopwatch() as watch:
         for torque in _torques(setting):

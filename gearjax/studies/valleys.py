@@ -1,4 +1,4 @@
-"""Which end points of a multi-start search share a valley."""
+"""Valleys of a multi-start search: groups of end points without a rise of the objective between them."""
 
 from collections.abc import Callable
 
@@ -7,23 +7,23 @@ import numpy as np
 from gearjax.studies.select import Free
 
 NEIGHBOURS = 5
-STOPS = 9  # along the way from one end point to another
-RISE = 0.01
+STOPS = 9  # points on the way from one end point to another
+RISE = 0.01  # of the objective
 
 
 def label(
     free: Free, ends: np.ndarray, objectives: np.ndarray, evaluate: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Number of the valley of each end point, 0 for that of the best; -1 where there is none.
+    """Number of the valley of each end point, 0 for the valley of the best end point; -1 for a failed start.
 
-    Two neighbours share a valley when the objective rises by no more than `RISE` above the higher of the two on the
-    straight way between them.
+    Two neighbours share a valley if the objective on the straight way between them rises by no more than `RISE` above
+    the higher of the two.
 
     Args:
         free: the free numbers.
         ends: end points, shape (starts, free), SI.
-        objectives: shape (starts,); not finite where a start failed.
-        evaluate: objectives of many points, (n, free) to (n,), or something close to them.
+        objectives: objectives of the end points, shape (starts,); not finite if a start failed.
+        evaluate: function from points, shape (n, free), to objectives, shape (n,), which may be approximate.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -48,8 +48,8 @@ def label(
 
 
 def _neighbours(free: Free, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of near points, shape (pairs, 2), and the ways from the first to the second, shape (pairs, free)."""
-    from scipy.spatial import KDTree  # a third of a second that few runs need
+    """Pairs of close points, shape (pairs, 2), and the vectors from the first to the second, shape (pairs, free)."""
+    from scipy.spatial import KDTree  # imported here, because it takes a third of a second and few runs need it
 
     size = points.shape[1]
     number = min(NEIGHBOURS + 1, len(points))

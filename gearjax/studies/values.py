@@ -1,4 +1,4 @@
-"""Values of an objective at many points, in blocks of one shape so that any number of them compiles once."""
+"""Values of an objective at many points, in blocks of one shape, so that any number of points compiles once."""
 
 from collections.abc import Callable
 
@@ -16,11 +16,11 @@ from gearjax.studies.select import Free, probed
 from gearjax.typing import Array, Float, Scalar
 
 BLOCKS = (16, 64, 512, 8192)
-CALL = 16  # points that are worked out while a block is called
+CALL = 16  # cost of the call of a block, in points
 MOST_AT_ONCE = 512
-MOST_SAMPLES = 2**21  # times points worked on at once, of motions
-MOST_GAPS = 2**19  # samples times contacts times points worked on at once: beyond, they leave the processor's cache
-TRIED = 12  # points from which a number is tried for its influence
+MOST_SAMPLES = 2**21  # samples times points computed at once, for motions
+MOST_GAPS = 2**19  # samples times contacts times points computed at once: more do not fit into the processor's cache
+TRIED = 12  # points at which the influence of a number is tested
 Values = Callable[[np.ndarray], np.ndarray]
 
 
@@ -31,15 +31,15 @@ def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard", b
         objective: the objective.
         scene: the scene.
         free: the free numbers.
-        kind: ``"hard"``, ``"refined"`` or ``"sampled"``: methods of the objective, the later the faster.
-        block: points of a block, where their number depends on what was found, so that the same program does for any;
-            without it the one of `BLOCKS` that suits each number best.
+        kind: ``"hard"``, ``"refined"`` or ``"sampled"``: method of the objective, from the slowest to the fastest.
+        block: number of points of a block, so that one program serves any number of points; by default the best one of
+            `BLOCKS` for each number of points.
     """
     physics, dtype = objective.physics(scene, free), objective.theta.dtype
     at_once = _at_once(objective, physics)
 
     def evaluate(points: np.ndarray) -> np.ndarray:
-        size = block or min(BLOCKS, key=lambda size: -(-len(points) // size) * (size + CALL))  # the last is filled up
+        size = block or min(BLOCKS, key=lambda size: -(-len(points) // size) * (size + CALL))  # the last is padded
         batch = min(at_once, size)
         return in_blocks(
             lambda part: _block(objective, physics, free, jnp.asarray(part, dtype), kind, batch), size, points
@@ -49,7 +49,7 @@ def values(objective: Objective, scene: Scene, free: Free, kind: str = "hard", b
 
 
 def _at_once(objective: Objective, physics: Scene) -> int:
-    """Points that are worked on side by side: a power of two, which divides a block."""
+    """Number of points that are computed at once: a power of two, which divides a block."""
     samples = objective.theta.shape[0]
     if objective.function is not None or objective.is_dynamic:
         most = MOST_SAMPLES // samples
@@ -59,7 +59,7 @@ def _at_once(objective: Objective, physics: Scene) -> int:
 
 
 def _contacts(physics: Scene, theta: Scalar) -> ContactSet:
-    """A function of its own, not a bound method: jax then remembers the shapes, and traces once."""
+    """The contacts at an input angle. As a function, not a bound method, jax caches its shapes and traces it once."""
     return physics.contacts(theta)
 
 
@@ -74,15 +74,15 @@ def _block(objective: Objective, physics: Scene, free: Free, points: Float[Array
 def require_influence(
     objective: Objective, scene: Scene, free: Free, low: np.ndarray, high: np.ndarray, kind: str = "sampled"
 ) -> None:
-    """Refuse a free number that changes nothing, tried from some points.
+    """Refuse a free number that does not change the objective, tested at some points.
 
     Args:
-        objective, scene, free: what is studied.
-        low, high: the box that points are drawn from, shape (free,) each.
-        kind: of the values.
+        objective, scene, free: objective, scene and free numbers of the study.
+        low, high: limits between which points are drawn, shape (free,) each.
+        kind: method of the objective, as in `values`.
 
     Raises:
-        ParameterError: naming the number.
+        ParameterError: names the number.
     """
     rng = np.random.default_rng(0)
     size = len(free.paths)

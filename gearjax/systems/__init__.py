@@ -1,4 +1,4 @@
-"""Gear sets. Each turns the input angle into candidate contacts; none knows how they are solved."""
+"""Gear sets. Each gear set turns the input angle into candidate contacts and does not depend on the contact solver."""
 
 from gearjax.systems.base import AbstractSystem, DiscProfile, GearOutlines, flank_radii
 from gearjax.systems.helical_pair import HelicalPair

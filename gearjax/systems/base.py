@@ -1,4 +1,4 @@
-"""What every gear set offers to a scene."""
+"""The interface between a gear set and a scene."""
 
 import abc
 import math
@@ -17,22 +17,22 @@ from gearjax.geometry.involute import InvoluteGear
 from gearjax.structure import Orbit
 from gearjax.typing import Array, Bool, Float, Scalar
 
-ANGLES_OF_PLACES = 33  # of a mesh period
+ANGLES_OF_PLACES = 33  # input angles over one mesh period
 
 
 @runtime_checkable
 class DiscProfile(Protocol):
-    """What a gear set offers besides where its discs have a cycloidal profile that can be drawn."""
+    """A gear set whose discs have a cycloidal profile that can be drawn."""
 
     @property
     def profile(self) -> Cycloid:
-        """Profile of the discs, and the pins."""
+        """Profile of the discs, with the pins."""
         ...
 
 
 @runtime_checkable
 class GearOutlines(Protocol):
-    """What a gear set offers besides whose gears have outlines that can be drawn, tooth by tooth."""
+    """A gear set whose gears have outlines that can be drawn tooth by tooth."""
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -40,86 +40,100 @@ class GearOutlines(Protocol):
         ...
 
     def teeth_of(self, body: str, points: int, backlash: float) -> list[np.ndarray]:
-        """Smooth pieces of the outline of a gear, one after the other of each tooth, each of shape (tooth, point, 2)
-        [m], by so many points.
+        """Smooth pieces of the outline of a gear, each of shape (tooth, point, 2) [m].
+
+        The pieces are in the order in which they follow each other on a tooth, such as flank, tip, flank and root.
 
         Args:
             body: the gear.
-            points: of each piece.
-            backlash: between its back flanks and those of the other gear [m].
+            points: number of points of each piece.
+            backlash: distance between its back flanks and the back flanks of the other gear [m].
         """
         ...
 
 
 class AbstractSystem(eqx.Module):
-    """A gear set: geometry and topology, nothing else.
+    """A gear set: its geometry and topology, nothing else.
 
-    A subclass is one file: parameters as fields (`gearjax.parameters`), and the methods below. ``kind`` is its
-    name in a configuration.
+    Each subclass is one file with its parameters as fields (`gearjax.parameters`) and the methods below. ``kind`` is
+    its name in a configuration.
     """
 
     kind: eqx.AbstractClassVar[str]
     has_clearance: ClassVar[bool] = False
-    """Whether gaps of its back flanks tell the room that its own geometry leaves, before any initial backlash."""
+    """Whether interference of both flanks is evaluated without a section ``backlash``, because the gaps of the back
+    flanks contain the backlash of its own geometry."""
     has_radii: ClassVar[bool] = False
-    """Whether its contacts are line contacts whose radii of curvature it shows."""
+    """Whether its contacts are line contacts and a pose gives their radii of curvature."""
     has_places: ClassVar[bool] = False
-    """Whether it shows where on their teeth the contacts are."""
+    """Whether a pose gives the places of the contacts on their teeth."""
     by_constant_modes: ClassVar[bool] = False
-    """Whether constant modes follow its motion best where the output alone moves: so it is with many contacts whose
-    levers change with the input angle."""
+    """Whether its motion is integrated by constant modes if only the output moves. Constant modes suit many contacts
+    whose levers change with the input angle."""
     has_slices: ClassVar[bool] = False
-    """Whether its contacts are slices of contact lines, which it shows."""
+    """Whether its contacts are slices of contact lines and a pose describes these slices."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
 
     @property
     @abc.abstractmethod
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies that errors may be placed on."""
+        """Names of the bodies that may carry errors."""
 
     @property
     def coordinates(self) -> Mapping[str, tuple[str, ...]]:
-        """Bodies that may have supports or be on shafts, with the directions of each: ``x`` along its crank's throw,
-        ``y`` across, ``z`` along the axis, turns about them ``rx``, ``ry`` and ``rz``, ahead as the body turns."""
+        """Bodies that may have supports or be on shafts, with the directions in which each of them may move.
+
+        The directions are ``x`` along the throw of its crank, ``y`` across the throw, ``z`` along the axis, and the
+        rotations ``rx``, ``ry`` and ``rz`` about these; ``rz`` is positive in the sense in which the body turns.
+        """
         return {}
 
     @property
     def meshes(self) -> tuple[tuple[str, str], ...]:
-        """Bodies of each mesh, the driving one first, from the input's to the output's: of gear sets whose bodies may
-        be on shafts. The first one turns with the input, the last one with the output."""
+        """The two bodies of each mesh, the driving body first; the meshes run from the input to the output.
+
+        Only gear sets whose bodies may be on shafts have entries. The first body turns with the input, the last body
+        with the output.
+        """
         return ()
 
     @property
     def orbits(self) -> Mapping[str, Orbit]:
-        """How bodies go round that a crank carries; others have axes that stand still."""
+        """Orbits of the bodies that a crank carries; the axes of all other bodies stand still."""
         return {}
 
     @property
     @abc.abstractmethod
     def orders(self) -> Mapping[str, float]:
-        """Named frequencies, in cycles per turn of the input; ``output`` and ``mesh`` are always there. The mesh of a
-        train is its fastest one; what else gaps follow is named too, so that steps and samples resolve it."""
+        """Named frequencies in cycles per turn of the input; ``output`` and ``mesh`` are always among them.
+
+        The ``mesh`` of a train is its fastest mesh. Every other frequency that the gaps contain is named too, so that
+        time steps and samples resolve it.
+        """
 
     @property
     def fastest_order(self) -> float:
-        """Turns per turn of the input of what the curves follow fastest; the mesh counts where its teeth are errors."""
+        """Highest order of the curves, in cycles per turn of the input, without ``mesh``.
+
+        A gear set whose gaps change from tooth to tooth names the tooth frequency a second time, beside ``mesh``.
+        """
         return max((order for name, order in self.orders.items() if name != "mesh"), default=1.0)
 
     def output(self, theta: Scalar) -> Scalar:
-        """Ideal output angle at an input angle [rad]; of gears that are not circular it does not go in proportion."""
+        """Ideal output angle at an input angle [rad]; for non-circular gears it is not proportional to that angle."""
         return self.orders["output"] * theta
 
     @property
     def turns_evenly(self) -> bool:
-        """Whether the ideal output turns in proportion to the input: else its inertia loads the teeth."""
+        """Whether the ideal output turns in proportion to the input; if not, the inertia of the output loads teeth."""
         if type(self).output is AbstractSystem.output:
             return True
         still = jnp.zeros_like(self.input_speed)
         return not depends(lambda theta: jax.jvp(self.output, (theta,), (jnp.ones_like(theta),))[1], still)[0]
 
     def output_acceleration(self, time: Scalar) -> Scalar:
-        """Acceleration of the ideal output at a time [s], the input turning evenly [rad/s2]."""
+        """Acceleration of the ideal output at a time [s] while the input turns at constant speed [rad/s2]."""
 
         def rate(time: Scalar) -> Scalar:
             return jax.jvp(lambda at: self.output(self.input_speed * at), (time,), (jnp.ones_like(time),))[1]
@@ -127,21 +141,23 @@ class AbstractSystem(eqx.Module):
         return jax.jvp(rate, (time,), (jnp.ones_like(time),))[1]
 
     def choices(self) -> Mapping[str, "AbstractSystem"]:
-        """The same gear set by each choice of how exactly its geometry is followed, the most exact one last; empty
-        where there is no choice."""
+        """The same gear set with each available accuracy of its geometry, the most exact one last.
+
+        The mapping is empty if the gear set has only one accuracy.
+        """
         return {}
 
     @property
     def told_of_forces(self) -> str | None:
-        """What a reader of the single contact forces should know."""
+        """A note for readers of the single contact forces, such as a limit of their accuracy; ``None`` without one."""
         return None
 
     def gear_size(self, body: str) -> GearSize | None:
-        """What deviations of a gear are measured by; ``None`` of bodies on which none were."""
+        """Sizes of a gear that its deviations are checked against; ``None`` if the gear set does not give them."""
         del body
 
     def contact_name(self, contact: int) -> str:
-        """Name of a contact, for messages."""
+        """Name of a contact in messages."""
         return f"contact {contact + 1}"
 
     @property
@@ -151,29 +167,34 @@ class AbstractSystem(eqx.Module):
 
     @abc.abstractmethod
     def layout(self, request: Request) -> Layout:
-        """Sides and pairs of the contacts. Where the sign of a lever tells the side, gaps count from the ideal profile,
-        and no back flanks are asked for."""
+        """Sides and pairs of the contacts.
+
+        If the sign of a lever decides the side of a contact (`Layout.either`), gaps are counted from the ideal profile,
+        and no back flanks are requested.
+        """
 
     @abc.abstractmethod
     def pose(self, theta: Scalar, request: Request) -> Pose:
-        """Contacts of ideal bodies at an input angle [rad], in the order of the layout, and what else is asked for.
+        """Contacts of ideal bodies at an input angle [rad], in the order of the layout, and what else is requested.
 
         Raises:
-            ParameterError: a body is asked for that the system does not have.
+            ParameterError: a requested body is not one of the system's bodies.
         """
 
     def outermost(self, theta: Scalar, request: Request) -> Bool[Array, " contact"] | None:
-        """Of a gear set that looks at some of its teeth only, those beside which others are left out: where they carry
-        at an input angle [rad], the others would too. ``None`` where all are looked at."""
+        """Contacts at the ends of the range of teeth that the gear set models; ``None`` if it models all teeth.
+
+        If one of these contacts carries load at an input angle [rad], teeth outside the range would carry load too.
+        """
         del theta, request
 
     @property
     def exact(self) -> bool:
-        """Whether gaps and levers are those of the displaced bodies (`displaced_gaps`), not to first order."""
+        """Whether gaps and levers are those of the displaced bodies (`displaced_gaps`) and not first-order ones."""
         return False
 
     def movements(self, body: str, theta: Scalar, request: Request) -> Movements:
-        """How errors fixed on a body displace it, each direction as a view of its own; of systems that are `exact`.
+        """How errors fixed on a body displace it, with one view per direction; only for systems that are `exact`.
 
         Raises:
             NotImplementedError: the system works to first order only.
@@ -183,17 +204,16 @@ class AbstractSystem(eqx.Module):
     def displaced_gaps(
         self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar, request: Request
     ) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
-        """Gaps at an input angle [rad] of displaced bodies, the output away from its ideal position [rad], and their
-        change with that position; of systems that are `exact`.
+        """Gaps of displaced bodies and their derivative by the output position; only for systems that are `exact`.
 
         Args:
             theta: input angle [rad].
-            moved: displacements by body, of those that carry errors.
-            position: of the output, beyond its ideal one [rad].
-            request: which tells whether back flanks are asked for.
+            moved: displacements of the bodies that carry errors, by name.
+            position: position of the output beyond its ideal position [rad].
+            request: states whether back flanks are requested.
 
         Returns:
-            True distances, and their change, shape (contact,) each [m, m/rad].
+            True distances, and their derivative by the position, shape (contact,) each [m, m/rad].
 
         Raises:
             NotImplementedError: the system works to first order only.
@@ -203,20 +223,22 @@ class AbstractSystem(eqx.Module):
 
 @eqx.filter_jit
 def pose_of(system: AbstractSystem, theta: Scalar, request: Request) -> Pose:
-    """The same as `AbstractSystem.pose`, written down once: programs look at a pose in many places, each with its own
+    """The same as `AbstractSystem.pose`, traced once: programs use a pose in many places, and each of them has its own
     derivatives and batches."""
     return system.pose(theta, request)
 
 
 def flank_radii(system: AbstractSystem) -> tuple[tuple[InvoluteGear, InvoluteGear], tuple[Array, Array]]:
-    """Gears of a gear set that shows the places of its contacts, and the radii of these on each of them over a mesh
-    period, shape (angle, block, pair, point) [m]."""
+    """Both gears of a gear set that has places, and the radii of the contacts on each gear over one mesh period.
+
+    The radii have the shape (angle, block, pair, point) [m].
+    """
     period = 2 * math.pi / system.orders["mesh"]
     theta = jnp.linspace(0.0, period, ANGLES_OF_PLACES, dtype=system.input_speed.dtype)
 
     def places(angle: Scalar) -> Places:
         shown = pose_of(system, angle, Request(places=True)).places
-        assert shown is not None  # the system has them
+        assert shown is not None  # only systems with ``has_places`` come here
         return shown
 
     return places(theta[0]).gears, jax.vmap(lambda angle: places(angle).radius)(theta)

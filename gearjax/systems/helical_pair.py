@@ -21,52 +21,62 @@ from gearjax.typing import Array, Number, Scalar
 
 PINION, WHEEL = "pinion", "wheel"
 SHARED = ("x", "y", "z", "rx", "ry")
-ROUNDING = 1e-6  # of the total contact ratio
-MARGIN = {"ends": 0.2, "corner": 0.7}  # pairs beyond the total contact ratio that designs and loads may bring in
+ROUNDING = 1e-6  # rounding of the total contact ratio
+MARGIN = {"ends": 0.2, "corner": 0.7}  # pairs beyond the total contact ratio that other designs and loads may need
 
 
 class HelicalPair(AbstractSystem):
     """Two involute gears on parallel axes, helical or spur; the wheel may be an internal gear.
 
-    The pinion is on the input, the wheel turns the output, even where the pinion has more teeth. Contacts are slices of
-    the contact lines of all pairs of teeth that may touch, on the plane of action. Their overlap and force are along
-    the normal of the flanks, so that the lever on the wheel is ``r_b2 cos beta_b``; errors of profile and helix count
-    in transverse sections, along the base tangent, as they are measured (ISO 1328-1). Driving flanks of ideal gears
-    just touch; the backlash is that of the centre distance and the profile shifts, and the section ``backlash`` adds
-    to it.
+    The pinion is on the input and the wheel on the output, even if the pinion has more teeth. Contacts are slices of
+    the contact lines of all pairs of teeth that may touch, on the plane of action. Overlap and force of a contact are
+    along the normal of the flanks, so that the lever on the wheel is ``r_b2 cos beta_b``. Errors of profile and helix
+    are given in transverse sections, along the base tangent, as they are measured (ISO 1328-1). The driving flanks of
+    ideal gears just touch. The backlash follows from the centre distance and the profile shifts; the section
+    ``backlash`` adds to it.
 
-    At the ends of the path of contact (``tip_contact``) contacts end, as in Guo and Fang (2018): a slice counts for the
-    share of it that is on the path, at the middle of that. Or they go on at the corner of a tip, with the gap between
-    it and the other flank, by which loaded teeth come into contact early.
+    The key ``tip_contact`` states what happens at the ends of the path of contact. With ``"ends"``, contact ends there,
+    as in Guo and Fang (2018): only the part of a slice that is on the path counts, at the middle of that part. With
+    ``"corner"``, contact goes on at the corner of the tip, with the gap between the corner and the other flank; loaded
+    teeth then come into contact early.
 
-    In motion slices need springs whose stiffness goes by their share on the path, such as `LineStiffness` or
-    `ToothSlices` with constant contact. That of spur teeth which end with the path jumps there, so that usual steps
-    leave up to 5 % of the swing; corners of tips do not jump. `gearjax.one_contact` makes one contact of any
-    compliance.
+    In motion, slices need springs whose stiffness is proportional to their share on the path, such as `LineStiffness`
+    or `ToothSlices` with constant contact. With spur teeth and ``"ends"`` this stiffness jumps at the ends of the path,
+    and the usual time steps then have an error of up to 5 % of the swing. With ``"corner"`` there is no jump.
+    `gearjax.one_contact` reduces a gear set with any compliance to one contact.
 
-    Bodies: ``pinion`` and ``wheel``. Run-out turns with its gear, phase counted as the gear turns from the line towards
-    the other's axis (of an internal gear from the line towards the pinion). Teeth are counted from 0, in the order in
-    which they come into mesh; tooth 0 touches at the pitch point, in the middle of the face, at input angle 0.
+    Bodies: ``pinion`` and ``wheel``. The run-out turns with its gear. Its phase is counted in the sense in which the
+    gear turns, from the line towards the axis of the other gear (for an internal gear, from the line towards the
+    pinion). Teeth are counted from 0 in the order in which they come into mesh; tooth 0 touches at the pitch point, in
+    the middle of the face, at input angle 0.
 
-    Either gear may have a support: x from the pinion's axis towards the wheel's (of an internal pair away from it), y
-    across it as the pinion's teeth move at the mesh, z along the axis about which the pinion turns; rx and ry tilt
-    about them. An offset of the force along the face turns the gears there.
+    Either gear may have a support. Its x points from the axis of the pinion towards the axis of the wheel (in an
+    internal pair, away from it). Its y points across x, in the direction in which the teeth of the pinion move at the
+    mesh. Its z points along the axis about which the pinion turns; rx and ry are tilts about x and y. A force that is
+    off the middle of the face tilts the gears.
 
     Args:
-        pinion_teeth, wheel_teeth: tooth numbers, those of an internal gear positive too.
-        normal_module, normal_pressure_angle: of the rack [m], [rad].
-        helix_angle: at the reference circles, positive of a right-hand pinion [rad].
-        face_width: common to both [m].
-        input_speed: of the pinion [rad/s].
-        pinion_shift, wheel_shift: profile shifts, in normal modules; positive ones move teeth outwards [-].
-        centre_distance: [m]; without one it is that of no backlash.
-        rack: of both gears, ``"ISO 53 A"`` to ``"ISO 53 D"``.
-        addendum, dedendum, fillet_radius: of another rack, in normal modules, in place of those of ``rack`` [-].
-        pinion_tip_diameter, wheel_tip_diameter: [m]; without them as rack and shifts make them.
-        wheel_kind: ``"external"`` or ``"internal"``.
-        slices: of the face.
-        pairs: pairs of teeth that are looked at; without, as many as may touch.
-        tip_contact: ``"ends"`` or ``"corner"``.
+        pinion_teeth: tooth number of the pinion.
+        wheel_teeth: tooth number of the wheel; the tooth number of an internal gear is positive too.
+        normal_module: normal module of the rack [m].
+        normal_pressure_angle: normal pressure angle of the rack [rad].
+        helix_angle: helix angle at the reference circles, positive for a right-hand pinion [rad].
+        face_width: common face width of both gears [m].
+        input_speed: speed of the pinion [rad/s].
+        pinion_shift: profile shift of the pinion, in normal modules; a positive one moves the teeth outwards [-].
+        wheel_shift: profile shift of the wheel, in normal modules; a positive one moves the teeth outwards [-].
+        centre_distance: centre distance [m]; without it, the centre distance without backlash.
+        rack: basic rack of both gears, ``"ISO 53 A"`` to ``"ISO 53 D"``.
+        addendum: addendum of the basic rack, in normal modules, in place of the addendum of ``rack`` [-].
+        dedendum: dedendum of the basic rack, in normal modules, in place of the dedendum of ``rack`` [-].
+        fillet_radius: fillet radius of the basic rack, in normal modules, in place of the radius of ``rack`` [-].
+        pinion_tip_diameter: tip diameter of the pinion [m]; without it, it follows from rack and profile shift.
+        wheel_tip_diameter: tip diameter of the wheel [m]; without it, it follows from rack and profile shift.
+        wheel_kind: kind of the wheel, ``"external"`` or ``"internal"``.
+        slices: number of slices that the face is divided into.
+        pairs: number of pairs of teeth that are modelled; without it, as many as may touch at once.
+        tip_contact: whether contact ends with the path of contact, ``"ends"``, or goes on at the corner of a tip,
+            ``"corner"``.
 
     Raises:
         ParameterError: a value is not physical, or the gears do not fit into each other.
@@ -116,13 +126,13 @@ class HelicalPair(AbstractSystem):
         )
         if self.pairs is None:
             object.__setattr__(self, "pairs", looked_at)
-        elif self.pairs < touching:  # those of other gears, maybe, in a copy with a wider face
+        elif self.pairs < touching:  # possible in a copy with a wider face, which keeps the old number
             words = f"must be at least {touching}, as many as touch at once (total contact ratio {ratio:.4g})"
             raise ParameterError("pairs", self.pairs, words)
 
     @property
     def pair(self) -> InvolutePair:
-        """The gears in each other."""
+        """Both gears in mesh."""
         named, dtype = rack_of(self.rack), jnp.result_type(self.normal_module)
         own = {key: getattr(self, key) for key in ("addendum", "dedendum", "fillet_radius")}
         given = {key: getattr(named, key) if value is None else value for key, value in own.items()}
@@ -182,7 +192,7 @@ class HelicalPair(AbstractSystem):
 
     @property
     def _pairs(self) -> int:
-        assert self.pairs is not None  # it is set when the gear set is made
+        assert self.pairs is not None  # `__check_init__` sets it if it was not given
         return self.pairs
 
     def layout(self, request: Request) -> Layout:
@@ -204,7 +214,7 @@ class HelicalPair(AbstractSystem):
             jacobian.append(self._column(body, way, pair, side, at))
         gap = normal * (at.gap + jnp.where(side < 0, pair.backlash, 0.0))
         if not request.moving or self.tip_contact == "corner":
-            gap = gap + at.beyond  # off the path
+            gap = gap + at.beyond  # slices off the path of contact stay open
         views = {body: self._view(body, theta, pair, sides, at) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         slices = Slices(pair, at.roll, at.across, at.share) if request.slices else None
@@ -212,7 +222,7 @@ class HelicalPair(AbstractSystem):
         return Pose(theta, columns, gap.ravel(), views, mesh, slices=slices)
 
     def _column(self, body: str, way: str, pair: InvolutePair, side: Array, at: SlicePoints) -> Array:
-        """Change of overlap per displacement of a gear: it closes by that of the pinion along the normal."""
+        """Change of overlap per displacement of a gear; the pinion closes the contact by moving along the normal."""
         alpha, beta = pair.working_pressure_angle, pair.base_helix_angle
         flat, lean = jnp.cos(beta), jnp.sin(beta)
         normal = jnp.sin(alpha) * flat, side * jnp.cos(alpha) * flat, -side * lean
@@ -228,22 +238,22 @@ class HelicalPair(AbstractSystem):
         arm = *arm, at.across
         first, second = {"rx": (1, 2), "ry": (2, 0), "rz": (0, 1)}[way]
         turned = arm[first] * normal[second] - arm[second] * normal[first]
-        ahead = -1.0 if way == "rz" and body == WHEEL and not internal else 1.0  # it turns the other way
+        ahead = -1.0 if way == "rz" and body == WHEEL and not internal else 1.0  # an external wheel turns the other way
         return sign * ahead * turned
 
     def _view(self, body: str, theta: Scalar, pair: InvolutePair, sides: tuple[int, ...], at: SlicePoints) -> BodyView:
-        """How a displacement fixed on a gear is seen from the normals."""
+        """View of a displacement fixed on a gear, from the normals of the flanks."""
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
         number, internal = self.bodies.index(body), self.wheel_kind == "internal"
         gear, roll = pair.gears[number], at.roll[number]
         side = jnp.asarray(sides, theta.dtype)[:, None, None]
-        # a displacement e at the phase p is seen as e sin(turn + p +- alpha) along the line of action
+        # a displacement e at the phase p has the component e sin(turn + p +- alpha) along the line of action
         outer = number == 1 and not internal
         turn = theta * (self.orders["output"] if number else 1.0)
         place = (-side if outer else side) * pair.working_pressure_angle
         normal = jnp.cos(pair.base_helix_angle)
-        away = normal if number else -normal  # of the gap, per displacement along the normal
+        away = normal if number else -normal  # change of the gap per displacement along the normal
         # a back flank of the pinion faces the next tooth of the wheel
         tooth = at.tooth + np.array([int(one < 0) for one in sides])[:, None] if number else at.tooth
         tooth = jnp.broadcast_to(jnp.mod(tooth, gear.teeth)[..., None], roll.shape)
@@ -272,15 +282,15 @@ class HelicalPair(AbstractSystem):
 
 
 def _own_key(key: str) -> str:
-    """A parameter of the gear set, by what `InvolutePair` calls it."""
+    """Name of a parameter of the gear set, from its name in `InvolutePair`."""
     base, _, place = key.partition("[")
     own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
     return key if own is None else f"{(PINION, WHEEL)[int(place[0])]}_{own}"
 
 
-@functools.cache  # by analyses too, each time that they are called
+@functools.cache  # analyses ask for the layout at each call
 def _layout(pairs: int, slices: int, back: bool) -> Layout:
-    """Every flank of a pair of teeth is a pair of its own: driving and back flanks touch on different teeth."""
+    """Layout in which every flank is a pair of its own: driving and back flanks touch on different teeth."""
     sides = (1, -1) if back else (1,)
     side = tuple(side for side in sides for _ in range(pairs * slices))
     pair = tuple(pair for pair in range(len(sides) * pairs) for _ in range(slices))

@@ -21,24 +21,26 @@ from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Bool, Float, Int, Number, Scalar
 
-APART = 0.05  # rad of roll between tips of flanks that face each other nowhere, beyond which they are not followed
+# roll angle [rad] between the tips of two flanks that do not face each other, beyond which the pair is not followed
+APART = 0.05
 
 
 class Candidates(NamedTuple):
-    """Points on flanks that may touch, in blocks: of each external gear its driving flanks, then of each its back ones.
+    """Points on flanks that may touch.
+
+    The points are in blocks: first the driving flanks of each external gear, then the back flanks of each.
 
     Args:
-        pair: the gears in each other.
-        side: of the flanks, 1 or -1, shape (block, 1, 1).
-        tooth: number of each pair, counted on from the one in the direction of the throw at its start, shape (block,
-            pair).
-        points: shape (block, pair, point).
-        normals: sine and cosine of the angle from across the throw to the normal of the external gear's flank, and of
-            the internal one's, shape (block, pair, point).
+        pair: the external gear in the internal gear.
+        side: side of the flanks, 1 (driving) or -1 (back), shape (block, 1, 1).
+        tooth: number of each pair; pair 0 is in the first space of the ring, shape (block, pair).
+        points: points of the flanks, shape (block, pair, point).
+        normals: sine and cosine of the angle from the direction across the throw to the normal of the flank, first of
+            the external gear and then of the internal gear, shape (block, pair, point).
         share: change of the gap per displacement of the internal gear along the normal of its flank, shape (block,
             pair, point) [-].
         shared: length of the flanks that face each other, shape (block, pair) [m].
-        apart: distance between the tips of those that face each other nowhere, else zero, shape (block, pair) [m].
+        apart: distance between the tips of two flanks that do not face each other, else zero, shape (block, pair) [m].
     """
 
     pair: InternalPair
@@ -52,42 +54,53 @@ class Candidates(NamedTuple):
 
 
 class InvoluteRV(AbstractSystem):
-    """External involute gears that roll in a fixed internal gear, some teeth fewer, and turn the output.
+    """External involute gears that roll in a fixed internal gear, with a few teeth fewer, and turn the output.
 
-    Hardly differently curved flanks nearly touch over many teeth, and under torque several pairs share the load. The
-    candidates are those pairs about the line of action that may: contact i stays with every ``pairs``-th tooth and goes
-    on to the next of these where it is furthest from touching. Each pair is one point, on the line of action or at the
-    end of the flanks nearest to it, or a grid over flank and face. A contact force acts along the tangent of the base
-    circle, so that the lever is ``r_b1`` while the crank is held (Yang et al. 2019, eq. 7); gaps are the base radius
-    times the angle between flanks at equal radius. Driving flanks of ideal gears just touch; the backlash is that of
-    the centre distance and the profile shifts, and the section ``backlash`` adds to it.
+    The flanks of both gears have nearly the same curvature. They nearly touch over many teeth, and under torque several
+    pairs share the load. The candidates are the pairs near the line of action. Candidate i always represents every
+    ``pairs``-th tooth; it changes to the next of these teeth when it is furthest from touching. A pair has one contact
+    point, on the line of action or at the end of the flanks nearest to that line, or a grid of points over flank and
+    face. A contact force acts along the tangent of the base circle, so that the lever is ``r_b1`` while the crank is
+    held (Yang et al. 2019, eq. 7). A gap is the base radius times the angle between the flanks at equal radius. The
+    driving flanks of ideal gears just touch. The backlash follows from the centre distance and the profile shifts; the
+    section ``backlash`` adds to it.
 
-    With a first stage the input is its sun, which turns the cranks through planet wheels on the output, as those of an
-    RV reducer. External gears sit evenly around the crank: gear i is where gear 1 is ``(i - 1) / gears`` of a turn of
-    the crank later.
+    With a first stage, the input is its sun, which turns the cranks through planet wheels on the output, as in an RV
+    reducer. The external gears are spaced evenly around the crank: gear i is where gear 1 will be ``(i - 1) / gears``
+    of a turn of the crank later.
 
-    Bodies: ``gear_1``, ...: run-out turns with the external gear, phase counted from the throw while the throw points
-    at the ring's first space. ``ring``: the internal gear, fixed, counted from that space. ``throw``: of all cranks,
-    phase 0 lengthens it. ``sun``, ``planet``: of the first stage, counted from its line of action; a run-out whose sine
-    is positive turns the cranks ahead. Teeth are counted from 0, from the pair in that space, in the crank's sense,
-    in which ``around`` is positive too.
+    Bodies: ``gear_1``, ...: the run-out turns with the external gear; its phase is counted from the throw while the
+    throw points at the first space of the ring. ``ring``: the internal gear, which is fixed; its phase is counted from
+    that space. ``throw``: error of the throw of all cranks; phase 0 lengthens the throw. ``sun``, ``planet``: gears of
+    the first stage; the phase is counted from the line of action of that stage, and a run-out whose sine is positive
+    turns the cranks ahead. Teeth are counted from 0, beginning with the pair in the first space, in the direction in
+    which the crank turns; ``around`` is positive in the same direction.
 
-    An external gear may have a support on its cranks: x along the throw, y across it, ahead.
+    An external gear may have a support on its cranks. Its x points along the throw. Its y points across the throw, in
+    the direction in which the crank turns.
 
     Args:
-        external_teeth, internal_teeth: tooth numbers.
-        module, pressure_angle: of the rack [m], [rad].
-        external_shift, internal_shift: profile shifts, in modules; positive ones move teeth outwards [-].
-        external_addendum, internal_addendum: in modules, from the shifted reference circle [-].
-        centre_distance: throw of the cranks [m].
-        input_speed: of the sun, or of the crank without a first stage [rad/s].
-        external_dedendum, internal_dedendum: in modules [-].
+        external_teeth: tooth number of the external gears.
+        internal_teeth: tooth number of the internal gear, counted as positive.
+        module: module of the rack [m].
+        pressure_angle: pressure angle of the rack [rad].
+        external_shift: profile shift of the external gears, in modules; a positive one moves the teeth outwards [-].
+        internal_shift: profile shift of the internal gear, in modules; a positive one moves the teeth outwards [-].
+        external_addendum: addendum of the external gears from the shifted reference circle, in modules [-].
+        internal_addendum: addendum of the internal gear from the shifted reference circle, in modules [-].
+        centre_distance: centre distance of external and internal gear, the throw of the cranks [m].
+        input_speed: speed of the sun, or of the crank if there is no first stage [rad/s].
+        external_dedendum: dedendum of the external gears from the shifted reference circle, in modules [-].
+        internal_dedendum: dedendum of the internal gear from the shifted reference circle, in modules [-].
         gears: number of external gears.
-        pairs: candidates of each flank and gear; more than under the highest torque carry: `transmission_error` warns
-            where the outermost ones do.
-        profile_points, face_points: candidates of each pair along the profile and across the face.
-        sun_teeth, planet_teeth, first_stage_module: of the first stage; all or none of them.
-        first_stage_pressure_angle: [rad].
+        pairs: number of candidate pairs per flank and external gear. It must be larger than the number of pairs that
+            carry the highest torque; `transmission_error` warns if the outermost candidates carry.
+        profile_points: number of candidate contacts of each pair along the profile.
+        face_points: number of candidate contacts of each pair across the face.
+        sun_teeth: tooth number of the sun of the first stage; give all numbers of the first stage or none.
+        planet_teeth: tooth number of the planet wheels of the first stage; give all numbers of that stage or none.
+        first_stage_module: module of the first stage; give all numbers of that stage or none [m].
+        first_stage_pressure_angle: pressure angle of the rack of the first stage [rad].
 
     Raises:
         ParameterError: a value is not physical, or the gears do not fit into each other.
@@ -132,7 +145,7 @@ class InvoluteRV(AbstractSystem):
 
     @property
     def pair(self) -> InternalPair:
-        """The gears in each other."""
+        """The external gear in the internal gear."""
         shared = self.module, self.pressure_angle
         external = InvoluteGear(
             self.external_teeth, *shared, self.external_shift, self.external_addendum, self.external_dedendum
@@ -149,8 +162,8 @@ class InvoluteRV(AbstractSystem):
 
     @property
     def ratio(self) -> Fraction:
-        """Turns of the input per turn of the output: ``1 + (z_p / z_s) z_2 / (z_2 - z_1)`` with a first stage, else
-        ``z_1 / (z_2 - z_1)``."""
+        """Turns of the input per turn of the output: ``1 + (z_p / z_s) z_2 / (z_2 - z_1)`` with a first stage,
+        ``z_1 / (z_2 - z_1)`` without one."""
         first, difference = self._first_stage, self.internal_teeth - self.external_teeth
         if first is None:
             return Fraction(self.external_teeth, difference)
@@ -167,7 +180,7 @@ class InvoluteRV(AbstractSystem):
 
     @property
     def orbits(self) -> Mapping[str, Orbit]:
-        # the output turns against the crank, which turns back with it
+        # the output turns against the crank; with a first stage the crank turns along with the output
         return dict.fromkeys(self.coordinates, Orbit(self.orders["crank"], self.centre_distance, -self.with_output))
 
     @property
@@ -176,12 +189,12 @@ class InvoluteRV(AbstractSystem):
         orders = {
             "output": 1 / self.ratio,
             "crank": crank,
-            "gear": crank * Fraction(self.internal_teeth, self.external_teeth),  # seen from the throw
-            "tooth": crank * self.internal_teeth,  # next to "mesh": steps and samples resolve all orders but that one
+            "gear": crank * Fraction(self.internal_teeth, self.external_teeth),  # relative to the throw
+            "tooth": crank * self.internal_teeth,  # as "mesh", because steps and samples resolve all orders but "mesh"
             "mesh": crank * self.internal_teeth,
         }
         if self._first_stage is not None:
-            orders |= {"sun": 1 - 1 / self.ratio, "planet": (crank + 1 / self.ratio)}  # seen from the output
+            orders |= {"sun": 1 - 1 / self.ratio, "planet": (crank + 1 / self.ratio)}  # relative to the output
         return orders
 
     @property
@@ -201,7 +214,8 @@ class InvoluteRV(AbstractSystem):
 
     @property
     def with_output(self) -> Scalar:
-        """Turn of the cranks per turn of the output while the input is held, ``1 + z_s / z_p`` with a first stage."""
+        """Turns of the cranks per turn of the output while the input is held: ``1 + z_s / z_p``, 0 without a first
+        stage."""
         first = self._first_stage
         return jnp.asarray(0.0 if first is None else first.with_output, self.module.dtype)
 
@@ -214,7 +228,7 @@ class InvoluteRV(AbstractSystem):
         side = jnp.asarray(np.repeat(sides, self.gears), theta.dtype)[:, None]
         crank = (self.orders["crank"] * theta + jnp.asarray(self._throws(len(sides)), theta.dtype))[:, None]
         middle = pair.space_of_roll(pair.middle)
-        # the window's middle in spaces of the ring, and the pairs in it, each its own tooth of every ``pairs``
+        # middle of the range of candidates, counted in spaces of the ring, and the tooth that each candidate represents
         spaces = (side * middle + crank) * (self.internal_teeth / (2 * math.pi))
         slots = jnp.arange(self.pairs, dtype=theta.dtype)[None]
         tooth = slots + self.pairs * jnp.round((spaces - slots) / self.pairs)
@@ -228,7 +242,7 @@ class InvoluteRV(AbstractSystem):
         )
         beyond = candidate_rolls(begin.ravel(), end.ravel(), self.profile_points).reshape(*roll.shape, -1)
         points = pair.points(jnp.broadcast_to(roll[..., None], beyond.shape), beyond)
-        # along a flank, from one roll angle to another
+        # length of an involute between two roll angles
         shared = 0.5 * pair.base_radii[0] * jnp.maximum((roll + end) ** 2 - (roll + begin) ** 2, 0.0)
         first, second = (turn.towards(pair.line_of_action) for turn in points.beyond)
         share = pair.share(points)
@@ -246,15 +260,17 @@ class InvoluteRV(AbstractSystem):
             columns.append(self._own(body, at) * at.share * along)
         jacobian = jnp.stack([self._each(column) for column in columns], axis=1)
         gap = at.points.gap + jnp.where(at.side < 0, pair.backlash, 0.0)
-        # tips that part: no jump where flanks begin to face each other, which would ring in what is interpolated
+        # beyond the tips the gap grows steadily: a jump would make an interpolation of the gaps ring
         gap = self._each(jnp.where(at.apart[..., None] > 0, jnp.maximum(gap, 0.0) + at.apart[..., None], gap))
         views = {body: self._view(body, theta, at) for body in request.bodies}
         mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
         return Pose(theta, jacobian, gap, views, mesh, places=self._places(at) if request.places else None)
 
     def outermost(self, theta: Scalar, request: Request) -> Bool[Array, " contact"] | None:
-        """Points of the first and the last candidate pair of each flank; ``None`` of all pairs, and of a single one,
-        which is a choice."""
+        """Points of the first and the last candidate pair of each flank; ``None`` if all pairs are modelled, or one.
+
+        A single candidate pair is a deliberate choice of the user, which needs no warning.
+        """
         if self.pairs == 1 or self.pairs >= self.external_teeth:
             return None
         tooth = self.candidates(theta, request.back).tooth
@@ -262,18 +278,18 @@ class InvoluteRV(AbstractSystem):
         return jnp.repeat(ends.ravel(), self.profile_points * self.face_points)
 
     def _each(self, of_points: Array) -> Array:
-        """One value per contact, from one per point of the profile."""
+        """One value per contact from one value per point of the profile."""
         along = of_points.ravel()
         if self.face_points == 1:
             return along
         return jnp.broadcast_to(along[:, None], (along.size, self.face_points)).ravel()
 
     def _throws(self, sides: int) -> np.ndarray:
-        """Angle of the throw of each block's gear from that of the first [rad]."""
+        """Angle from the throw of the first gear to the throw of the gear of each block [rad]."""
         return np.tile(2 * np.pi * np.arange(self.gears) / self.gears, sides)
 
     def _own(self, body: str, at: Candidates) -> Float[Array, "block one one"]:
-        """One in the blocks of an external gear, zero in those of the others."""
+        """One in the blocks of an external gear, zero in the blocks of the other gears."""
         blocks = np.arange(at.tooth.shape[0]) % self.gears == int(body.removeprefix("gear_")) - 1
         return jnp.asarray(blocks, at.side.dtype)[:, None, None]
 
@@ -281,11 +297,11 @@ class InvoluteRV(AbstractSystem):
         pair = at.pair
         radii = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
         face = jnp.linspace(-0.5, 0.5, self.face_points) if self.face_points > 1 else jnp.zeros(1)
-        tooth = at.side[..., 0] * at.tooth.astype(at.side.dtype)  # of back flanks as their mirror image
+        tooth = at.side[..., 0] * at.tooth.astype(at.side.dtype)  # back flanks are given as their mirror image
         return Places((pair.external, pair.internal), radii, tooth, at.shared, face.astype(tooth.dtype))
 
     def _view(self, body: str, theta: Scalar, at: Candidates) -> BodyView:
-        """How a displacement fixed on a body is seen from the normals."""
+        """View of a displacement fixed on a body, from the normals of the flanks."""
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
         pair, still, share = at.pair, jnp.zeros_like(theta), at.share
@@ -300,7 +316,7 @@ class InvoluteRV(AbstractSystem):
         if body == "ring":
             of_teeth = self._teeth(pair.internal, at, at.points.roll[1], share)
             return self._seen(-crank, 1.0, at, 1, at.side * share, **of_teeth)
-        # its flanks move beside its centre: it is the normals of these that count
+        # the flanks of an external gear move with its centre, so that the normals of these flanks count
         seen = jnp.broadcast_to(-self._own(body, at), share.shape)
         of_teeth = self._teeth(pair.external, at, at.points.roll[0], seen)
         turns = self.internal_teeth / self.external_teeth
@@ -309,13 +325,15 @@ class InvoluteRV(AbstractSystem):
     def _seen(
         self, turn: Scalar, turns: float, at: Candidates, number: int, influence: Array, **of_teeth: Any
     ) -> BodyView:
-        """A displacement at the angle p from the throw has the part sin(towards + p) along a driving normal, and
-        sin(towards - p) along a back one: side * sin(side * towards + p).
+        """View of a displacement fixed on a body.
+
+        A displacement at the angle p from the throw has the component sin(towards + p) along a driving normal and
+        sin(towards - p) along a back normal: side * sin(side * towards + p).
 
         Args:
-            turn: of the body, seen from the throw of the first gear [rad].
-            turns: of the body back per turn from one gear's throw to another's.
-            number: whose normals count, 0 for the external gear's, 1 for the internal one's.
+            turn: angle of the body relative to the throw of the first gear [rad].
+            turns: turns of the body, backwards, per turn from the throw of one gear to the throw of another.
+            number: gear whose normals count, 0 for the external and 1 for the internal gear.
         """
         sine, cosine = at.normals[number]
         towards = at.pair.operating_pressure_angle + at.points.beyond[number].angle
@@ -328,7 +346,7 @@ class InvoluteRV(AbstractSystem):
         return BodyView(turn, place, influence, of_place=(sine, cosine), **of_teeth)
 
     def _teeth(self, gear: InvoluteGear, at: Candidates, roll: Array, seen: Array) -> dict[str, Any]:
-        """How single teeth of a gear are seen: their radius stands at the pressure angle from the flank."""
+        """Views of single teeth of a gear; the radius of a tooth is at the pressure angle from its flank."""
         tooth = jnp.broadcast_to(jnp.mod(at.tooth, gear.teeth)[..., None], roll.shape)
         place, cosine = tooth.astype(roll.dtype) * (2 * math.pi / gear.teeth), 1 / jnp.sqrt(1 + roll * roll)
         outward, around = seen * roll * cosine, at.side * seen * cosine
@@ -339,9 +357,9 @@ class InvoluteRV(AbstractSystem):
         return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length)}
 
 
-@functools.cache  # by analyses too, each time that they are called
+@functools.cache  # analyses ask for the layout at each call
 def _layout(gears: int, pairs: int, profile_points: int, face_points: int, back: bool) -> Layout:
-    """Every flank of a pair is a pair of its own: driving and back flanks of a gear touch on different teeth."""
+    """Layout in which every flank is a pair of its own: driving and back flanks of a gear touch on different teeth."""
     sides, points = (1, -1) if back else (1,), profile_points * face_points
     side = tuple(side for side in sides for _ in range(gears * pairs * points))
     pair = tuple(pair for pair in range(len(sides) * gears * pairs) for _ in range(points))

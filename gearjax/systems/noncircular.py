@@ -1,4 +1,4 @@
-"""Non-circular gears on parallel axes: elliptic ones (Dong et al. 2020), and any whose ratio is given by a table."""
+"""Non-circular gears on parallel axes: elliptic gears (Dong et al. 2020), and gears with a tabulated ratio."""
 
 import abc
 import dataclasses
@@ -22,23 +22,25 @@ from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
 
 DRIVER, DRIVEN = "driver", "driven"
-CURVE = 8.0  # turns for each lobe, of what pitch curves and errors make together
-CLOSES = 1e-4  # of the perimeter, which rounded numbers explain
-SCALES = 1e-3  # of the ratio
-KINKED = 0.8  # of the largest second difference of a table, by which it may change from one value to the next
-BENT = 0.1  # of the largest value per radian, by which a slope must change for a corner: rounded values have less
-FEWEST = 8  # values of a table
+CURVE = 8.0  # cycles per lobe, up to which pitch curves and errors together have noticeable harmonics
+CLOSES = 1e-4  # relative error of the perimeter that rounded numbers may cause
+SCALES = 1e-3  # relative error of the mean ratio that is scaled away
+KINKED = 0.8  # share of the largest second difference by which one may deviate from the mean of its two neighbours
+BENT = 0.1  # smallest change of slope that counts as a corner, in largest values per radian: rounding makes less
+FEWEST = 8  # fewest values of a table
 
 
 class AbstractNoncircularPair(AbstractSystem):
-    """What non-circular gears have in common, whatever makes their pitch curves.
+    """Common base of all pairs of non-circular gears, independent of the shape of their pitch curves.
 
-    One pair of flanks drives and one is behind it: flanks of a side are parallel curves, so that all teeth have the
-    same gap (`gearjax.geometry.noncircular`). Levers and pressure angles follow the input angle.
+    One contact represents all driving flanks and a second one all back flanks. The flanks of one side are parallel
+    curves, so that all teeth have the same gap (`gearjax.geometry.noncircular`). Levers and pressure angles change with
+    the input angle.
 
-    Bodies: ``driver``, whose phase is counted from the line of the axes, towards the driven gear, and ``driven``, from
-    the same line away from the driver; both the way that the gear turns. Supports: x along that line, from the driver
-    to the driven gear, y ahead.
+    Bodies: ``driver`` and ``driven``. The phase of the driver is counted from the line of the axes, in the direction
+    towards the driven gear; the phase of the driven gear from the same line, in the direction away from the driver.
+    Both phases are positive in the sense in which the gear turns. Supports: x points along that line from the driver
+    to the driven gear, y in the direction in which the teeth move at the mesh.
     """
 
     teeth: eqx.AbstractVar[int]
@@ -54,13 +56,13 @@ class AbstractNoncircularPair(AbstractSystem):
     @property
     @abc.abstractmethod
     def ratio_function(self) -> AbstractRatio:
-        """How the driven gear turns as its driver does."""
+        """Angle of the driven gear as a function of the driver's angle."""
 
     def _check(self) -> None:
-        """Refuse gears that do not close, mesh or last.
+        """Refuse gears whose pitch curves do not close, or that do not mesh.
 
         Raises:
-            ParameterError: naming what would be right.
+            ParameterError: a value is wrong; the message names values that would be right.
         """
         check_parameters(self)
         driven = self.teeth * self.driven_lobes
@@ -71,13 +73,13 @@ class AbstractNoncircularPair(AbstractSystem):
         shape = self.ratio_function, self.module, self.pressure_angle, self.addendum, self.centre_distance
         if not is_concrete(shape):
             return
-        with jax.ensure_compile_time_eval():  # while something else is traced
+        with jax.ensure_compile_time_eval():  # the check needs numbers even inside a traced function
             self._check_closure()
             for key, shown, words in faults(_ready(self), float(self.module), float(self.addendum)):
                 raise ParameterError(key, shown, words)
 
     def _check_closure(self) -> None:
-        """Refuse pitch curves that are not as long as their teeth."""
+        """Refuse pitch curves whose length is not the sum of the pitches of their teeth."""
         if self.centre_distance is None:
             return
         right, given = float(_closing(self)), float(self.centre_distance)
@@ -190,11 +192,11 @@ class AbstractNoncircularPair(AbstractSystem):
         nothing = jnp.zeros_like(side)
         still = Moved(nothing, nothing, nothing, nothing)
         driver, driven = moved.get(DRIVER, still), moved.get(DRIVEN, still)
-        sine, cosine = jnp.sin(position), jnp.cos(position)  # the driven gear takes its own centre along
+        sine, cosine = jnp.sin(position), jnp.cos(position)  # the eccentric centre of the driven gear turns with it
         x, y = driven.x * cosine + driven.y * sine, driven.y * cosine - driven.x * sine
         if self.centre_distance_error is not None:
             x = x + self.centre_distance_error
-        # it turns clockwise, from x to -y
+        # the driven gear turns clockwise, from x to -y
         carried = driven.y * cosine - driven.x * sine, -driven.x * cosine - driven.y * sine
         centres = (driver.x, driver.y), (x, y)
         placed = Placed(theta, self.output(theta) + position, centres, carried)
@@ -202,7 +204,7 @@ class AbstractNoncircularPair(AbstractSystem):
         return gaps + driver.gap + driven.gap, rates
 
 
-@eqx.filter_jit  # one program: single operations would each be compiled apart
+@eqx.filter_jit  # compiled as one program; without it, every single operation would be compiled separately
 def _ready(system: AbstractNoncircularPair) -> PitchCurves:
     return system.curves
 
@@ -213,30 +215,31 @@ def _closing(system: AbstractNoncircularPair) -> Scalar:
 
 
 class EllipticPair(AbstractNoncircularPair):
-    """Two elliptic gears that turn about a focus each (Dong et al. 2020, eqs. 1 and 8), or gears of several lobes.
+    """Two elliptic gears, each turning about a focus (Dong et al. 2020, eqs. 1 and 8), or gears with several lobes.
 
-    The driver's pitch curve is ``r1 = p / (1 - e cos(n t))``: an ellipse about a focus with one lobe, an oval with two.
-    Both gears are alike where they have as many lobes. At input angle zero the driver's largest radius points at the
-    driven gear.
+    The pitch curve of the driver is ``r1 = p / (1 - e cos(n t))``: with one lobe an ellipse about a focus, with two
+    lobes an oval. Both gears are alike if they have the same number of lobes. At input angle zero the largest radius of
+    the driver points at the driven gear.
 
     Args:
-        teeth: of the driver; the driven gear has ``teeth * driven_lobes / driver_lobes``.
-        module: of the rack that cuts them [m].
-        eccentricity: e of the driver's pitch curve [-]; not an error.
-        pressure_angle: of the rack, alpha0 [rad].
-        input_speed: of the driver [rad/s].
-        driver_lobes, driven_lobes: of both pitch curves.
-        centre_distance: of the axes, without errors; ``None`` for the one with which the driver's pitch curve is
-            ``pi m z`` long [m].
-        centre_distance_error: by how much the axes are further apart than the pitch curves need [m].
-        addendum: height of the teeth above the pitch curves, in modules.
-        clearance: ``"linear"``, gaps and levers to first order in the errors, or ``"exact"``, by the common normals of
-            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um. In motion the exact one is
-            that about the output's ideal position.
+        teeth: tooth number of the driver; the driven gear has ``teeth * driven_lobes / driver_lobes`` teeth.
+        module: module of the rack that cuts the gears [m].
+        eccentricity: eccentricity e of the driver's pitch curve, which is a shape and not an error [-].
+        pressure_angle: pressure angle alpha0 of the rack [rad].
+        input_speed: speed of the driver [rad/s].
+        driver_lobes: number of lobes of the driver's pitch curve.
+        driven_lobes: number of lobes of the driven gear's pitch curve.
+        centre_distance: distance of the axes without errors [m]; ``None`` for the distance at which the driver's pitch
+            curve is ``pi m z`` long.
+        centre_distance_error: actual distance of the axes minus the distance that the pitch curves need [m].
+        addendum: height of the teeth above the pitch curves, in modules [-].
+        clearance: how gaps and levers are calculated. ``"linear"`` is to first order in the errors. ``"exact"`` uses
+            the common normals of the displaced gears; the first order differs from it by up to 0.2 % at run-outs of
+            50 um. In motion, ``"exact"`` holds at the ideal position of the output.
 
     Raises:
-        ParameterError: a value is not physical, pitch curves do not close (with the numbers that would close them), or
-            gears lock themselves, are undercut or pointed, or lose contact.
+        ParameterError: a value is not physical; the pitch curves do not close (the message gives numbers that close
+            them); or the gears lock themselves, are undercut or pointed, or lose contact.
     """
 
     kind: ClassVar[str] = "elliptic_pair"
@@ -264,27 +267,29 @@ class EllipticPair(AbstractNoncircularPair):
 
 
 class NoncircularPair(AbstractNoncircularPair):
-    """Two non-circular gears whose ratio is given by a table: a periodic spline of fifth degree.
+    """Two non-circular gears whose ratio is given by a table, through which a periodic spline of fifth degree is laid.
 
     Args:
-        teeth: of the driver; the driven gear has ``teeth * driven_lobes / driver_lobes``.
-        module: of the rack that cuts them [m].
-        ratio: turn of the driven gear per turn of the driver at even steps of the driver's angle over one lobe, the
-            first at input angle zero, shape (value,) [-]. The mean must be ``driver_lobes / driven_lobes``, so that the
-            driven gear's pitch curve closes; rounding up to 0.1 % is scaled away.
-        pressure_angle: of the rack, alpha0 [rad].
-        input_speed: of the driver [rad/s].
-        driver_lobes, driven_lobes: of both pitch curves.
-        centre_distance: of the axes, without errors; ``None`` for the one with which the driver's pitch curve is
-            ``pi m z`` long [m].
-        centre_distance_error: by how much the axes are further apart than the pitch curves need [m].
-        addendum: height of the teeth above the pitch curves, in modules.
-        clearance: ``"linear"``, gaps and levers to first order in the errors, or ``"exact"``, by the common normals of
-            the displaced gears: first order is within 0.2 % of it at run-outs of 50 um. In motion the exact one is
-            that about the output's ideal position.
+        teeth: tooth number of the driver; the driven gear has ``teeth * driven_lobes / driver_lobes`` teeth.
+        module: module of the rack that cuts the gears [m].
+        ratio: ratio ``dt2/dt`` of the driven gear's speed to the driver's speed, at even steps of the driver's angle
+            over one lobe, the first at input angle zero, shape (value,) [-]. The mean must be
+            ``driver_lobes / driven_lobes``, so that the driven gear's pitch curve closes; a deviation of the mean up to
+            0.1 % is taken as rounding and scaled away.
+        pressure_angle: pressure angle alpha0 of the rack [rad].
+        input_speed: speed of the driver [rad/s].
+        driver_lobes: number of lobes of the driver's pitch curve.
+        driven_lobes: number of lobes of the driven gear's pitch curve.
+        centre_distance: distance of the axes without errors [m]; ``None`` for the distance at which the driver's pitch
+            curve is ``pi m z`` long.
+        centre_distance_error: actual distance of the axes minus the distance that the pitch curves need [m].
+        addendum: height of the teeth above the pitch curves, in modules [-].
+        clearance: how gaps and levers are calculated. ``"linear"`` is to first order in the errors. ``"exact"`` uses
+            the common normals of the displaced gears; the first order differs from it by up to 0.2 % at run-outs of
+            50 um. In motion, ``"exact"`` holds at the ideal position of the output.
 
     Raises:
-        ParameterError: as of an `EllipticPair`; or the table is too short, has a corner, or pitch curves stay open.
+        ParameterError: as for `EllipticPair`; or the table is too short or has a corner, or a pitch curve stays open.
     """
 
     kind: ClassVar[str] = "noncircular_pair"
@@ -318,7 +323,7 @@ class NoncircularPair(AbstractNoncircularPair):
 
 
 def _check_table(values: np.ndarray, driver_lobes: int, driven_lobes: int) -> None:
-    """Refuse a ratio whose pitch curves stay open, or that has a corner or jump."""
+    """Refuse a table of ratios whose pitch curves stay open, or that has a corner or a jump."""
     right = driver_lobes / driven_lobes
     scale = right / float(values.mean())
     if abs(scale - 1) > SCALES:

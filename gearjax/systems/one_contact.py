@@ -1,4 +1,4 @@
-"""A gear set whose contacts are one: what `gearjax.one_contact` makes of the loaded analysis of another."""
+"""A gear set with a single contact, which `gearjax.one_contact` makes from the loaded analysis of another gear set."""
 
 import math
 from collections.abc import Mapping
@@ -16,17 +16,17 @@ from gearjax.typing import Array, Scalar
 
 
 class OneContact(AbstractSystem):
-    """One driving flank, and one back flank where asked for, whose gaps run in waves of the input angle.
+    """One driving flank, and one back flank if requested, whose gaps are Fourier series of the input angle.
 
-    It has no bodies: the errors of the gear set that it stands for are in its gaps.
+    It has no bodies: its gaps contain the errors of the gear set that it represents.
 
     Args:
-        input_speed: [rad/s].
-        lever: of both flanks [m].
-        gaps: of the driving flank, and of the back flank where there is one [m]; of the angle that goes round once in
-            each period.
-        period: input angle after which they repeat [rad].
-        names: orders of the gear set that it stands for, per turn of the input.
+        input_speed: speed of the input [rad/s].
+        lever: lever of both flanks [m].
+        gaps: gap of the driving flank, and gap of the back flank if there is one [m], as series in an angle that turns
+            once in each period.
+        period: input angle after which the gaps repeat [rad].
+        names: orders of the gear set that it represents, in cycles per turn of the input.
     """
 
     kind: ClassVar[str] = "one_contact"

@@ -1,4 +1,4 @@
-"""RV (cycloidal) reducer, its pin stage and optionally its involute first stage (Hu, Li, Zhu, Cui 2020)."""
+"""RV (cycloidal) reducer: its pin stage, and optionally its involute first stage (Hu, Li, Zhu, Cui 2020)."""
 
 import dataclasses
 import math
@@ -23,40 +23,44 @@ from gearjax.typing import Array, Float, Number, Scalar
 
 
 class RVCycloidal(AbstractSystem):
-    """Cycloidal discs that roll in a fixed ring of pins and turn the output, one tooth fewer than pins.
+    """Cycloidal discs that roll in a fixed ring of pins and turn the output; each disc has one tooth fewer than pins.
 
-    Every pin is a candidate contact of every disc, ``J = r_c L`` with the lever of Hu et al. (2020), eq. 36; its sign
-    tells which flank touches. The disc turns against the crank, so that pins ahead of the throw (L < 0) carry a load
-    that resists the output, and pins behind it the reverse. Discs sit evenly around the crank: disc i is where disc 1
-    is ``(i - 1) / discs`` of a turn of the crank later.
+    Every pin is a candidate contact of every disc. Its lever is ``J = r_c L`` with L of Hu et al. (2020), eq. 36; the
+    sign of L states which flank touches. The disc turns against the crank. Pins ahead of the throw (L < 0) therefore
+    carry a load that resists the output, and pins behind the throw carry a load that drives it. The discs are spaced
+    evenly around the crank: disc i is where disc 1 will be ``(i - 1) / discs`` of a turn of the crank later.
 
-    With a first stage the input is its sun, which turns the cranks through planet wheels on the output; without, the
-    input is the crank. While the sun is held the cranks turn with the output, by ``1 + z_1 / z_2`` of its turn, so that
-    a contact then has the lever ``J = a (z_p + z_1 / z_2) L``.
+    With a first stage, the input is its sun, which turns the cranks through planet wheels on the output. Without a
+    first stage, the input is the crank. While the sun is held, the cranks turn by ``1 + z_1 / z_2`` per turn of the
+    output, so that a contact has the lever ``J = a (z_p + z_1 / z_2) L``.
 
-    Bodies: ``disc_1``, ``disc_2``, ...: run-out turns with the disc, phase counted from the throw while the throw
-    points at the first pin. ``throw``: of all cranks, phase 0 along the throw, which it lengthens.
-    ``pin_ring``: fixed, phase counted from the first pin. ``sun``, ``planet``: of the first stage, counted from its
-    line of action; a run-out whose sine is positive turns the cranks ahead.
+    Bodies: ``disc_1``, ``disc_2``, ...: the run-out turns with the disc; its phase is counted from the throw while the
+    throw points at the first pin. ``throw``: error of the throw of all cranks; phase 0 lengthens the throw.
+    ``pin_ring``: fixed; its phase is counted from the first pin. ``sun``, ``planet``: gears of the first stage; the
+    phase is counted from the line of action of that stage, and a run-out whose sine is positive turns the cranks ahead.
 
-    A disc may have a support on its cranks: x along the throw, y across it, ahead.
+    A disc may have a support on its cranks. Its x points along the throw. Its y points across the throw, in the
+    direction in which the crank turns.
 
     Args:
         pins: number of pins.
         pin_circle: radius of the circle of pin centres, r_p [m].
         pin_radius: radius of a pin, r_rp [m].
         eccentricity: throw of the cranks, a [m].
-        isometric_modification: of the profile, positive removes material [m].
-        shifting_modification: of the pin circle that the profile is generated from [m].
-        input_speed: of the sun, or of the crank without a first stage [rad/s].
+        isometric_modification: isometric (equidistant) modification of the profile; positive removes material [m].
+        shifting_modification: change of the radius of the pin circle that the profile is generated from [m].
+        input_speed: speed of the sun, or of the crank if there is no first stage [rad/s].
         discs: number of discs.
-        thickness_modification: material removed from both flanks along the pin circle, or ``None`` [m]: its gap is
-            ``K modification |L| / 2``, a reading of the paper's modification of the cumulative error.
-        clearance: ``"linear"``, gaps and levers to first order in modification and errors, or ``"exact"``, by the foot
-            of the normal of each displaced pin on its displaced and turned disc. First order is good for positions of
-            the output (some 0.01 arcmin at errors of some um) and moves single pin forces by 3 to 20 % of the largest.
-        sun_teeth, planet_teeth, first_stage_module: of the first stage; all or none of them.
-        first_stage_pressure_angle: [rad].
+        thickness_modification: material removed from both flanks along the pin circle, or ``None`` [m]. It opens the
+            gaps by ``K modification |L| / 2``, an interpretation of the paper's modification of the cumulative error.
+        clearance: how gaps and levers are calculated. ``"linear"`` is to first order in modification and errors.
+            ``"exact"`` uses the foot of the normal of each displaced pin on its displaced and turned disc. First order
+            is accurate for positions of the output (some 0.01 arcmin at errors of some um), but changes single pin
+            forces by 3 to 18 % of the largest force.
+        sun_teeth: tooth number of the sun of the first stage; give all numbers of the first stage or none.
+        planet_teeth: tooth number of the planet wheels of the first stage; give all numbers of that stage or none.
+        first_stage_module: module of the first stage; give all numbers of that stage or none [m].
+        first_stage_pressure_angle: pressure angle of the rack of the first stage [rad].
 
     Raises:
         ParameterError: a value is not physical, or the profile would be undercut.
@@ -105,7 +109,7 @@ class RVCycloidal(AbstractSystem):
 
     @property
     def profile(self) -> Cycloid:
-        """Profile of the discs, and the pins."""
+        """Profile of the discs, with the pins."""
         return Cycloid(
             self.pins,
             self.pin_circle,
@@ -117,7 +121,7 @@ class RVCycloidal(AbstractSystem):
 
     @property
     def ratio(self) -> Fraction:
-        """Turns of the input per turn of the output: ``1 + z_2 z_p / z_1`` with a first stage, else ``z_c``."""
+        """Turns of the input per turn of the output: ``1 + z_2 z_p / z_1`` with a first stage, ``z_c`` without one."""
         first = self._first_stage
         return Fraction(self.pins - 1) if first is None else first.ratio(Fraction(self.pins))
 
@@ -142,16 +146,16 @@ class RVCycloidal(AbstractSystem):
 
     @property
     def orbits(self) -> Mapping[str, Orbit]:
-        # the output turns against the crank, which turns back with it
+        # the output turns against the crank; with a first stage the crank turns along with the output
         return dict.fromkeys(self.coordinates, Orbit(self.orders["crank"], self.eccentricity, -self.with_output))
 
     @property
     def orders(self) -> Mapping[str, float]:
         crank = (self.pins - 1) / self.ratio
-        # "pin" next to "mesh": steps and blocks resolve the fastest of all orders but the mesh
+        # "pin" repeats the order of "mesh", because steps and blocks resolve the fastest order except the mesh
         orders = {"output": 1 / self.ratio, "crank": crank, "pin": crank * self.pins, "mesh": crank * self.pins}
         if self.sun_teeth is not None:
-            orders |= {"sun": 1 - 1 / self.ratio, "planet": self.pins / self.ratio}  # seen from the output
+            orders |= {"sun": 1 - 1 / self.ratio, "planet": self.pins / self.ratio}  # relative to the output
         return {name: float(order) for name, order in orders.items()}
 
     def choices(self) -> Mapping[str, AbstractSystem]:
@@ -186,11 +190,13 @@ class RVCycloidal(AbstractSystem):
         return (self._crank(theta)[:, None] - self._pins(theta.dtype)[None, :]).ravel()
 
     def _each(self, per_disc: Float[Array, " disc"]) -> Float[Array, " contact"]:
+        """One value per contact from one value per disc."""
         return jnp.repeat(per_disc, self.pins, total_repeat_length=self.discs * self.pins)
 
     @property
     def with_output(self) -> Scalar:
-        """Turn of the cranks per turn of the output while the input is held, ``1 + z_1 / z_2`` with a first stage."""
+        """Turns of the cranks per turn of the output while the input is held: ``1 + z_1 / z_2``, 0 without a first
+        stage."""
         first = self._first_stage
         return jnp.asarray(0.0 if first is None else first.with_output, self.eccentricity.dtype)
 
@@ -224,17 +230,17 @@ class RVCycloidal(AbstractSystem):
         return Pose(theta, jacobian, self._thinned(gap(profile, angles), at), views, mesh, radii)
 
     def _thinned(self, open_by: Array, at: Touch) -> Array:
-        """Gaps with that of the thickness modification [m]."""
+        """Gaps including the gap of the thickness modification [m]."""
         if self.thickness_modification is None:
             return open_by
         return open_by + 0.5 * self.profile.short_width * self.thickness_modification * jnp.abs(at.lever)
 
     def movements(self, body: str, theta: Scalar, request: Request) -> Movements:
-        del request  # pins touch both flanks
+        del request  # every pin may touch both flanks, so that no back flanks are requested
         self._check_body(body)
         nothing = jnp.zeros((self.discs * self.pins,), theta.dtype)
         ones, still, quarter = nothing + 1, jnp.zeros_like(theta), nothing + 0.5 * math.pi
-        if body == "throw":  # along the throw and across it
+        if body == "throw":  # x is along the throw, y across it
             return Movements(x=BodyView(still, quarter, ones), y=BodyView(still, nothing, ones))
         if body in ("sun", "planet"):
             return Movements(turn=BodyView(self.orders[body] * theta, nothing, ones / self._planet_radius))
@@ -260,7 +266,7 @@ class RVCycloidal(AbstractSystem):
         return jax.jvp(gaps, (position,), (jnp.ones_like(position),))
 
     def _gaps_at(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
-        """Gaps of displaced bodies."""
+        """Gaps of displaced bodies, shape (contact,) [m]."""
         nothing = jnp.zeros((self.discs * self.pins,), theta.dtype)
         still = Moved(nothing, nothing, nothing, nothing)
         ring, throw = moved.get("pin_ring", still), moved.get("throw", still)
@@ -276,7 +282,7 @@ class RVCycloidal(AbstractSystem):
         off = _rotated(disc.x, disc.y, disc_turn)
         x = self.pin_circle * jnp.cos(pins) + ring.x - centre[0] - off[0]
         y = self.pin_circle * jnp.sin(pins) + ring.y - centre[1] - off[1]
-        # as the first pin's tooth is seen, where the trochoid begins
+        # turn each pin to the tooth of the first pin, where the trochoid begins
         seen = _rotated(x, y, -disc_turn - disc.turn - pins * (self.pins / self.profile.teeth))
         open_by = pin_distance(self.profile, seen, self._angles(theta)) + self.isometric_modification
         open_by = self._thinned(open_by, touch(self.profile.short_width, self._angles(theta)))
@@ -288,7 +294,7 @@ class RVCycloidal(AbstractSystem):
         return -self._share(body, at.lever.dtype) * (at.along_throw if direction == "x" else at.lever)
 
     def _view(self, body: str, theta: Scalar, at: Touch) -> BodyView:
-        """How a displacement fixed on a body is seen from the lines of action."""
+        """View of a displacement fixed on a body, from the lines of action."""
         self._check_body(body)
         profile = self.profile
         direction = jnp.arctan2(at.along_throw, at.lever)  # sine and cosine of the normal, seen from the throw
@@ -300,7 +306,8 @@ class RVCycloidal(AbstractSystem):
             rim = Rim(jnp.tile(self._pins(theta.dtype), self.discs), at.outward, -short * at.lever, self.pins)
             return BodyView(still, direction - self._each(self._crank(theta)), -ones, rim)
         if body in ("sun", "planet"):
-            influence = profile.throw * at.lever / self._planet_radius  # a crank ahead opens the gaps behind the throw
+            # a crank that is turned ahead opens the gaps behind the throw
+            influence = profile.throw * at.lever / self._planet_radius
             return BodyView(self.orders[body] * theta, jnp.zeros_like(direction), influence)
         share, place, crank = self._share(body, theta.dtype), self._place_on_disc(theta), self._each(self._crank(theta))
         rim = Rim(place, -share * at.outward, share * short * profile.teeth / self.pins * at.lever, None)
@@ -319,7 +326,7 @@ class RVCycloidal(AbstractSystem):
         return first.planet_radius
 
     def _share(self, body: str, dtype: jnp.dtype) -> Float[Array, " contact"]:
-        """One at the contacts of a disc, zero at those of the others."""
+        """One at the contacts of a disc, zero at the contacts of the other discs."""
         own = np.arange(self.discs) == int(body.removeprefix("disc_")) - 1
         return jnp.asarray(np.repeat(own, self.pins), dtype)
 

@@ -20,27 +20,31 @@ from gearjax.typing import Array, Float, Number, Scalar
 class TwoKV(AbstractSystem):
     """2K-V reducer: an external first stage on the carrier, then planet wheels that roll in a fixed ring.
 
-    Pair i is planet wheel i in the ring, its line of action turning with the crank. Planet wheels sit evenly
-    around the crank: pair i sees the eccentricities of the revolution and of the output wheel
-    ``(i - 1) / planets`` of a turn later than pair 1 does; the phase of a planet wheel is counted from its own line.
-    At input angle zero the angle of every body, to which its phase adds, is minus the working pressure angle as the
-    driving flank of pair 1 sees it, plus that as its back flank does.
-    Seen from the line, planet wheels and revolution turn ``z_r / (z_r - z_p)`` times per turn of the output and
-    the output wheel ``z_p / (z_r - z_p)`` times (26 and 25 for 50 and 52 teeth; Wang et al. 2020, eqs. 1-4).
+    Pair i is planet wheel i in the ring; its line of action turns with the crank. The planet wheels are spaced evenly
+    around the crank. The eccentricities of the revolution and of the output wheel therefore act on pair i
+    ``(i - 1) / planets`` of a turn later than on pair 1. The phase of a planet wheel is counted from its own line of
+    action. The phase of an error adds to the angle of its body. At input angle zero this angle is minus the working
+    pressure angle at the driving flank of pair 1, and plus the working pressure angle at its back flank.
 
-    A planet wheel may have a support on its crank: x along the throw, towards the mesh, y across it, ahead.
+    Relative to the line of action, planet wheels and revolution turn ``z_r / (z_r - z_p)`` times per turn of the output
+    and the output wheel ``z_p / (z_r - z_p)`` times (26 and 25 for 50 and 52 teeth; Wang et al. 2020, eqs. 1-4).
+
+    A planet wheel may have a support on its crank. Its x points along the throw, towards the mesh. Its y points across
+    the throw, in the direction in which the crank turns.
 
     Args:
-        sun_teeth, first_stage_planet_teeth: tooth numbers of the first stage.
-        planet_teeth, ring_teeth: tooth numbers of the second stage.
+        sun_teeth: tooth number of the sun.
+        first_stage_planet_teeth: tooth number of the planet wheels of the first stage.
+        planet_teeth: tooth number of the planet wheels of the second stage.
+        ring_teeth: tooth number of the ring.
         module: module of the second stage [m].
         cutting_pressure_angle: pressure angle of the rack [rad].
         working_pressure_angle: working pressure angle of the second stage [rad].
         input_speed: speed of the sun [rad/s].
-        te_radius: radius that turns a displacement along the line of action into an angle of the output [m], or a
-            word for it: ``"held_sun"``, as on a test bench whose input is held, ``r_b3 + (r_b3 - r_b2) z_1 / z_2`` with
-            the base radii r_b3 of the ring and r_b2 of the planet wheel; ``"planet"``, r_b2, as Wang et al. (2020)
-            mostly have it; ``"ring"``, r_b3, as their figure 13 has it. They differ by some 5 %.
+        te_radius: radius that turns a displacement along the line of action into an angle of the output [m], or the
+            name of a formula with the base radii r_b3 of the ring and r_b2 of the planet wheel. ``"held_sun"`` is
+            ``r_b3 + (r_b3 - r_b2) z_1 / z_2``, valid on a test bench whose input is held. ``"planet"`` is r_b2, as in
+            most of Wang et al. (2020). ``"ring"`` is r_b3, as in their figure 13. The three differ by some 5 %.
         planets: number of planet wheels.
 
     Raises:
@@ -91,7 +95,7 @@ class TwoKV(AbstractSystem):
         if not isinstance(self.te_radius, Named):
             return self.te_radius
         teeth = float(self.planet_teeth if self.te_radius.name == "planet" else self.ring_teeth)
-        if self.te_radius.name == "held_sun":  # the crank turns with the output, by 1 + z_1 / z_2 of its turn
+        if self.te_radius.name == "held_sun":  # the crank turns by 1 + z_1 / z_2 per turn of the output
             teeth += (self.ring_teeth - self.planet_teeth) * self.sun_teeth / self.first_stage_planet_teeth
         return base_radius(teeth, self.module, self.cutting_pressure_angle)
 
@@ -105,7 +109,7 @@ class TwoKV(AbstractSystem):
 
     @property
     def orbits(self) -> Mapping[str, Orbit]:
-        # a crank that turns back by some of the output's turn moves the planet wheel back: what the lever is longer by
+        # the lever is longer than the base radius because a crank that turns back with the output moves the planet back
         longer = self.radius - base_radius(self.planet_teeth, self.module, self.cutting_pressure_angle)
         follows = -longer / (self.centre_distance * jnp.cos(self.working_pressure_angle))
         orbit = Orbit(self.orders["crank"], self.centre_distance, follows)
@@ -144,7 +148,7 @@ class TwoKV(AbstractSystem):
         return Pose(theta, jacobian, jnp.zeros((len(layout.side),), jacobian.dtype), views, mesh)
 
     def _view(self, body: str, theta: Scalar, layout: Layout) -> BodyView:
-        """How a displacement fixed on a body is seen from the lines of action."""
+        """View of a displacement fixed on a body, from the lines of action."""
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
         order = self.orders["crank" if body == "output_wheel" else "planet"]
@@ -155,7 +159,8 @@ class TwoKV(AbstractSystem):
         else:
             behind, seen = planet * (2 * math.pi / self.planets), np.ones(len(side))
         place = jnp.asarray(-side, dtype) * self.working_pressure_angle - jnp.asarray(behind, dtype)
-        # by addition, from the sines of one number: XLA works sines of the places out again at every input angle
+        # by the addition theorem from the sine of one number: XLA would compute the sines of all places again at every
+        # input angle
         sine, cosine = jnp.sin(self.working_pressure_angle), jnp.cos(self.working_pressure_angle)
         ahead, across = jnp.asarray(np.cos(behind), dtype), jnp.asarray(np.sin(behind), dtype)
         flank = jnp.asarray(side, dtype)

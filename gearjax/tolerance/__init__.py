@@ -1,4 +1,4 @@
-"""Tolerance studies: populations of gear sets, their distributions, yields and sensitivities."""
+"""Tolerance studies: populations of gear sets, distributions of their numbers, yields and sensitivities."""
 
 from gearjax.tolerance.distributions import (
     AbstractDistribution,

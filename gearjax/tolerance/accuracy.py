@@ -1,4 +1,4 @@
-"""Accuracy of gears that were measured, by ISO 1328-1:2013: deviations of profile, helix, pitch and run-out."""
+"""Accuracy of measured gears by ISO 1328-1:2013: deviations of profile, helix and pitch, and run-out."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -20,16 +20,16 @@ from gearjax.tolerance.grades import (
 from gearjax.units import um
 
 GRADES = range(1, 12)
-EVEN = 1001  # places that a trace is evaluated at
-CLOSE = 1e-9  # of a limit, that rounding may take from it
+EVEN = 1001  # places at which a trace is evaluated
+CLOSE = 1e-9  # um by which rounding may take a deviation above its limit
 
 
 class GradedDeviation(NamedTuple):
     """A deviation of a gear by ISO 1328-1.
 
     Args:
-        value: the largest one of all teeth that were measured, of slopes with its sign [m].
-        grade: the finest grade that allows it, 1 to 11; ``None`` where even the coarsest does not.
+        value: largest deviation of all teeth that were measured, of slopes with its sign [m].
+        grade: the finest grade that allows the deviation, 1 to 11; ``None`` if even the coarsest does not.
     """
 
     value: float
@@ -37,33 +37,33 @@ class GradedDeviation(NamedTuple):
 
     @property
     def words(self) -> str:
-        """``grade 6``, ``beyond grade 11``."""
+        """The grade in words, such as ``grade 6`` or ``beyond grade 11``."""
         return f"beyond grade {GRADES[-1]}" if self.grade is None else f"grade {self.grade}"
 
 
 @arguments.checked()
 def accuracy_grades(scene: Scene, body: str, flank: str = "driving") -> dict[str, GradedDeviation]:
-    """Deviations of a gear as it was measured, and their accuracy grades (ISO 1328-1:2013).
+    """Deviations of a measured gear, and their accuracy grades (ISO 1328-1:2013).
 
-    Profiles are those in the middle of the face, helices those in the middle of the profile, both over all that was
-    measured and less nothing: designed reliefs and crowning count as deviations. Slopes are of the straight line of
-    least squares, positive where there is more material at the tip, or at the high end of the face; form deviations
-    are the range about it, total ones the range of the trace. Measured flanks that lie on each other, such as a grid of
-    profiles and one of helices, are graded each by itself and the larger one counts.
+    Profiles are evaluated in the middle of the face, helices in the middle of the profile, both over the whole measured
+    range. Designed reliefs and crowning are not subtracted: they count as deviations. Slope deviations are those of the
+    least-squares line, positive with more material at the tip, or at the high end of the face. Form deviations are the
+    range about this line, total deviations the range of the trace. If several measured flanks are added, such as a grid
+    of profiles and a grid of helices, each is graded by itself and the largest deviation counts.
 
     Args:
-        scene: lists `MeasuredFlank` or `MeasuredPitch` of the body among its errors.
+        scene: a scene with `MeasuredFlank` or `MeasuredPitch` of the body among its errors.
         body: the gear.
         flank: ``"driving"`` or ``"back"``.
 
     Returns:
-        By name, those that were measured: ``f_H_alpha``, ``f_f_alpha`` and ``F_alpha`` of profiles, ``f_H_beta``,
-        ``f_f_beta`` and ``F_beta`` of helices, ``f_pt`` and ``F_p`` of pitches, and ``F_r``, the run-out of a ball
-        between the pitches of both flanks.
+        The deviations that were measured, by name: ``f_H_alpha``, ``f_f_alpha`` and ``F_alpha`` of profiles,
+        ``f_H_beta``, ``f_f_beta`` and ``F_beta`` of helices, ``f_pt`` and ``F_p`` of pitches, and ``F_r``, the run-out
+        of a ball in the tooth spaces, from the pitches of both flanks.
 
     Raises:
-        ParameterError: there is no such body or flank, or a size is outside of what the standard covers.
-        SceneError: nothing of it was measured.
+        ParameterError: there is no such body or flank, or a size is outside the range of the standard.
+        SceneError: no deviation of the gear was measured.
 
     Example:
         >>> import gearjax as gj
@@ -123,7 +123,7 @@ def _of_flank(measured: MeasuredFlank, internal: bool) -> dict[str, float]:
             for place, name in enumerate((f"f_H_{way}", f"f_f_{way}", f"F_{way}")):
                 values[name] = float(max(each[:, place], key=abs))
     if internal and "f_H_alpha" in values:
-        values["f_H_alpha"] = -values["f_H_alpha"]  # its tip is where the roll is least
+        values["f_H_alpha"] = -values["f_H_alpha"]  # an internal gear has its tip at the least length of roll
     return values
 
 
@@ -145,7 +145,7 @@ def _of_trace(places: np.ndarray, trace: np.ndarray) -> tuple[float, float, floa
 
 
 def _of_pitches(pitches: list[MeasuredPitch], flank: str, size: GearSize, drives: bool) -> dict[str, float]:
-    """Deviations of single pitches, of all of them, and of a ball between the flanks [m]."""
+    """Single and total pitch deviation, and run-out of a ball in the tooth spaces [m]."""
     by_flank: dict[str, np.ndarray] = {}
     for pitch in pitches:
         for name in FLANKS if pitch.flank == "both" else (pitch.flank,):
@@ -158,7 +158,8 @@ def _of_pitches(pitches: list[MeasuredPitch], flank: str, size: GearSize, drives
     values = {"f_pt": float(np.max(np.abs(single))), "F_p": float(np.ptp(own))}
     if len(by_flank) == len(FLANKS) and all(pitch.flank != "both" for pitch in pitches):
         driving, back = by_flank["driving"], by_flank["back"]
-        # a driving flank of the driver faces the back flank of the tooth ahead, one of the driven gear that of the next
+        # a tooth space of the driver lies between a driving flank and the back flank of the tooth ahead of it; a tooth
+        # space of the driven gear lies between a driving flank and the back flank of the next tooth
         room = np.roll(back, 1) - driving if drives else driving - np.roll(back, -1)
         values["F_r"] = float(np.ptp(room)) / (2 * np.tan(float(size.pressure_angle)))
     return values

@@ -1,9 +1,9 @@
-"""Gaps of many gear sets as sums of few products, where errors add up without disturbing each other.
+"""Gaps of many gear sets as sums of few products, for errors whose effects on the gaps add up.
 
 Errors of the pins of a cycloidal reducer, its run-outs and pitch waves open gaps in proportion to their numbers
-(amplitudes by components), and most of them only some contacts' gaps. Numbers that touch different contacts share one
-table of influences, as columns of a sparse Jacobian share one difference (Curtis, Powell and Reid 1974): the gap of a
-contact is its nominal one plus one product for each table.
+(amplitudes by components), and most of them affect only some contacts. Numbers that affect different contacts share one
+table of influences, as columns of a sparse Jacobian share one difference (Curtis, Powell and Reid 1974). The gap of a
+contact is then its nominal gap plus one product for each table.
 """
 
 from collections.abc import Callable
@@ -16,18 +16,18 @@ import numpy as np
 
 from gearjax.typing import Array, Float, Int
 
-LOOKS = 5  # angles at which it is found out which number opens which gap
-NEGLIGIBLE = 1e-9  # influence, over the largest one, that counts as none
-ACCURACY = 0.7  # power of the dtype's spacing: of the sums, over the largest change of a gap
+LOOKS = 5  # angles at which the influence of each number on each gap is tested
+NEGLIGIBLE = 1e-9  # of the largest influence: a smaller one counts as zero
+ACCURACY = 0.7  # of the sums, over the largest change of a gap, as a power of the dtype's spacing
 
 
 class AffineGaps(eqx.Module):
     """Gaps of a population at input angles.
 
     Args:
-        nominal: gaps where all numbers are zero, shape (n, contact) [m].
-        influence: what one unit of a number opens, shape (n, table, contact).
-        number: which number that is, shape (table, contact).
+        nominal: gaps if all numbers are zero, shape (n, contact) [m].
+        influence: change of the gap per unit of a number, shape (n, table, contact).
+        number: index of this number, shape (table, contact).
     """
 
     nominal: Float[Array, "n contact"]
@@ -38,12 +38,12 @@ class AffineGaps(eqx.Module):
     def of(
         cls, gap: Callable[[Array, Any], Array], poses: Any, examples: Float[Array, "k number"]
     ) -> "AffineGaps | None":
-        """Of a function of a gear set's numbers and a pose; ``None`` where the gaps are not such sums.
+        """The sums for a function of a gear set's numbers and a pose; ``None`` if the gaps are no such sums.
 
         Args:
-            gap: gaps of all contacts, shape (contact,) [m].
-            poses: at the input angles, which are their leading axis.
-            examples: numbers of gear sets that the sums are compared with, at all angles.
+            gap: function that returns the gaps of all contacts, shape (contact,) [m].
+            poses: poses at the input angles, which are their leading axis.
+            examples: numbers of gear sets for which the sums are compared with the gaps, at all angles.
         """
         size, dtype = examples.shape[1], examples.dtype
         everywhere = jax.jit(jax.vmap(jax.vmap(gap, in_axes=(None, 0)), in_axes=(0, None)))
@@ -67,7 +67,7 @@ class AffineGaps(eqx.Module):
         return cls(*(jnp.asarray(part) for part in (nominal, influence, number)))
 
     def terms(self, numbers: Float[Array, "number ..."]) -> Float[Array, "table contact ..."]:
-        """The numbers of gear sets, laid out as the tables are."""
+        """The numbers of gear sets, arranged like the tables."""
         return numbers[self.number]
 
     def everywhere(self, terms: Float[Array, "table contact"]) -> Float[Array, "contact n"]:
@@ -80,7 +80,7 @@ def summed(
     influence: Float[Array, "table contact _"],
     terms: Float[Array, "table contact _"],
 ) -> Float[Array, "contact _"]:
-    """Gaps [m], for several angles or several gear sets as the last axis; what they share has one entry there."""
+    """Gaps [m] for several angles or several gear sets as the last axis; data common to all have length one there."""
     gap = jnp.broadcast_to(nominal, (nominal.shape[0], max(nominal.shape[-1], terms.shape[-1])))
     for per_unit, amount in zip(influence, terms, strict=True):
         gap = gap + per_unit * amount
@@ -88,13 +88,13 @@ def summed(
 
 
 def _looks(number: int) -> np.ndarray:
-    """A few of the angles, far from evenly spaced, so that no wave is zero in all."""
+    """Indices of a few angles, unevenly spaced, so that no wave is zero at all of them."""
     shares = np.modf(np.arange(1, LOOKS + 1) * (np.sqrt(5) - 1) / 2)[0]
     return np.unique((shares * number).astype(int))
 
 
 def _groups(opens: np.ndarray) -> list[list[int]]:
-    """Numbers that open no gap together, first fit; shape of ``opens``: (number, contact)."""
+    """Groups of numbers of which no two change the same gap, by first fit; shape of ``opens``: (number, contact)."""
     groups: list[list[int]] = []
     taken: list[np.ndarray] = []
     for number in np.flatnonzero(opens.any(axis=1)):

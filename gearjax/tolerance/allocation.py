@@ -1,9 +1,10 @@
-"""Which tolerances to buy: the cheapest ones that reach a required yield.
+"""Tolerance allocation: the cheapest tolerances that reach a required yield.
 
-Every tolerance is scaled by a factor: the size of an error as a whole, other numbers about their means. The yield of a
-set of gear sets is smoothed (a sigmoid in place of the step at the limit), which gives it a gradient; sequential
-quadratic programming (scipy's SLSQP) finds the cheapest factors for it. What is reported is counted on fresh gear sets,
-with the step itself, and where their yield is not proved the smoothed one is asked for more.
+Every tolerance is scaled by a factor: sizes of errors as a whole, other numbers about their means. The yield of a fixed
+sample of gear sets is smoothed (a sigmoid in place of the step at the limit), so that it has a gradient; sequential
+quadratic programming (scipy's SLSQP) finds the cheapest factors that reach it. The reported yield is counted on new
+gear sets, without smoothing. If it is not proved to reach the requirement, the search is repeated with a higher
+smoothed yield as its target.
 """
 
 import dataclasses
@@ -28,9 +29,9 @@ from gearjax.typing import Array, Scalar
 
 WIDTH = 0.1  # of the smoothed step, in standard deviations of the measure
 CORRECTIONS = 6
-SAME_COST = 1e-4  # of the cost as given: yields are known to some parts in a thousand
-SAME_YIELD = 1e-4  # that a search may stay below what it was asked for
-STUCK = 1e-3  # of a factor
+SAME_COST = 1e-4  # of the cost as given: more accuracy is useless, as yields are known to a few parts in a thousand
+SAME_YIELD = 1e-4  # by which the yield of a search may stay below its target
+STUCK = 1e-3  # relative change of a factor
 Cost = Sequence[tuple[float, float]]
 
 
@@ -39,14 +40,15 @@ class AllocatedTolerances:
     """The cheapest tolerances found.
 
     Args:
-        measure: whose limit counts.
-        required: share of good gear sets asked for.
-        paths: of the tolerances.
-        factors: on the tolerances, shape (number,).
-        cost: of the tolerances found.
-        cost_before: of the tolerances as given.
-        before, after: yield as given and as found, judged hard on gear sets that the search for it has not seen.
-        met: whether the whole interval of the yield found lies above what was asked for.
+        measure: name of the measure whose limit counts.
+        required: required share of good gear sets.
+        paths: paths of the tolerances.
+        factors: factors on the tolerances, shape (number,).
+        cost: cost of the tolerances found.
+        cost_before: cost of the tolerances as given.
+        before, after: yield with the tolerances as given and as found, counted without smoothing on gear sets that the
+            search has not used.
+        met: whether the whole interval of the yield found is at or above the required yield.
     """
 
     measure: str
@@ -83,20 +85,20 @@ def allocate(
     progress: Progress = silent,
     **options: Any,
 ) -> AllocatedTolerances:
-    """The cheapest tolerances whose yield is above what is required, with 95 % confidence.
+    """Find the cheapest tolerances whose yield is above a required yield, with 95 % confidence.
 
     Args:
-        tolerances: the population as it is.
-        measure: with a limit.
-        required: share of good gear sets.
-        costs: by path, a cost c at the tolerance as it is, for the reciprocal law ``c / factor``; or pairs of a factor
-            on the tolerance and its cost, joined by lines, with rising factors and falling costs. One pair (f, c)
-            stands for the law ``c f / factor``.
-        tightest, loosest: factors that can be had.
-        n: gear sets that the search looks at.
-        judged: gear sets that judge.
-        key: seed.
-        progress: told how far it is.
+        tolerances: the population with the tolerances as given.
+        measure: a measure with a limit.
+        required: required share of good gear sets.
+        costs: cost of each tolerance, by path: a cost c of the tolerance as given, for the reciprocal law
+            ``c / factor``; or pairs of a factor on the tolerance and its cost, with rising factors and falling costs,
+            interpolated linearly. One pair (f, c) stands for the law ``c f / factor``.
+        tightest, loosest: smallest and largest factor on a tolerance that is allowed.
+        n: number of gear sets in the search.
+        judged: number of new gear sets on which each yield is counted.
+        key: seed of the samples.
+        progress: called with a line of text now and then.
         options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
 
     Raises:
@@ -118,7 +120,7 @@ def allocate(
     price = _price(tables)
 
     def judge(factors: np.ndarray, turn: int) -> Estimate:
-        """Of gear sets that no turn before has seen."""
+        """Yield counted on gear sets that no earlier turn has used."""
         seed = key + 1 + turn
         drawn = tolerances.values(points(judging.sampler, seed, tolerances.paths, judged, 0, judged))
         moved = _scaled(drawn, tolerances.centres, places, factors)
@@ -152,15 +154,15 @@ def allocate(
         cost = price(factors)[0]
         progress(f"allocation {turn}: cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]")
         met = after.low >= required
-        # proved before not proved; then the cheaper, or the closer to being proved
+        # a proved yield ranks before one that is not; then the lower cost counts, or the higher yield
         rank = (met, -cost if met else after.value)
         if rank > best[0]:
             best = (rank, after, factors)
         if met and after.low < required + 0.25 * (after.high - after.low):
-            break  # proved, and no more than that
+            break  # the yield is proved with little to spare, so the cost can hardly fall further
         moved = np.abs(np.log(factors) - start).max()
         if moved < STUCK and smooth(factors)[0] < target - SAME_YIELD:
-            break  # what was asked for cannot be had from here, and more would be asked for next
+            break  # the search cannot reach its target from here, and the next target would be higher
         target = float(np.clip(target + (required - after.low) * 1.05, 0.0, 1 - 1e-4))
         start = np.log(factors)
     (met, _), after, factors = best
@@ -169,7 +171,7 @@ def allocate(
 
 
 def _table(path: str, given: Any) -> Cost:
-    """Pairs of factor and cost, from those or from a single cost."""
+    """Pairs of factor and cost, from pairs or from a single cost."""
     right = "must be a cost above 0, or pairs (factor, cost) with rising factors and falling costs"
     try:
         rows = tuple(
@@ -184,7 +186,7 @@ def _table(path: str, given: Any) -> Cost:
 
 
 def _range(rows: Cost, tightest: float, loosest: float) -> tuple[float, float]:
-    """Factors that can be had: no others than those of a table, where there is one."""
+    """Smallest and largest allowed factor, within the factors of a table if there is one."""
     if len(rows) == 1:
         return tightest, loosest
     return max(tightest, rows[0][0]), max(tightest, min(loosest, rows[-1][0]))
@@ -197,7 +199,7 @@ def _scaled(inputs: np.ndarray, centres: np.ndarray, places: np.ndarray, factors
 
 
 def _price(costs: Sequence[Cost]) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-    """Cost of factors, and its derivatives by their logarithms."""
+    """A function that returns the cost of factors, and its derivatives by their logarithms."""
 
     def price(factors: np.ndarray) -> tuple[float, np.ndarray]:
         total, slopes = 0.0, np.empty(len(factors))
@@ -220,7 +222,7 @@ def _price(costs: Sequence[Cost]) -> Callable[[np.ndarray], tuple[float, np.ndar
 def _smooth_yield(
     tolerances: Tolerances, measure: Measure, places: np.ndarray, number: int, key: int, options: dict[str, Any]
 ) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-    """Smoothed yield of factors, and its derivatives by them."""
+    """A function that returns the smoothed yield of factors, and its derivatives by the factors."""
     work = Work(tolerances, measure, number=number, seed=key, sampler="latin_hypercube", **options)
     inputs = work.inputs(0, number)
     dtype = tolerances.scene.dtype

@@ -1,4 +1,4 @@
-"""Assembly matched to the parts: phases chosen for each gear set from its own measured errors, next to random ones."""
+"""Matched assembly: phases chosen for each gear set from its own measured errors, compared with random phases."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -25,21 +25,21 @@ from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, Float, Scalar
 
 STEPS = 60
-PER_TURN = 12  # samples of the fastest error that the descent looks at
-FEWEST, MOST = 64, 512  # that it looks at
-FEW = 101  # where that would be more: a prime, which teeth do not pass in step with
-SMALLEST = 1e-12  # rad of a measure: below, a temperature makes no sense
-BLOCK = 1024  # gear sets whose phases are searched before progress is told
+PER_TURN = 12  # samples of the descent per turn of the fastest error
+FEWEST, MOST = 64, 512  # samples of the descent
+FEW = 101  # samples of a first descent, if more than MOST would be needed; a prime, as it shares no factor with teeth
+SMALLEST = 1e-12  # rad: least measure to which a temperature is relative
+BLOCK = 1024  # gear sets whose phases are searched before progress is reported
 TOGETHER = 32  # rows side by side on one device
 
 
 class _Way(NamedTuple):
-    """How a descent goes.
+    """Settings of a descent.
 
     Args:
-        rate: of the first steps [rad].
-        temperatures: first and last, as shares of the measure at the start.
-        words: for the progress.
+        rate: learning rate of the first steps [rad].
+        temperatures: first and last temperature, as shares of the measure at the start.
+        words: text for the progress.
     """
 
     rate: float
@@ -53,15 +53,15 @@ SECOND = _Way(0.1, (0.02, 0.0015), ", over all angles")
 
 @dataclasses.dataclass(frozen=True)
 class MatchedAssembly:
-    """Gear sets as assembled at random, and with phases chosen for each.
+    """Gear sets assembled at random, and with phases chosen for each gear set.
 
     Args:
-        measure: what was made small, or brought within its limits (`Measure.excess`).
-        where: the phases that were chosen.
-        random: the measure as assembled at random, shape (units,).
-        matched: with the chosen phases, shape (units,).
+        measure: measure that was minimised, or brought within its limits (`Measure.excess`).
+        where: paths of the phases that were chosen.
+        random: the measure of gear sets assembled at random, shape (units,).
+        matched: the measure with the chosen phases, shape (units,).
         phases: the chosen phases, shape (units, where) [rad].
-        seconds, compile_seconds: wall time, compilation apart [s].
+        seconds, compile_seconds: wall time without compilation, and that of compilation [s].
     """
 
     measure: Measure
@@ -73,7 +73,7 @@ class MatchedAssembly:
     compile_seconds: float
 
     def quantiles(self, level: float) -> tuple[Estimate, Estimate]:
-        """A quantile at random and matched, each with its interval, of the units that did not fail."""
+        """A quantile of random and of matched assembly, each with its interval, of the units that did not fail."""
         random, matched = (part[np.isfinite(part)] for part in (self.random, self.matched))
         return (
             statistics.quantile(random, level, np.array([len(random)])),
@@ -82,11 +82,11 @@ class MatchedAssembly:
 
     @property
     def failed(self) -> int:
-        """Units that failed at random or matched."""
+        """Number of units that failed in random or in matched assembly."""
         return int((~np.isfinite(self.random + self.matched)).sum())
 
     def shares(self) -> tuple[Estimate, Estimate]:
-        """Yield at random and matched, each with its interval."""
+        """Yield of random and of matched assembly, each with its interval."""
         sizes = np.array([len(self.random)])
         random, matched = (statistics.share(self.measure.holds(v), sizes) for v in (self.random, self.matched))
         return random, matched
@@ -104,24 +104,25 @@ def matched_assembly(
     progress: Progress = silent,
     **options: Any,
 ) -> MatchedAssembly:
-    """What choosing the phases of each gear set from its own errors buys.
+    """Choose the phases of each gear set from its own errors, and compare the result with random phases.
 
-    For each gear set of the population the phases are searched from several starts at once, its own random ones among
-    them: smoothed descent over a part of the input angles, then the hard measure over all decides.
+    For each gear set of the population, phases are searched from several starts at once; the first start is its own
+    random phases. The smoothed measure is descended over a part of the input angles; then the phases with the best hard
+    measure over all angles are chosen.
 
     Args:
         tolerances: the population; phases in ``where`` that it does not list are random too.
-        measure: of a quasi-static analysis with hard contacts.
+        measure: a measure of a quasi-static analysis with hard contacts.
         where: path or paths of the phases.
-        units: how many gear sets.
-        starts: of each search.
-        key: seed.
-        progress: told how far it is.
+        units: number of gear sets.
+        starts: number of starts of each search.
+        key: seed of the samples.
+        progress: called with a line of text now and then.
         options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
 
     Raises:
-        ParameterError: ``where`` names something else than phases.
-        SceneError: the measure does not allow a quick search.
+        ParameterError: ``where`` contains something other than phases.
+        SceneError: the measure does not allow a fast search.
     """
     from gearjax.tolerance.distributions import UniformPhase
 
@@ -151,7 +152,7 @@ def matched_assembly(
             rows[:, :, places] = phases
             return work.evaluate(rows.reshape(-1, rows.shape[2]))[0][:, 0].reshape(phases.shape[:2])
 
-        tried = inputs[:, None, places]  # nobody assembles worse than at random on purpose
+        tried = inputs[:, None, places]  # the random phases are kept if no search finds better ones
         values = random = judged(tried)
         for search in searches:
             ended = search.of_all(inputs, begun, progress)
@@ -164,7 +165,7 @@ def matched_assembly(
 
 
 def _searches(population: Tolerances, measure: Measure, where: tuple[str, ...], work: Work) -> "list[_Search]":
-    """One search where few angles tell the measure; otherwise one over few of them, and one over all from its best."""
+    """One search if few angles determine the measure; otherwise one over few angles, and one over all from its best."""
     theta = work.one.theta
     turns = population.scene.system.fastest_order * float(theta[-1] - theta[0]) / (2 * np.pi)
     number = max(FEWEST, round(turns * PER_TURN))
@@ -178,7 +179,7 @@ def _searches(population: Tolerances, measure: Measure, where: tuple[str, ...], 
 
 
 class _Search:
-    """The descent of many gear sets from many starts, side by side: each row is one start of one gear set."""
+    """The descent of many gear sets from many starts at once: each row is one start of one gear set."""
 
     def __init__(
         self, population: Tolerances, measure: Measure, where: tuple[str, ...], work: Work, number: int, way: "_Way"
@@ -192,7 +193,7 @@ class _Search:
         self._program = over_rows(self, work.devices, TOGETHER)
 
     def of_all(self, inputs: np.ndarray, starts: np.ndarray, progress: Progress) -> np.ndarray:
-        """Ends of the descents, shape (unit, start, where), of gear sets (unit, free) from starts of that shape."""
+        """Ends of the descents of gear sets, shape (unit, free), from starts; both of shape (unit, start, where)."""
         units, number, size = starts.shape
         ends = np.empty_like(starts)
         for first in range(0, units, BLOCK):
@@ -204,12 +205,14 @@ class _Search:
         return ends
 
     def __call__(self, values: Float[Array, " free"], start: Float[Array, " where"]) -> Float[Array, " where"]:
-        """The end of one row."""
+        """End of the descent of one row."""
         return self.rows(values[None], start[None])[0]
 
     def rows(self, values: Float[Array, "row free"], starts: Float[Array, "row where"]) -> Float[Array, "row where"]:
-        """Ends of rows that are worked on side by side. None touches another: the slopes of their sum are those of
-        each."""
+        """Ends of the descents of several rows at once.
+
+        Rows are independent, so the gradient of the sum of their losses contains the gradient of each.
+        """
 
         def moved(phases: Array) -> Array:
             return values.at[:, self.places].set(phases.reshape(starts.shape))
@@ -224,7 +227,7 @@ class _Search:
         return descend(loss, starts.ravel(), optimiser, STEPS, (hot, cold))[0].reshape(starts.shape)
 
     def _smooth(self, curve: Float[Array, " n"], temperature: Scalar) -> Scalar:
-        """What the measure has too much of (`Measure.excess`), with smooth largest values."""
+        """The excess of the measure (`Measure.excess`), with smooth largest values."""
 
         def largest(curve: Array) -> Scalar:
             return temperature * jax.nn.logsumexp(curve / temperature)

@@ -1,9 +1,9 @@
-"""Quasi-static curves of many gear sets with two-sided contacts, such as the pins of cycloidal discs.
+"""Quasi-static curves of many gear sets whose contacts change sides, such as the pins of cycloidal discs.
 
-Which contacts carry changes all the time, and their levers do: nothing is interpolated, each gear set is looked at in
-all angles. One angle after the other, for some gear sets side by side, which are the last axis: gaps are then sums of
-few products that stay in the processor's cache (`gearjax.tolerance.affine`), and the search for a balance begins where
-the last one ended.
+The contacts that carry, and their levers, change with the input angle. Curves are therefore not interpolated: each gear
+set is evaluated at all angles, one angle after the other, with several gear sets side by side as the last axis. Gaps
+are then sums of few products that stay in the processor's cache (`gearjax.tolerance.affine`), and the search for a
+balance starts at the balance of the previous angle.
 """
 
 from collections.abc import Sequence
@@ -22,18 +22,18 @@ from gearjax.tolerance.affine import AffineGaps, summed
 from gearjax.tolerance.closer import ends, is_followed
 from gearjax.typing import Array, Float, Scalar
 
-EXAMPLES = 4  # gear sets whose gaps the sums are compared with
+EXAMPLES = 4  # gear sets whose gaps are compared with the sums
 Key = tuple[str, float | None]
 """An analysis and its torque."""
 
 
 class Balances(eqx.Module):
-    """What all gear sets of a population share.
+    """Data for curves that are common to all gear sets of a population.
 
     Args:
-        lever: of the contacts, shape (n, contact) [m/rad].
-        gaps: their gaps.
-        varied: keys of the errors that differ from gear set to gear set.
+        lever: levers of the contacts, shape (n, contact) [m/rad].
+        gaps: gaps of the contacts, as sums.
+        varied: keys of the errors that differ between gear sets.
     """
 
     lever: Float[Array, "n contact"]
@@ -42,9 +42,9 @@ class Balances(eqx.Module):
 
     @classmethod
     def of(cls, examples: Scene, theta: Float[Array, " n"], varied: Sequence[str]) -> "Balances | None":
-        """From examples of the population, every number with a leading axis; ``None`` where gaps are not sums.
+        """From examples of the population, every number with a leading axis; ``None`` if gaps are no sums of products.
 
-        No number of the system varies.
+        No number of the system may vary.
         """
         varied = tuple(sorted(set(varied)))
         first = jax.tree.map(lambda leaf: leaf[0], examples)
@@ -60,7 +60,7 @@ class Balances(eqx.Module):
         return None if gaps is None else cls(poses.jacobian[..., 0], gaps, varied)
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
-        """The curve of an analysis of one gear set [rad], all angles side by side."""
+        """The curve of an analysis of one gear set [rad], computed at all angles at once."""
         lever, gap = self.lever.T, self.gaps.everywhere(self.gaps.terms(_flat(scene, self.varied)))
         if torque is None:
             return _edges(lever, gap, analysis)
@@ -68,7 +68,7 @@ class Balances(eqx.Module):
         return hard_balance(lever, gap, applied, closed_side(*jax.lax.stop_gradient((lever, gap, applied))))
 
     def curves(self, scenes: Scene, keys: Sequence[Key]) -> list[Float[Array, "n row"]]:
-        """The curves of analyses [rad], of several gear sets, whose numbers have a leading axis."""
+        """The curves of analyses [rad] of several gear sets, whose numbers have a leading axis."""
         numbers = jax.vmap(lambda scene: _flat(scene, self.varied), out_axes=-1)(scenes)
         terms = jax.lax.optimization_barrier(self.gaps.terms(numbers))
         applied_each = [
@@ -91,16 +91,16 @@ class Balances(eqx.Module):
 
     @property
     def is_followed(self) -> bool:
-        """Whether all of it is smooth enough to be looked at between the angles (`tops`)."""
+        """Whether levers and gaps are smooth enough to be interpolated between the angles (`tops`)."""
         return all(is_followed(table) for table in (self.lever, self.gaps.nominal, self.gaps.influence))
 
     def tops(self, scenes: Scene, key: Key, curve: Float[Array, "n row"]) -> tuple[Array, Array]:
-        """Highest and lowest value of a curve of several gear sets, between the angles too, shape (row,) each [rad].
+        """Highest and lowest value of a curve of several gear sets, also between the angles, shape (row,) each [rad].
 
         Args:
             scenes: the gear sets, whose numbers have a leading axis.
-            key: the analysis.
-            curve: at the angles, as from `curves`.
+            key: the analysis and its torque.
+            curve: the curve at the angles, as from `curves`.
         """
         analysis, torque = key
         numbers = jax.vmap(lambda scene: _flat(scene, self.varied), out_axes=-1)(scenes)
@@ -121,21 +121,21 @@ class Balances(eqx.Module):
 
 
 def _numbers(scene: Scene, varied: Sequence[str]) -> dict[str, AbstractError]:
-    """The errors that vary, by numbers that their gaps are in proportion to."""
+    """The errors that vary, in the form of numbers to which their gaps are proportional."""
     return {key: scene.errors[key].proportional() for key in varied}
 
 
 def _flat(scene: Scene, varied: Sequence[str]) -> Float[Array, " number"]:
-    return ravel_pytree(_numbers(scene, varied))[0].astype(scene.dtype)  # without any, ravel_pytree has its own dtype
+    return ravel_pytree(_numbers(scene, varied))[0].astype(scene.dtype)  # an empty tree has another dtype
 
 
 def _applied(scene: Scene, torque: float) -> Scalar:
-    """Generalised force on the output over the stiffness of a contact, which is the same for all [m^2/rad]."""
+    """Generalised force on the output over the stiffness of one contact, the same for all contacts [m^2/rad]."""
     return -torque / scene.layout.apiece(scene.linear_compliance.mean_stiffness(1))[0]
 
 
 def _edges(lever: Float[Array, "contact _"], gap: Float[Array, "contact lane"], analysis: str) -> Float[Array, " lane"]:
-    """The lower edge of the play, or all of it [rad]."""
+    """The lower edge of the backlash (the no-load TE), or the backlash [rad]."""
     per_lever = 1 / jnp.abs(lever).mean(axis=0, keepdims=True)
 
     def edge(sign: float) -> Array:

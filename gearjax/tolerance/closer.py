@@ -1,8 +1,8 @@
-"""Extremes between the angles of curves whose active contacts change all the time, of many gear sets at once.
+"""Extremes between samples of curves whose active contacts change with the input angle, for many gear sets at once.
 
-Gaps and levers of single contacts are smooth in the input angle, however the curve that they make up is bent: near the
-best places of a record they are polynomials through the angles around, and the curve is worked out from them closer
-and closer to its highest point, at a kink too.
+Gaps and levers of single contacts are smooth in the input angle, even if the curve that results from them has kinks.
+Near the highest places of a record they are therefore interpolated by polynomials through the angles around. The curve
+is computed from them, closer and closer to its highest point, also at a kink.
 """
 
 from collections.abc import Callable
@@ -15,19 +15,21 @@ from gearjax.analysis.metrics import highest_intervals
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int
 
-PER_PERIOD = 4  # angles of the record per period of what turns fastest, which the polynomials need
-MOST = 64  # of them from one sample to the next
-PLACES = 4  # that are looked at, of the highest and of the lowest
+PER_PERIOD = 4  # angles of the record that the polynomials need per period of the highest order
+MOST = 64  # angles from one sample to the next
+PLACES = 4  # highest places, and as many lowest ones, that are refined
 REACH = 3  # angles on either side that a polynomial goes through
 HALVINGS = 6  # of the distance between two angles
-FITTING = 2e-3  # of a largest entry, that polynomials through every other angle may miss: these miss a hundredth
+FITTING = 2e-3  # of the largest entry: error of polynomials through every other angle; through all it is a hundredth
 PerContact = Float[Array, "contact lane"]
 Curve = Callable[[PerContact, PerContact, Float[Array, " lane"]], Float[Array, " lane"]]
 
 
 def places_between(scene: Scene, theta: Float[Array, " n"]) -> int | None:
-    """Angles of a record that polynomials can follow, from one sample to the next, 1 where the samples do; ``None``
-    where there are too many, or samples are not evenly spaced."""
+    """Number of angles that polynomials need from one sample to the next; 1 if the samples are close enough.
+
+    ``None`` if there are too many angles, or the samples are not evenly spaced.
+    """
     if theta.shape[0] < 3:
         return None
     steps = np.diff(np.asarray(theta, dtype=float))
@@ -37,12 +39,12 @@ def places_between(scene: Scene, theta: Float[Array, " n"]) -> int | None:
 
 
 def places_for(scene: Scene, step: float, samples: int) -> int | None:
-    """The same of evenly spaced samples.
+    """Number of angles that polynomials need from one evenly spaced sample to the next; ``None`` if too many.
 
     Args:
         scene: the scene.
-        step: from one sample to the next [rad].
-        samples: their number.
+        step: angle from one sample to the next [rad].
+        samples: number of samples.
     """
     needed = np.ceil(PER_PERIOD * step * scene.system.fastest_order / (2 * np.pi) - 1e-3)
     places = max(1, int(needed), -(-2 * (2 * REACH + 1) // (samples - 1)))
@@ -50,14 +52,14 @@ def places_for(scene: Scene, step: float, samples: int) -> int | None:
 
 
 def closer(theta: Float[Array, " n"], places: int) -> Float[Array, " m"]:
-    """The angles of the samples, and others evenly between [rad]."""
+    """The angles of the samples, and further angles evenly spaced between them [rad]."""
     number = theta.shape[0]
     steps = np.arange(places * (number - 1) + 1) / places
     return jnp.asarray(np.interp(steps, np.arange(number), np.asarray(theta)), theta.dtype)
 
 
 def is_followed(table: Float[Array, "m ..."]) -> bool:
-    """Whether polynomials through its neighbours give every entry, from twice as far apart as `highest` has them."""
+    """Whether polynomials through neighbours reproduce every entry; neighbours are twice as far apart as in `ends`."""
     values = np.asarray(table, dtype=float).reshape(len(table), -1)
     distances = np.arange(-2 * REACH + 1, 2 * REACH, 2)
     weights = [np.prod([-d / (c - d) for d in distances if d != c]) for c in distances]
@@ -71,12 +73,12 @@ def ends(
     tables: Callable[[Int[Array, "node place row"]], tuple[Array, Array]],
     values: Float[Array, "m row"],
 ) -> tuple[Float[Array, " row"], Float[Array, " row"]]:
-    """Highest and lowest value of a curve of each gear set, between the angles of its record too.
+    """Highest and lowest value of a curve of each gear set, also between the angles of its record.
 
     Args:
-        curve: from levers and gaps, shape (contact, lane) each, lanes being places of gear sets one after the other,
-            and values nearby.
-        tables: levers and gaps at angles given by their numbers, shape (node, contact, place, row) each.
+        curve: function that computes the curve from levers and gaps, shape (contact, lane) each, and values nearby;
+            lanes are the places of all gear sets, one after the other.
+        tables: function from numbers of angles to levers and gaps, shape (node, contact, place, row) each.
         values: the curve at the angles.
     """
     number, rows = values.shape
@@ -92,7 +94,7 @@ def ends(
 
     def at(place: Float[Array, " lane"], lever: Array, gap: Array) -> Float[Array, " lane"]:
         weights = _weights(place)[:, None]
-        # worked out once: fused with what uses them, they would be worked out again for every use
+        # the barrier makes XLA compute the sums once: fused with their uses, they would be computed for each use
         lever, gap = jax.lax.optimization_barrier(((weights * lever).sum(axis=0), (weights * gap).sum(axis=0)))
         return sign * curve(lever, gap, near)
 
@@ -105,7 +107,7 @@ def ends(
         value = at(tried, *fixed)
         better = value > best
         place, best = jnp.where(better, tried, place), jnp.where(better, value, best)
-        return (jnp.where(step > 0, place, middle), place, best), None  # both sides are tried from one middle
+        return (jnp.where(step > 0, place, middle), place, best), None  # both sides are tried from the same middle
 
     start = (tops - centre).ravel().astype(values.dtype)
     steps = np.outer(0.5 ** np.arange(1, HALVINGS + 1), [-1.0, 1.0]).ravel()
@@ -117,7 +119,7 @@ def ends(
 
 
 def _weights(place: Float[Array, " lane"]) -> Float[Array, "node lane"]:
-    """Of the polynomial through the angles around a place, which counts from the middle one (Lagrange)."""
+    """Lagrange weights of the polynomial through the angles around a place, which counts from the middle angle."""
     nodes = np.arange(-REACH, REACH + 1)
     weights = []
     for one in nodes:

@@ -1,16 +1,16 @@
-"""Quasi-static curves of many gear sets over the same input angles, quickly.
+"""Quasi-static curves of many gear sets over the same input angles, by a fast method.
 
-Where a contact touches, ``gap / lever`` as a function of the input angle, lies in a space of few dimensions for all
-gear sets of a population: sums of a few harmonics, for example. A pivoted QR factorisation of sampled curves finds the
-input angles that determine a curve and the weights that give the rest (interpolative decomposition; Cheng,
-Gimbutas, Martinsson, Rokhlin 2005), exact to rounding, whatever the kinds of errors. Each gear set is then looked at
-in full at these few angles alone, and at three more that tell whether it is like the examples. Where there are no such
-few angles, or levers vary, it is looked at at all of them.
+A contact touches at the output position ``gap / lever``. As a function of the input angle, this position lies in a
+space of few dimensions for all gear sets of a population, for example sums of a few harmonics. A pivoted QR
+factorisation of sampled curves finds the input angles that determine a curve, and the weights that give the rest
+(interpolative decomposition; Cheng, Gimbutas, Martinsson, Rokhlin 2005), exact to rounding for all kinds of errors.
+Each gear set is then evaluated at these few angles only, and at three more to check whether it is like the examples. If
+there are no such few angles, or levers vary, each gear set is evaluated at all angles.
 
-Extremes between the samples: around the best samples each contact is a polynomial of the angle, and the curve is worked
-out again, closer.
+For extremes between the samples, the touching position of each contact is a polynomial of the angle around the best
+samples, and the curve is computed again at closer angles.
 
-Contacts are written out as one array each, over the input angles, which is what vectorises.
+Each contact is one array over the input angles, because this form vectorises.
 """
 
 import functools
@@ -28,26 +28,27 @@ from gearjax.contact.equilibrium import hard_edges, hard_rest
 from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array, Float, Int, Scalar
 
-CHECKS = 3  # angles at which every gear set is compared with what the few angles say
+CHECKS = 3  # angles at which every gear set is compared with the interpolation from the few angles
 ACCURACY = 1e-12  # of the interpolation, relative to the largest deviation from the ideal position
-MOST = 0.1  # share of the angles above which interpolation is not worth it
-GROUPS = 32  # of the samples; of each, the highest one is looked at closely
-TERMS = 6  # of the polynomials that hold from one sample before to one after
-FINE = 8  # steps between two samples that they are fitted to
-OFFSETS = np.linspace(-1.0, 1.0, 49)  # places near a sample that are looked at, in spacings
+MOST = 0.1  # share of the angles above which interpolation is not worthwhile
+GROUPS = 32  # groups of samples; the curve is refined around the highest sample of each
+TERMS = 6  # of the polynomials, which are valid from the sample before to the sample after
+FINE = 8  # steps between two samples to which the polynomials are fitted
+OFFSETS = np.linspace(-1.0, 1.0, 49)  # places near a sample at which the curve is refined, in spacings of samples
 
 
 class Curves(eqx.Module):
-    """What all gear sets of a population share.
+    """Data for curves that are common to all gear sets of a population.
 
     Args:
-        poses: at the angles that determine a curve, or at all angles.
-        weights: of these in all angles, shape (n, angle); ``None`` where all angles are looked at.
-        checks: of the angles that are looked at besides, shape (check, angle).
-        allowed: how far a gear set may be off there [rad].
-        series: the same as polynomials of the place near each sample in spacings, shape (n, term, angle).
-        side: of each contact, 1 for driving flanks and -1 for back flanks.
-        stiffness: ``"rigid"``, or ``"mean"`` where torques are looked at.
+        poses: poses at the angles that determine a curve, or at all angles.
+        weights: weights that give all angles from these, shape (n, angle); ``None`` if all angles are evaluated.
+        checks: weights of the angles that are checked, shape (check, angle).
+        allowed: largest deviation of a gear set from the interpolation at these angles [rad].
+        series: the weights near each sample as polynomials of the place, which counts in spacings of samples, shape
+            (n, term, angle).
+        side: side of each contact, 1 for driving flanks and -1 for back flanks.
+        stiffness: ``"rigid"``, or ``"mean"`` for curves under torque.
     """
 
     poses: Pose
@@ -60,12 +61,12 @@ class Curves(eqx.Module):
 
     @classmethod
     def of(cls, examples: Scene, theta: Float[Array, " n"], stiffness: Stiffness, fixed_system: bool) -> "Curves":
-        """From examples of the population.
+        """The common data, from examples of the population.
 
         Args:
-            examples: scenes of gear sets, every number with a leading axis; half of them check what the others gave.
+            examples: scenes of gear sets, every number with a leading axis; one half checks the result of the other.
             theta: input angles, shape (n,) [rad].
-            stiffness: ``"mean"`` to look at torques.
+            stiffness: ``"mean"`` for curves under torque.
             fixed_system: whether no number of the system varies.
         """
         first = jax.tree.map(lambda leaf: leaf[0], examples)
@@ -99,7 +100,7 @@ class Curves(eqx.Module):
         return cls(poses, weights, weights[besides], allowed, series, side, stiffness)
 
     def touches(self, scene: Scene) -> "Touches":
-        """Where the contacts of one gear set touch, in all angles."""
+        """The positions at which the contacts of one gear set touch, at all angles."""
         touch, strength = self._looked_at(scene)
         columns = [touch[:, i] for i in range(touch.shape[1])]
         if self.weights is None:
@@ -130,19 +131,21 @@ class Curves(eqx.Module):
 
 
 def _weighted(weights: Float[Array, "n angle"], column: Float[Array, " angle"]) -> Float[Array, " n"]:
-    """A curve from its values at a few angles; written out, so that it fuses with what uses it."""
+    """A curve from its values at a few angles; the sum is written out, so that XLA fuses it with its uses."""
     return functools.reduce(jnp.add, [row * column[j] for j, row in enumerate(weights.T)])
 
 
 class Touches(eqx.Module):
-    """Where the contacts of a gear set touch, over input angles, one array for each contact.
+    """The positions at which the contacts of a gear set touch, over input angles, one array for each contact.
 
     Args:
         position: position of the output at which each contact touches, shape (n,) each [rad].
-        strength: stiffness on the output, shape (n,) or () each [N m/rad].
-        side: of each contact, 1 for driving flanks and -1 for back flanks.
-        closer: weights of closer angles, and what they weigh for each contact; ``None`` where there are none.
-        alike: whether the gear set is like the examples, so that its curves are right; ``None`` where all is seen.
+        strength: stiffness of each contact on the output, shape (n,) or () each [N m/rad].
+        side: side of each contact, 1 for driving flanks and -1 for back flanks.
+        closer: weights near each sample as polynomials, and each contact's values at the angles that they weight;
+            ``None`` without interpolation.
+        alike: whether the gear set is like the examples, so that its curves are right; ``None`` if all angles were
+            evaluated.
     """
 
     position: Sequence[Float[Array, " n"]]
@@ -152,21 +155,21 @@ class Touches(eqx.Module):
     alike: Array | None = None
 
     def near(self, samples: Int[Array, " m"]) -> "Touches":
-        """The same close to some samples, at `OFFSETS` from each."""
+        """The touching positions near some samples, at `OFFSETS` from each."""
         assert self.closer is not None
         series, columns = self.closer
-        # products of matrices: elementwise sums would be fused with what uses them, and worked out for every place
+        # matrix products, because XLA would fuse elementwise sums with their uses and compute them for every place
         terms = jnp.einsum("mta,ca->cmt", series[samples], jnp.stack(columns))
         powers = jnp.asarray(np.vander(OFFSETS, TERMS, increasing=True).T, series.dtype)
         spread = jnp.matmul(terms, powers).reshape(len(columns), -1)
         return Touches(list(spread), self.strength, self.side)
 
     def highest(self, curve: Callable[["Touches"], Float[Array, " n"]], values: Float[Array, " n"]) -> Scalar:
-        """Highest value of a curve, between its samples too where polynomials are known.
+        """Highest value of a curve, also between its samples if polynomials are known.
 
         Args:
-            curve: the curve of these or of closer places.
-            values: the curve of these samples, shape (n,).
+            curve: function from touching positions, of these samples or of closer places, to the curve.
+            values: the curve at these samples, shape (n,).
         """
         if self.closer is None:
             return top(values)
@@ -193,7 +196,7 @@ class Touches(eqx.Module):
         return upper - lower
 
     def static(self, torque: Scalar) -> Float[Array, " n"]:
-        """Static TE under a torque [N m], shape (n,) [rad]; nan where no flank can carry it."""
+        """Static TE under a torque [N m], shape (n,) [rad]; nan if no flank can carry the torque."""
         assert self.strength is not None  # the measure requires a compliance
         return hard_rest(self.position, self.strength, self.side, -torque)
 
@@ -218,11 +221,11 @@ def _sampled(scenes: Scene, poses: Pose) -> tuple[Array, Array]:
 
 
 def _chosen(touch: np.ndarray, accuracy: float) -> np.ndarray | None:
-    """The angles that determine a curve, shape (angle,); ``None`` where they are too many.
+    """The angles that determine a curve, shape (angle,); ``None`` if there are too many.
 
     Args:
         touch: curves of examples, shape (example, n, contact).
-        accuracy: relative to the largest value.
+        accuracy: accuracy of the interpolation, relative to the largest value.
     """
     from scipy import linalg
 
@@ -235,8 +238,10 @@ def _chosen(touch: np.ndarray, accuracy: float) -> np.ndarray | None:
 
 
 def _weights(touch: np.ndarray, chosen: np.ndarray, accuracy: float) -> np.ndarray | None:
-    """Weights of the values at the chosen angles, shape (n, angle), from the first half of the examples; ``None`` where
-    the second half does not follow them."""
+    """Weights of the values at the chosen angles, shape (n, angle), from the first half of the examples.
+
+    ``None`` if they do not reproduce the second half.
+    """
     from scipy import linalg
 
     curves, half = touch.transpose(0, 2, 1), len(touch) // 2
@@ -248,8 +253,10 @@ def _weights(touch: np.ndarray, chosen: np.ndarray, accuracy: float) -> np.ndarr
 
 
 def _series(fine: np.ndarray, number: int) -> np.ndarray:
-    """Polynomials of the weights near each sample, shape (number, term, angle); beside the ends, of the next sample,
-    moved."""
+    """Polynomials of the weights near each sample, shape (number, term, angle).
+
+    At the first and last sample, they are those of the neighbouring sample, shifted.
+    """
     steps = np.arange(-FINE, FINE + 1) / FINE
     centres = np.clip(np.arange(number), 1, number - 2)
     rows = fine[FINE * centres[:, None] + np.arange(-FINE, FINE + 1)]  # (number, step, angle)

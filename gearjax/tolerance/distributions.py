@@ -1,7 +1,7 @@
-"""Distributions of a toleranced number, each by its quantile function, so that every sampling method serves them all.
+"""Distributions of a toleranced number, each with its quantile function, which is all that a sampling method needs.
 
-All numbers are SI, in the unit of the parameter that is drawn. A distribution is static: it is compared by value, and
-what reaches a compiled program are the numbers drawn from it.
+All numbers are SI, in the unit of the parameter that is drawn. A distribution is static and compared by value; a
+compiled program gets only the numbers drawn from it.
 """
 
 import abc
@@ -23,7 +23,7 @@ T = TypeVar("T")
 def declared_number(
     dimension: Any = None, *, kind: str = "number", default: Any = dataclasses.MISSING, **bounds: Any
 ) -> Any:
-    """A number of the distribution; without a dimension, in that of what is drawn."""
+    """Declare a number of a distribution; without a dimension, it has the dimension of the number that is drawn."""
     keywords = {} if default is dataclasses.MISSING else {"default": default}
     return dataclasses.field(metadata={"parameter": Parameter(dimension, kind, **bounds)}, **keywords)
 
@@ -32,7 +32,7 @@ def check_declared(part: Any) -> None:
     """Refuse values that the fields of a distribution do not allow.
 
     Raises:
-        ParameterError: naming the field.
+        ParameterError: names the field.
     """
     for field in dataclasses.fields(part):
         if "parameter" in field.metadata:
@@ -40,7 +40,7 @@ def check_declared(part: Any) -> None:
 
 
 def formerly(**names: str) -> Callable[[type[T]], type[T]]:
-    """A decorator that lets fields of a distribution be given by the names that they had before: new by old name."""
+    """A decorator that also accepts fields of a distribution by their former names; ``names`` are new by old names."""
 
     def decorate(part: type[T]) -> type[T]:
         begin = part.__init__
@@ -57,10 +57,10 @@ def formerly(**names: str) -> Callable[[type[T]], type[T]]:
 
 
 def renamed(part: type, given: dict[str, Any]) -> dict[str, Any]:
-    """Values of a distribution's fields by the names of today.
+    """Values of a distribution's fields by their present names.
 
     Raises:
-        ParameterError: one is given by both of its names.
+        ParameterError: a field is given by both of its names.
     """
     former = getattr(part, "former_names", {})
     for old, new in former.items():
@@ -71,15 +71,15 @@ def renamed(part: type, given: dict[str, Any]) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class AbstractDistribution(abc.ABC):
-    """What every distribution offers."""
+    """Base of all distributions."""
 
     kind: ClassVar[str]
     former_names: ClassVar[Mapping[str, str]] = {}
-    """Names that fields had before, with those of today."""
+    """Present names of fields by their former names."""
 
     @abc.abstractmethod
     def quantile(self, share: np.ndarray) -> np.ndarray:
-        """Values below which the given shares of the population lie, any shape; shares between 0 and 1."""
+        """Values below which the given shares (between 0 and 1) of the population lie, any shape."""
 
     @property
     @abc.abstractmethod
@@ -93,7 +93,7 @@ class AbstractDistribution(abc.ABC):
 
     @property
     def is_tolerance(self) -> bool:
-        """Whether manufacturing could narrow it; a random assembly phase cannot be."""
+        """Whether manufacturing could narrow the distribution; it cannot narrow a random assembly phase."""
         return self.deviation > 0
 
 
@@ -130,11 +130,13 @@ class Normal(AbstractDistribution):
 @formerly(scale="std")
 @dataclasses.dataclass(frozen=True)
 class TruncatedNormal(AbstractDistribution):
-    """Normal distribution of which only what lies between two limits is delivered.
+    """Normal distribution after sorting: only values between two limits are delivered.
 
     Args:
-        mean, std: mean and standard deviation before sorting.
-        low, high: limits.
+        mean: mean before sorting.
+        std: standard deviation before sorting.
+        low: lower limit.
+        high: upper limit.
     """
 
     kind: ClassVar[str] = "truncated_normal"
@@ -148,7 +150,7 @@ class TruncatedNormal(AbstractDistribution):
         if not self.low < self.high:
             raise ParameterError("high", self.high, f"must be above low ({self.low:g})")
         lower, upper = self._ends
-        if max(lower, -upper) > 8:  # a part so far out in the tail is a mistake, and its quantiles are lost in rounding
+        if max(lower, -upper) > 8:  # so far out in the tail is a mistake, and rounding destroys the quantiles
             raise ParameterError("mean", self.mean, "must lie within 8 std of the limits")
 
     @property
@@ -157,7 +159,7 @@ class TruncatedNormal(AbstractDistribution):
 
     @property
     def _mirrored(self) -> float:
-        """-1 where the upper tail is the one that is kept: shares close to 1 lose their digits."""
+        """-1 if the upper tail is kept, else 1: the lower tail is used instead, as shares close to 1 lose digits."""
         lower, upper = self._ends
         return -1.0 if lower + upper > 0 else 1.0
 
@@ -192,7 +194,8 @@ class Uniform(AbstractDistribution):
     """Uniform distribution between two limits.
 
     Args:
-        low, high: limits.
+        low: lower limit.
+        high: upper limit.
     """
 
     kind: ClassVar[str] = "uniform"
@@ -218,7 +221,7 @@ class Uniform(AbstractDistribution):
 
 @dataclasses.dataclass(frozen=True)
 class UniformPhase(AbstractDistribution):
-    """Any angle of a turn, as bodies are assembled where nobody looks: from -180 to 180 deg."""
+    """Uniform distribution of a phase from -180 to 180 deg, as of bodies that are assembled at random."""
 
     kind: ClassVar[str] = "uniform_phase"
 
@@ -240,7 +243,7 @@ class UniformPhase(AbstractDistribution):
 
 @dataclasses.dataclass(frozen=True)
 class Rayleigh(AbstractDistribution):
-    """Length of a vector whose two components are normal about zero: an eccentricity from two offsets.
+    """Length of a vector whose two components are normal with zero mean, such as an eccentricity from two offsets.
 
     Args:
         scale: standard deviation of each component.
@@ -298,11 +301,11 @@ class Lognormal(AbstractDistribution):
 
 @dataclasses.dataclass(frozen=True)
 class Discrete(AbstractDistribution):
-    """Some values, each with its probability.
+    """A few values, each with its probability.
 
     Args:
-        values: the values.
-        probabilities: their probabilities, adding to 1; equal ones without.
+        values: the possible values.
+        probabilities: probabilities of the values, which add to 1; equal probabilities if left out.
     """
 
     kind: ClassVar[str] = "discrete"
@@ -345,7 +348,7 @@ class Discrete(AbstractDistribution):
 
 @dataclasses.dataclass(frozen=True)
 class Empirical(AbstractDistribution):
-    """Measured values, each as likely as another.
+    """Measured values, all equally likely.
 
     Args:
         values: the measured values.

@@ -1,4 +1,4 @@
-"""Distributions of numbers that an accuracy grade of a standard limits."""
+"""Distributions of numbers whose limits are given by an accuracy or tolerance grade of a standard."""
 
 import dataclasses
 import math
@@ -15,19 +15,21 @@ from gearjax.tolerance.grades import EDITIONS, it_tolerance, run_out_tolerance
 from gearjax.units import LENGTH
 
 WITHIN = 0.9973
-"""Share of the parts within the limits of a grade: what three standard deviations hold of a normal distribution."""
+"""Share of the parts within the limits of a grade: that within three standard deviations of a normal distribution."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Iso1328RunOut(AbstractDistribution):
-    """Eccentricity of a gear of an accuracy grade: `Rayleigh`, with 99.73 % of the gears within the limit of run-out,
-    which is twice the eccentricity (`run_out_tolerance`).
+    """Eccentricity of a gear of an accuracy grade.
+
+    A `Rayleigh` distribution with 99.73 % of the gears within the limit of run-out (`run_out_tolerance`), which is
+    twice the eccentricity.
 
     Args:
         grade: accuracy grade.
         module: normal module [m].
         diameter: reference diameter [m].
-        edition: of ISO 1328, ``"2013"`` or ``"1995"``.
+        edition: edition of ISO 1328, ``"2013"`` or ``"1995"``.
     """
 
     kind: ClassVar[str] = "iso_1328_run_out"
@@ -42,7 +44,7 @@ class Iso1328RunOut(AbstractDistribution):
 
     @property
     def law(self) -> Rayleigh:
-        """The distribution itself."""
+        """The Rayleigh distribution of the eccentricity."""
         limit = 0.5 * run_out_tolerance(self.grade, self.module, self.diameter, self.edition)
         return Rayleigh(limit / math.sqrt(-2 * math.log(1 - WITHIN)))
 
@@ -60,11 +62,11 @@ class Iso1328RunOut(AbstractDistribution):
 
 @dataclasses.dataclass(frozen=True)
 class Iso286(AbstractDistribution):
-    """Size of a tolerance grade IT: `Normal`, its tolerance six standard deviations wide (`it_tolerance`).
+    """Size of a tolerance grade IT: a `Normal` distribution, its tolerance six standard deviations (`it_tolerance`).
 
     Args:
         mean: middle of the tolerance.
-        grade: IT 5 to 16.
+        grade: tolerance grade, IT 5 to 16.
         size: nominal size that the grade refers to [m].
     """
 

@@ -8,11 +8,12 @@ from gearjax.checks import ParameterError, nearest
 from gearjax.units import mm, um
 
 EDITIONS = ("2013", "1995")
-"""Of ISO 1328: formulas at the gear's own size, or at the middle of ranges of sizes, as in the printed tables."""
+"""Editions of ISO 1328: "2013" has formulas of the gear's own size; in "1995" they are of the geometric mean of a range
+of sizes, as in the printed tables."""
 _DIAMETERS = (5, 20, 50, 125, 280, 560, 1000, 1600, 2500, 4000, 6000, 8000, 10000)  # mm
 _MODULES = (0.5, 2, 3.5, 6, 10, 16, 25, 40, 70)  # mm
 _SIZES = (3, 6, 10, 18, 30, 50, 80, 120, 180, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500, 3150)  # mm
-_IT = {  # um, for each of the sizes up to and including
+_IT = {  # um, by grade; each value is for sizes up to and including the size at the same place of _SIZES
     5: (4, 5, 6, 8, 9, 11, 13, 15, 18, 20, 23, 25, 27, 32, 36, 40, 47, 55, 65, 78, 96),
     6: (6, 8, 9, 11, 13, 16, 19, 22, 25, 29, 32, 36, 40, 44, 50, 56, 66, 78, 92, 110, 135),
     7: (10, 12, 15, 18, 21, 25, 30, 35, 40, 46, 52, 57, 63, 70, 80, 90, 105, 125, 150, 175, 210),
@@ -25,7 +26,7 @@ IT_GRADES = range(5, 17)
 
 
 def single_pitch_tolerance(grade: int, module: float, diameter: float, edition: str = "2013") -> float:
-    """Limit of the single pitch deviation, either way [m].
+    """Limit of the single pitch deviation, of either sign [m].
 
     ISO 1328-1:2013, 5.3.2, formula (5): ``(0.001 d + 0.4 m + 5) sqrt(2)^(grade - 5)`` um; ISO 1328-1:1995, clause 6
     and table 1: ``0.3 (m + 0.4 sqrt(d)) + 4`` at grade 5.
@@ -34,10 +35,10 @@ def single_pitch_tolerance(grade: int, module: float, diameter: float, edition: 
         grade: accuracy grade, 1 to 11 (2013) or 0 to 12 (1995).
         module: normal module [m].
         diameter: reference diameter [m].
-        edition: ``"2013"`` or ``"1995"``.
+        edition: edition of the standard, ``"2013"`` or ``"1995"``.
 
     Raises:
-        ParameterError: a value is outside of what the standard covers.
+        ParameterError: a value is outside the range of the standard.
     """
     return _iso_1328(
         (grade, module, diameter, edition),
@@ -77,22 +78,22 @@ def run_out_tolerance(grade: int, module: float, diameter: float, edition: str =
 
 
 def flank_tolerance(deviation: str, grade: int, module: float, diameter: float, width: float) -> float:
-    """Limit of a deviation of profile or helix, of slopes either way (ISO 1328-1:2013, 5.3) [m].
+    """Limit of a deviation of profile or helix, for slopes of either sign (ISO 1328-1:2013, 5.3) [m].
 
-    At grade 5, in um, of sizes in mm: profile slope ``f_H_alpha`` 0.4 m + 0.001 d + 4, profile form ``f_f_alpha``
+    At grade 5, in um, with sizes in mm: profile slope ``f_H_alpha`` 0.4 m + 0.001 d + 4, profile form ``f_f_alpha``
     0.55 m + 5, helix slope ``f_H_beta`` 0.05 sqrt(d) + 0.35 sqrt(b) + 4, helix form ``f_f_beta`` 0.07 sqrt(d) +
-    0.45 sqrt(b) + 4; the total deviations ``F_alpha`` and ``F_beta`` by the root of the sum of the squares of both.
-    Each grade allows ``sqrt(2)`` times as much as the one before.
+    0.45 sqrt(b) + 4. The total deviations ``F_alpha`` and ``F_beta`` are the root of the sum of the squares of slope
+    and form. Each grade allows ``sqrt(2)`` times as much as the grade before.
 
     Args:
-        deviation: its name, as above.
+        deviation: name of the deviation, as above.
         grade: accuracy grade, 1 to 11.
         module: normal module [m].
         diameter: reference diameter [m].
         width: face width [m].
 
     Raises:
-        ParameterError: there is no such deviation, or a value is outside of what the standard covers.
+        ParameterError: there is no such deviation, or a value is outside the range of the standard.
     """
     if deviation not in _OF_FLANKS:
         raise ParameterError("deviation", deviation, nearest(deviation, _OF_FLANKS))
@@ -139,29 +140,29 @@ def _iso_1328(given: tuple[int, float, float, str], now: Formula, before: Formul
 
 
 def _middle(size: float, bounds: tuple[int | float, ...]) -> float:
-    """Geometric mean of the range that a size lies in (ISO 1328-1:1995, clause 6)."""
+    """Geometric mean of the ends of the range that contains a size (ISO 1328-1:1995, clause 6)."""
     place = max(1, bisect_left(bounds, size * (1 - 1e-12)))
     return math.sqrt(bounds[place - 1] * bounds[place])
 
 
 def _rounded(value: float) -> float:
-    """Above 10 um to 1 um, from 5 um to 0.5 um, below to 0.1 um (ISO 1328-1:1995, clause 6; 2013, clause 5)."""
+    """A value rounded to 1 um above 10 um, to 0.5 um from 5 um on, else to 0.1 um (ISO 1328-1:1995, 6; 2013, 5)."""
     step = 1.0 if value > 10 else 0.5 if value >= 5 else 0.1
     return math.floor(value / step + 0.5) * step
 
 
 def it_tolerance(grade: int, size: float) -> float:
-    """Standard tolerance IT of a size: highest minus lowest allowed [m] (ISO 286-1:2010, table 1).
+    """Standard tolerance IT of a size: highest minus lowest allowed size [m] (ISO 286-1:2010, table 1).
 
     Its values follow ``k i`` with ``i = 0.45 D^(1/3) + 0.001 D`` um up to 500 mm (ISO 286-1:1988, A.3.2); IT 12 to 16
     are ten times IT 7 to 11.
 
     Args:
-        grade: 5 to 16.
+        grade: tolerance grade, 5 to 16.
         size: nominal size, above 0 to 3150 mm [m].
 
     Raises:
-        ParameterError: outside of the table.
+        ParameterError: a value is outside the table.
     """
     if isinstance(grade, bool) or not isinstance(grade, int) or grade not in IT_GRADES:
         raise ParameterError("grade", grade, f"must be a whole number from {IT_GRADES[0]} to {IT_GRADES[-1]}")

@@ -1,4 +1,4 @@
-"""Interference in a population: how many of its gear sets cannot be assembled without giving way."""
+"""Interference in a population: how many of its gear sets cannot be assembled without deformation."""
 
 from typing import NamedTuple
 
@@ -17,12 +17,12 @@ class Clashes(NamedTuple):
     """Interference of some gear sets of a population.
 
     Args:
-        looked_at: number of gear sets that were looked at, the first ones.
-        interfering: how many of them have rigid bodies that overlap wherever the output is, at some angle.
-        sample: index of the worst.
-        overlap: its largest overlap [m].
-        contact: name of the contact there.
-        theta: input angle there [rad].
+        looked_at: number of gear sets that were examined, from the first on.
+        interfering: number of them whose rigid bodies overlap at some input angle, at every position of the output.
+        sample: index of the worst gear set.
+        overlap: largest overlap of the worst gear set [m].
+        contact: name of the contact with the largest overlap.
+        theta: input angle of the largest overlap [rad].
     """
 
     looked_at: int
@@ -34,7 +34,7 @@ class Clashes(NamedTuple):
 
     @property
     def told(self) -> str | None:
-        """In words, ``None`` where all are clear."""
+        """The interference in words, ``None`` if there is none."""
         if self.interfering == 0:
             return None
         return (
@@ -56,11 +56,11 @@ class Clashes(NamedTuple):
 
 
 def clashes(tolerances: Tolerances, rows: np.ndarray, theta: ArrayLike | None = None) -> Clashes | None:
-    """Interference of the first gear sets of a population; ``None`` where the room between both flanks is not known.
+    """Interference of the first gear sets of a population; ``None`` if the scene does not model the clearance.
 
     Args:
         tolerances: the population.
-        rows: numbers of the gear sets, in the order of its paths, shape (n, free).
+        rows: numbers of the gear sets, in the order of the paths of the population, shape (n, free).
         theta: input angles, as for `Measures`, shape (m,) [rad].
     """
     scene, free = tolerances.scene, tolerances.free

@@ -1,4 +1,4 @@
-"""A measure: one metric of one analysis, and what it may be."""
+"""A measure: one metric of one analysis, and its limits."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ MEASURED = (*METRICS, "minimum", "maximum")
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
-    """One metric of one analysis, and what it may be.
+    """One metric of one analysis, and its limits.
 
     Args:
         analysis: ``no_load``, ``static``, ``backlash`` or ``dynamic``.
         metric: ``peak_to_peak``, ``amplitude`` (largest absolute value), ``mean``, ``std``, ``minimum`` or ``maximum``.
-        torque: of a static or dynamic analysis [N m].
+        torque: load torque of a static or dynamic analysis [N m].
         limit: highest value of a good gear set [rad].
         at_least: lowest value of a good gear set [rad].
 
     Raises:
-        ParameterError: an unknown word, or a torque is missing or not wanted.
+        ParameterError: a word is unknown, a torque is missing, or the analysis takes no torque.
     """
 
     analysis: str
@@ -52,7 +52,7 @@ class Measure:
 
     @classmethod
     def named(cls, name: str, **rest: Any) -> "Measure":
-        """From a name such as ``"no_load.peak_to_peak"``, or ``"static.std@100Nm"``."""
+        """A measure from a name such as ``"no_load.peak_to_peak"``, or ``"static.std@100Nm"``."""
         words, _, torque = name.partition("@")
         analysis, _, metric = words.partition(".")
         if torque and rest.get("torque") is not None:
@@ -69,18 +69,21 @@ class Measure:
 
     @property
     def name(self) -> str:
-        """Analysis, metric and torque."""
+        """Name from analysis, metric and torque."""
         torque = "" if self.torque is None else f"@{self.torque:g}Nm"
         return f"{self.analysis}.{self.metric}{torque}"
 
     @property
     def is_limited(self) -> bool:
-        """Whether some values are not good."""
+        """Whether the measure has a limit."""
         return self.limit is not None or self.at_least is not None
 
     def excess(self, values: Any) -> Any:
-        """What a good gear set has little of: how far a value is beyond its limits, or where there is none, its size;
-        of numpy or JAX arrays."""
+        """Number that is small for a good gear set, from values as numpy or JAX arrays.
+
+        With ``at_least``, it is how far a value is outside the limits, negative inside. Otherwise it is the value
+        itself, or the size of a mean without limit.
+        """
         if self.at_least is None:
             return abs(values) if self.limit is None and self.metric == "mean" else values
         below = self.at_least - values
@@ -90,7 +93,7 @@ class Measure:
         return 0.5 * (above + below + abs(above - below))
 
     def holds(self, values: np.ndarray) -> np.ndarray:
-        """Which values are good; those that are not finite are not."""
+        """Whether each value is within the limits; values that are not finite are not."""
         good = np.isfinite(values)
         if self.limit is not None:
             good &= values <= self.limit
@@ -100,10 +103,10 @@ class Measure:
 
 
 def listed(measure: str | Measure | Sequence[str | Measure]) -> list[Measure]:
-    """Measures from their names, or as they are.
+    """A list of measures, from measures or their names.
 
     Raises:
-        ParameterError: there is none, or one is something else.
+        ParameterError: the list is empty, or contains something else.
     """
     given = [measure] if isinstance(measure, str | Measure) else measure
     if not isinstance(given, Sequence) or not given:

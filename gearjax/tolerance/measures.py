@@ -1,4 +1,4 @@
-"""What is measured of each gear set: metrics of analyses as numbers, with a result code that says what failed."""
+"""Measures of each gear set: metrics of analyses as numbers, with a result code that says what failed."""
 
 import dataclasses
 import functools
@@ -36,8 +36,8 @@ CODES = {
     4: "its curve is not like those of the others: report it, and use other contacts or extremes",
     **{10 + code: f"dynamic: {words}" for code, words in FAULTS.items()},
 }
-"""What a result code says."""
-SAMPLES = 1581  # of one cycle, where nothing else is said
+"""Meaning of each result code."""
+SAMPLES = 1581  # default number of input angles of one cycle
 TOGETHER = {
     "quick": 16,
     "balances": 64,
@@ -57,17 +57,18 @@ class Record(NamedTuple):
 class Measures:
     """Several measures of a scene over the same input angles.
 
-    Quasi-static records with hard contacts come quickly (`gearjax.tolerance.curves`), others from the analyses.
+    Quasi-static records with hard contacts are computed by fast methods (`gearjax.tolerance.curves` and others), all
+    other records by the analyses.
 
     Args:
-        measures: what is measured.
-        tolerances: the population; its program knows all numbers that do not vary.
-        theta: input angles, shape (n,) [rad]; without, those of the scene's run section, or one cycle.
-        extremes: ``"samples"`` or ``"between"`` them too.
+        measures: the measures.
+        tolerances: the population; numbers that do not vary are constants of the program.
+        theta: input angles, shape (n,) [rad]; by default those of the scene's run section, or one cycle.
+        extremes: ``"samples"`` for the extremes of the samples, ``"between"`` for those between samples too.
 
     Raises:
         ParameterError: two measures are the same.
-        SceneError: the scene lacks what a measure needs.
+        SceneError: the scene lacks a part that a measure needs.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Measures:
         extremes: str,
     ):
         scene = self.scene = tolerances.scene
-        self.places = 1  # of the curves from one sample to the next
+        self.places = 1  # steps of the curves from one sample to the next
         self.measures, self.extremes = tuple(measures), extremes
         _check(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
@@ -96,7 +97,7 @@ class Measures:
         self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 
     def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
-        """Curves of contacts that touch on one side, where they come quickly: with springs one by one."""
+        """Curves of contacts that keep their sides, by the fast method; ``None`` if it does not apply."""
         if population.is_train or population.system.exact or ("static" in analyses and not population.springs_apart):
             return None
         stiffness = "mean" if "static" in analyses else "rigid"
@@ -106,7 +107,7 @@ class Measures:
         return dataclasses.replace(curves, series=None)
 
     def _balances(self, population: Scene, analyses: set[str]) -> Balances | None:
-        """Curves of two-sided contacts, where they come quickly: with linear springs."""
+        """Curves of contacts that change sides, by the fast method; ``None`` if it does not apply."""
         linear = "static" not in analyses or population.springs_apart
         if self._system_varies or not linear or population.system.exact:
             return None
@@ -131,7 +132,7 @@ class Measures:
 
     @property
     def together(self) -> int:
-        """How many gear sets are worked on side by side."""
+        """Number of gear sets that are computed side by side."""
         if any(measure.analysis == "dynamic" for measure in self.measures):
             return TOGETHER["dynamic"]
         if isinstance(self.curves, Balances):
@@ -141,7 +142,7 @@ class Measures:
         return TOGETHER["other" if self.curves is None else "quick"]
 
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
-        """Measures of a gear set with the given numbers, nan where it failed, and its result code."""
+        """Measures of a gear set with the given numbers, nan if it failed, and its result code."""
         if isinstance(self.curves, Balances) and self.extremes == "between":
             measured, codes = self.rows(values[None])
             return measured[0], codes[0]
@@ -161,7 +162,7 @@ class Measures:
         return _told(self.measures, self.motion, scene, record)
 
     def curve_rows(self, values: Float[Array, "row free"], measure: Measure) -> Float[Array, "row n"]:
-        """The quasi-static curves that a measure is of, at the samples [rad], of gear sets with the given numbers."""
+        """Quasi-static curves of a measure at the samples [rad], for gear sets with the given numbers."""
         key, curves = (measure.analysis, measure.torque), self.curves
         scenes = jax.vmap(lambda row: self.free.set(self.physics, row))(values)
         if isinstance(curves, Balances):
@@ -170,7 +171,7 @@ class Measures:
         return jax.vmap(lambda scene: curves.curve(scene, *key))(scenes)
 
     def rows(self, values: Float[Array, "row free"]) -> tuple[Float[Array, "row measure"], Int[Array, " row"]]:
-        """The same of several gear sets, their arrays laid out as is quick."""
+        """Measures and result codes of several gear sets, computed with arrays laid out for speed."""
         if not isinstance(self.curves, Balances):
             return jax.vmap(self)(values)
         scenes = jax.vmap(lambda row: self.free.set(self.physics, row))(values)
@@ -192,7 +193,7 @@ class Measures:
         return jax.vmap(one, in_axes=(0, -1, 0))(scenes, curves, ends)
 
     def _of_samples(self, values: Float[Array, " m"], ends: tuple[Scalar, Scalar] | None = None) -> Record:
-        """Metrics of the samples of a curve, and its extremes where they are known."""
+        """Metrics of a curve from its samples; its extremes are ``ends`` if they are known."""
         samples = values[:: self.places]
         high, low = (
             (lambda: top(samples), lambda: -top(-samples)) if ends is None else (lambda: ends[0], lambda: ends[1])
@@ -201,16 +202,16 @@ class Measures:
 
 
 class SceneMeasures:
-    """Several measures of scenes that are drawn as a whole, over the same input angles: by the analyses themselves.
+    """Several measures of scenes that are drawn as a whole, over the same input angles, computed by the analyses.
 
     Args:
-        measures: what is measured.
+        measures: the measures.
         example: one of the scenes.
         theta, extremes: as for `Measures`.
 
     Raises:
         ParameterError: two measures are the same.
-        SceneError: the example lacks what a measure needs.
+        SceneError: the example lacks a part that a measure needs.
     """
 
     def __init__(self, measures: Sequence[Measure], example: Scene, theta: ArrayLike | None, extremes: str):
@@ -226,7 +227,7 @@ class SceneMeasures:
         return tuple(measure.name for measure in self.measures)
 
     def __call__(self, scene: Scene) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
-        """Measures of a scene, nan where it failed, and its result code."""
+        """Measures of a scene, nan if it failed, and its result code."""
         physics = scene.physics(*_slots(self.measures))
 
         def record(analysis: str, torque: float | None) -> Record:
@@ -252,7 +253,7 @@ def _slots(measures: Sequence[Measure]) -> set[str]:
 def _told(
     measures: Sequence[Measure], motion: "_Motion | None", scene: Scene, record: Callable[..., Record]
 ) -> tuple[Array, Array]:
-    """Measures and code from the records of quasi-static analyses, and of the dynamic one."""
+    """Measures and result code from the records of quasi-static analyses and of the dynamic analysis."""
     records: dict[tuple, Record] = {}
     for measure in measures:
         key = measure.analysis, measure.torque
@@ -267,7 +268,7 @@ def _told(
 
 
 def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
-    """Input angles of the records: as given, of the scene's run section, or one cycle, shape (n,) [rad]."""
+    """Input angles of the records: the given ones, those of the run section, or one cycle, shape (n,) [rad]."""
     if theta is not None:
         return jnp.asarray(theta, scene.dtype)
     if scene.run is not None:
@@ -324,7 +325,7 @@ def _metrics(motion: Any) -> dict[str, Callable[[], Scalar]]:
 
 
 class _Motion(NamedTuple):
-    """How the dynamic TE is simulated: the same for all gear sets."""
+    """Settings of the simulation of the dynamic TE, the same for all gear sets."""
 
     ts: np.ndarray
     stepper: FixedStep

@@ -25,7 +25,7 @@ from gearjax.typing import Array, ArrayLike
 
 CHUNK = 16384
 ACCELERATED = 1024  # samples side by side on an accelerator, at least
-KEPT_STRATA = 6  # numbers for each sample of a Latin hypercube, whose orders of strata are kept
+KEPT_STRATA = 6  # numbers that are kept for each sample of a Latin hypercube, for the orders of its strata
 QUANTILES = (0.05, 0.5, 0.95)
 Evaluated = tuple[np.ndarray, np.ndarray]
 """Measures, shape (n, measure), and result codes, shape (n,)."""
@@ -33,16 +33,16 @@ Evaluated = tuple[np.ndarray, np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What a Monte Carlo study found.
+    """The results of a Monte Carlo study.
 
     Args:
-        names: of the measures.
-        values: measures of each sample, nan where it failed, shape (n, measure).
-        result: code of each sample, 0 for good (`gearjax.tolerance.measures.CODES`), shape (n,).
+        names: names of the measures.
+        values: measures of each sample, nan if it failed, shape (n, measure).
+        result: result code of each sample, 0 for good (`gearjax.tolerance.measures.CODES`), shape (n,).
         sizes: numbers of samples of the independent designs, adding to n.
-        measures: with their limits; empty where the measure was a function.
+        measures: the measures with their limits; empty if the measure was a function.
         seconds: wall time without compilation [s].
-        compile_seconds: of tracing and compiling [s].
+        compile_seconds: wall time of tracing and compiling [s].
     """
 
     names: tuple[str, ...]
@@ -55,7 +55,7 @@ class Study:
 
     @property
     def samples(self) -> int:
-        """How many gear sets were looked at."""
+        """Number of gear sets that were evaluated."""
         return len(self.result)
 
     @property
@@ -65,22 +65,22 @@ class Study:
 
     @property
     def faults(self) -> dict[str, int]:
-        """How many samples failed, by what failed."""
+        """Number of failed samples, by the meaning of the result code."""
         codes, counts = np.unique(self.result[self.failed], return_counts=True)
         return {CODES.get(int(code), f"code {code}"): int(count) for code, count in zip(codes, counts, strict=True)}
 
     def column(self, name: str) -> np.ndarray:
-        """Values of one measure, nan where it failed, shape (n,).
+        """Values of one measure, nan if a sample failed, shape (n,).
 
         Raises:
-            ParameterError: no such measure.
+            ParameterError: there is no such measure.
         """
         if name not in self.names:
             raise ParameterError("measure", name, nearest(name, self.names))
         return self.values[:, self.names.index(name)]
 
     def good(self, name: str) -> np.ndarray:
-        """Values of the samples that did not fail."""
+        """Values of one measure of the samples that did not fail."""
         column = self.column(name)
         return column[np.isfinite(column)]
 
@@ -110,8 +110,8 @@ class Study:
         """Share of gear sets whose measure is within a limit, with its interval of 95 % confidence: the yield.
 
         Args:
-            name: of the measure.
-            limit: highest good value; without, the limits of the measure itself. A sample that failed is not good.
+            name: name of the measure.
+            limit: highest good value; by default the limits of the measure itself. A sample that failed is not good.
 
         Raises:
             ParameterError: the measure has no limit.
@@ -125,7 +125,7 @@ class Study:
         return statistics.share(measure.holds(column), self.sizes)
 
     def worst(self, name: str) -> int:
-        """Index of the sample furthest out (`Measure.excess`); -1 where all failed."""
+        """Index of the worst sample (by `Measure.excess`); -1 if all failed."""
         column = self.column(name)
         if not np.isfinite(column).any():
             return -1
@@ -134,7 +134,7 @@ class Study:
 
 
 class Work:
-    """A study as independent chunks: what each yields depends on the study and its indices alone.
+    """A study as independent chunks: the results of a chunk depend only on the study and the indices of its samples.
 
     Args:
         sample, measure, number, seed, sampler, theta, extremes, chunk, devices: as for `monte_carlo`.
@@ -171,7 +171,7 @@ class Work:
             together = max(together, ACCELERATED)
         whole = together * len(self.devices)
         self.chunk = min(_whole("chunk", chunk), self.number)  # the same on every machine
-        self._rows = -(-self.chunk // whole) * whole  # filled up to what the devices share evenly
+        self._rows = -(-self.chunk // whole) * whole  # padded, so that the devices share the rows evenly
         self.one, self.together = one, together
         self._program, self._sharding = sharded(one, self.devices, together)
 
@@ -218,7 +218,7 @@ class Work:
         return [(begin, min(begin + self.chunk, self.number)) for begin in range(0, self.number, self.chunk)]
 
     def inputs(self, begin: int, end: int) -> np.ndarray:
-        """What the samples from one index to another are made of, shape (n, ...)."""
+        """Inputs of the samples from one index to another, shape (n, ...): their numbers, or their indices."""
         if not isinstance(self.sample, Tolerances):
             return np.arange(begin, end, dtype=np.uint32)[:, None]
         paths = self.sample.paths
@@ -272,31 +272,31 @@ def monte_carlo(
     devices: Sequence[Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Study:
-    """How measures are distributed over a population of gear sets.
+    """Find the distribution of measures over a population of gear sets.
 
-    Each sample is a function of the key and its own index: chunks, devices and their number change none of them.
+    Each sample depends only on the key and its own index, not on the chunks or the devices.
 
     Args:
         sample: `Tolerances`, or a function from a random key to a scene or anything else.
         measure: a name such as ``"no_load.peak_to_peak"``, a `Measure`, or several; or a function of the sample that
-            returns a number or a dict of numbers. Named measures of a function's samples need scenes, which are
-            analysed one by one, without what makes a population of `Tolerances` quick.
+            returns a number or a dict of numbers. With a function as ``sample``, named measures need scenes; each is
+            analysed by itself, without the fast methods for `Tolerances`.
         n: number of samples.
         key: seed, or random key.
-        sampler: ``"monte_carlo"``, ``"latin_hypercube"`` or ``"sobol"``; the last two with `Tolerances`.
-        theta: input angles, shape (m,) [rad]; without, those of the scene's run section, or one cycle.
-        extremes: of quasi-static measures: ``"between"`` the samples too, or of the ``"samples"`` alone, which is
-            quicker.
-        chunk: how many samples are worked on at once.
-        devices: that share the work; all local ones without.
-        progress: told how many samples are done, and of how many.
+        sampler: ``"monte_carlo"``, ``"latin_hypercube"`` or ``"sobol"``; the last two only with `Tolerances`.
+        theta: input angles, shape (m,) [rad]; by default those of the scene's run section, or one cycle.
+        extremes: extremes of quasi-static measures: ``"between"`` for those between samples too, ``"samples"`` for
+            those of the samples only, which is faster.
+        chunk: number of samples that are computed at once.
+        devices: devices that share the work; by default all local devices.
+        progress: called with the number of samples that are done, and the number of all samples.
 
     Returns:
         The study; samples that failed have a result code and nan.
 
     Raises:
         ParameterError: a name or a number is wrong, or there is too little memory for so many samples.
-        SceneError: the scene lacks what a measure needs.
+        SceneError: the scene lacks a part that a measure needs.
 
     Example:
         >>> import gearjax as gj
@@ -329,7 +329,7 @@ def monte_carlo(
 
 
 def _require_memory(work: Work) -> None:
-    """Refuse more samples than there is memory for what is kept of them."""
+    """Refuse more samples than the memory can store results of."""
     kept = 8.0 * (len(work.names) + (KEPT_STRATA if work.sampler == "latin_hypercube" else 0)) + 4.0
     free = free_memory()
     if free is not None and work.number * kept > free:
@@ -344,7 +344,7 @@ def _whole(name: str, given: Any) -> int:
 
 
 def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[str, ...]:
-    """Names of what a measure returns: keys of a dict, or the function's own."""
+    """Names of the numbers that a function returns: the keys of a dict, or the function's own name."""
     shape = jax.eval_shape(function, of)
     if isinstance(shape, dict):
         return tuple(sorted(shape))
@@ -352,7 +352,7 @@ def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[
 
 
 def _coded(measured: Any) -> tuple[Array, Array]:
-    """Numbers in the order of their names, and the code of a sample."""
+    """Numbers in the order of their names, and the result code of a sample."""
     parts = [measured[name] for name in sorted(measured)] if isinstance(measured, dict) else [measured]
     values = jnp.stack([jnp.asarray(part) for part in parts])
     if values.ndim != 1:
@@ -361,12 +361,12 @@ def _coded(measured: Any) -> tuple[Array, Array]:
 
 
 def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Callable, NamedSharding]:
-    """A program for rows of arrays, its devices each working on their own part, and how the rows are laid out.
+    """A program for the rows of arrays, each device with its own part of the rows, and the sharding of the rows.
 
     Args:
-        one: of one row of each array; if it has a method ``rows``, that is used, of several.
-        devices: that share the rows evenly.
-        together: rows side by side on one device.
+        one: function of one row of each array; if it has a method ``rows``, a function of several rows, that is used.
+        devices: devices that share the rows evenly.
+        together: number of rows that are computed side by side on one device.
     """
     mesh = Mesh(np.array(devices), ("sample",))
     spec = PartitionSpec("sample")
@@ -383,7 +383,7 @@ def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Calla
 
 
 def over_rows(one: Callable, devices: Sequence[Any], together: int) -> Callable[..., Any]:
-    """A function from numpy arrays of any number of rows to a tree of numpy arrays, spread as by `sharded`."""
+    """A function from numpy arrays of any number of rows to a tree of numpy arrays; arguments as for `sharded`."""
     program, sharding = sharded(one, devices, together)
     whole = together * len(devices)
 

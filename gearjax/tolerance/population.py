@@ -34,7 +34,7 @@ class Correlation:
 
 
 def _check_distributions(given: Any) -> None:
-    """Refuse what is no distribution of gearjax."""
+    """Refuse anything but distributions of gearjax by path."""
     if not isinstance(given, Mapping):
         raise ParameterError("distributions", given, 'must be by path: {"errors.planet_1.amplitude": Rayleigh(6e-6)}')
     for path, spread in given.items():
@@ -48,7 +48,7 @@ def _check_distributions(given: Any) -> None:
 
 
 def _each(scene: Scene, given: Mapping[str, AbstractDistribution]) -> dict[str, AbstractDistribution]:
-    """Distributions of single numbers."""
+    """Distributions of single numbers, from paths that may stand for a series."""
     spreads: dict[str, AbstractDistribution] = {}
     known = numbers(scene)
     for path, spread in given.items():
@@ -60,22 +60,22 @@ def _each(scene: Scene, given: Mapping[str, AbstractDistribution]) -> dict[str, 
 
 
 def a_population(name: str, value: Any) -> None:
-    """Refuse what is no population, as an argument of a public function."""
+    """Refuse anything but a population, as an argument of a public function."""
     if not isinstance(value, Tolerances):
         raise ParameterError(name, value, "must be Tolerances(scene, {path: distribution})")
 
 
 class Tolerances:
-    """How the numbers of a scene vary from one gear set to the next.
+    """A population of gear sets: a scene, and how its numbers vary from one gear set to another.
 
     Args:
         scene: the gear set; numbers that are not listed keep its values.
-        distributions: distribution of each toleranced number, by path such as ``errors.planet_1.amplitude``; one that
-            ends with ``[*]`` stands for every number of a series, each by itself.
-        correlations: pairs of numbers that vary together; the others are independent.
+        distributions: distribution of each toleranced number, by path such as ``errors.planet_1.amplitude``; a path
+            that ends with ``[*]`` stands for every number of a series, each drawn independently.
+        correlations: pairs of numbers that vary together; all other numbers are independent.
 
     Raises:
-        ParameterError: a path leads nowhere, most of a distribution lies outside of what its number may be, or the
+        ParameterError: a path does not exist, most of a distribution lies outside the bounds of its number, or the
             correlations contradict each other.
 
     Example:
@@ -102,17 +102,17 @@ class Tolerances:
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """The toleranced numbers."""
+        """Paths of the toleranced numbers."""
         return tuple(self.distributions)
 
     @property
     def tolerated(self) -> tuple[str, ...]:
-        """Those that manufacturing could narrow: all but random assembly phases."""
+        """Paths of the numbers that manufacturing could narrow: all but random assembly phases."""
         return tuple(path for path, spread in self.distributions.items() if spread.is_tolerance)
 
     @property
     def centres(self) -> np.ndarray:
-        """What each number narrows to: nothing for the size of an error, else the mean; shape (free,), SI."""
+        """Value to which each number is narrowed: zero for the size of an error, else the mean; shape (free,), SI."""
         known = numbers(self.scene)
         sizes = [path.startswith("errors.") and known[path].range[0] == 0 for path in self.paths]
         spreads = self.distributions.values()
@@ -120,8 +120,11 @@ class Tolerances:
 
     @property
     def examples(self) -> np.ndarray:
-        """Numbers of gear sets that show all that the population can do: each number at the ends of its distribution in
-        a third of them, in changing company; shape (n, free), SI."""
+        """Numbers of example gear sets that cover the whole population, shape (n, free), SI.
+
+        Each number is at an end of its distribution in a third of the gear sets; its combinations with others are
+        random.
+        """
         drawn = points("monte_carlo", _EXAMPLE_SEED, self.paths, EXAMPLES, 0, EXAMPLES)
         stretched = np.clip(1.5 * drawn - 0.25, 1e-9, 1 - 1e-9)
         return np.concatenate([self.values(stretched[i::2]) for i in (0, 1)])
@@ -132,7 +135,7 @@ class Tolerances:
         return np.array([spread.deviation for spread in self.distributions.values()])
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """Numbers of gear sets from points of the unit cube, shape (n, free) both, SI."""
+        """Numbers of gear sets [SI] from points of the unit cube; both have the shape (n, free)."""
         points = self._correlated(np.asarray(points, dtype=float))
         columns = [spread.quantile(points[:, i]) for i, spread in enumerate(self.distributions.values())]
         return np.stack(columns, axis=1)
@@ -142,7 +145,7 @@ class Tolerances:
         return self.free.set(self.scene, jnp.asarray(values, self.scene.dtype))
 
     def allowed(self, values: np.ndarray) -> np.ndarray:
-        """Which gear sets have numbers that their declarations allow, shape (n,)."""
+        """Whether the numbers of each gear set are within their declared bounds, shape (n,)."""
         low, high = self.bounds
         return np.all(np.isfinite(values) & (values >= low) & (values <= high), axis=1)
 
@@ -188,8 +191,10 @@ class Tolerances:
             ) from fault
 
     def _correlated(self, points: np.ndarray) -> np.ndarray:
-        """The same points with the normal scores mixed; column by column, so that no sum depends on how many points
-        are worked on at once."""
+        """The points with their normal scores mixed for the correlations.
+
+        This is done column by column, so that no sum depends on how many points are computed at once.
+        """
         from scipy import special
 
         if self._mixing is None:

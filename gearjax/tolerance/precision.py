@@ -1,4 +1,4 @@
-"""What float32 costs a tolerance study: how far it shifts the quantiles that are reported."""
+"""Loss of precision of a tolerance study in float32: the shift of the quantiles that are reported."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ class PrecisionShift:
     """A quantile of a measure in both precisions.
 
     Args:
-        name: of the measure.
-        level: of the quantile.
+        name: name of the measure.
+        level: level of the quantile.
         double, single: the quantile in float64 and in float32 [rad].
-        spread: from the lowest to the highest quantile of the measure [rad].
+        spread: difference of the highest and the lowest quantile of the measure [rad].
     """
 
     name: str
@@ -30,7 +30,7 @@ class PrecisionShift:
 
     @property
     def relative(self) -> float:
-        """Shift over the value, or over the spread of the measure where that is larger."""
+        """Shift over the value, or over the spread of the measure if the spread is larger."""
         return abs(self.single - self.double) / max(abs(self.double), self.spread, 1e-300)
 
 
@@ -47,9 +47,9 @@ def precision_shifts(
 
     Args:
         tolerances: the population, in float64.
-        measures: what is measured.
+        measures: the measures.
         n: number of gear sets.
-        key: seed.
+        key: seed of the samples.
         options: ``theta``, ``sampler``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
     """
     studies = []

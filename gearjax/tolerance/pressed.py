@@ -1,7 +1,8 @@
-"""Loaded curves of many gear sets whose springs are coupled, where errors alone differ: poses and matrices are shared.
+"""Loaded curves of many gear sets with coupled springs that differ only in errors; they share poses and springs.
 
-What a system shows at an angle, and how its teeth give way there, do not depend on the errors. Both are worked out once
-for all gear sets, outside of their program; under each angle the gear sets are lanes that share its matrix.
+The pose of a system at an angle and the compliance of its teeth there do not depend on the errors. Both are computed
+once for all gear sets, outside the program of the gear sets. At each angle, all gear sets are solved with the same
+matrix.
 """
 
 import dataclasses
@@ -17,11 +18,11 @@ from gearjax.typing import Array, Float, Scalar
 
 
 class Pressed(eqx.Module):
-    """What all gear sets of a population share.
+    """Poses and springs that are common to all gear sets of a population.
 
     Args:
-        poses: at the input angles.
-        springs: there, every number with a leading axis of angles.
+        poses: poses at the input angles.
+        springs: springs at the input angles, every number with a leading axis of angles.
     """
 
     poses: Pose
@@ -29,19 +30,19 @@ class Pressed(eqx.Module):
 
     @classmethod
     def of(cls, scene: Scene, theta: Float[Array, " n"], fixed: bool) -> "Pressed | None":
-        """Of a population whose errors alone vary and whose output alone moves; ``None`` of any other.
+        """From a population of which only the errors vary and only the output moves; ``None`` for any other.
 
         Args:
             scene: one of the gear sets.
             theta: input angles, shape (n,) [rad].
-            fixed: whether errors and backlash alone vary.
+            fixed: whether only errors and backlash vary.
         """
         if not fixed or not isinstance(scene.compliance, COUPLED) or not scene.output_alone or scene.system.exact:
             return None
         return cls(*_shared(scene, theta))
 
     def curve(self, scene: Scene, torque: float) -> Float[Array, " n"]:
-        """Static TE of one gear set under a torque [N m] at all angles, nan where there is none [rad]."""
+        """Static TE of one gear set under a torque [N m] at all angles [rad]; nan if there is no equilibrium."""
         anchored, applied = scene.anchored(), -jnp.asarray(torque, scene.dtype)
 
         def at(pose: Pose, springs: CoupledSprings) -> Scalar:

@@ -1,10 +1,10 @@
-"""Points of the unit cube for a study, each a function of the seed and its own index alone.
+"""Points of the unit cube for a study; each point depends only on the seed and its own index.
 
-Which chunk, device or machine works on a point, in which order and after which interruption, changes no bit of it:
-everything here is integer arithmetic, or numpy on the host. A coordinate belongs to a name (the path of the number
-that is drawn from it), whose own key it has: with Monte Carlo and Latin hypercube another name beside it changes
-nothing. Latin hypercube and Sobol points come in `REPLICATES` independent designs, one after the other, so that the
-spread between the designs tells the error of what is estimated from them all (Owen, 1997, randomised QMC).
+All is integer arithmetic, or numpy on the host. Every bit of a point is therefore the same on any chunk, device or
+machine, in any order and after any interruption. Each coordinate belongs to a name (the path of the number that is
+drawn from it) and has a key from this name: with Monte Carlo and Latin hypercube, further names change nothing. Latin
+hypercube and Sobol points are made in `REPLICATES` independent designs, one after the other. The spread between the
+designs gives the error of an estimate from all of them (Owen, 1997, randomised QMC).
 """
 
 import functools
@@ -21,8 +21,10 @@ REPLICATES = 16
 
 
 def replicate_sizes(sampler: str, number: int) -> np.ndarray:
-    """Numbers of points of the independent designs, adding to ``number``; one design of independent points for Monte
-    Carlo, or where a design would have fewer than two points."""
+    """Numbers of points of the independent designs, adding to ``number``.
+
+    There is one design for Monte Carlo, or if a design would have fewer than two points.
+    """
     if sampler == "monte_carlo" or number < 2 * REPLICATES:
         return np.array([number])
     return np.diff(np.arange(REPLICATES + 1) * number // REPLICATES)
@@ -33,13 +35,13 @@ def points(sampler: str, seed: int, names: Sequence[str], number: int, begin: in
 
     Args:
         sampler: ``"monte_carlo"``, ``"latin_hypercube"`` or ``"sobol"`` (scrambled, scipy.stats.qmc).
-        seed: of the whole study.
-        names: one for each coordinate.
-        number: of all points; what Monte Carlo draws does not depend on it.
-        begin, end: indices, the end not included.
+        seed: seed of the whole study.
+        names: one name for each coordinate.
+        number: number of all points; Monte Carlo points do not depend on it.
+        begin, end: indices of the points, the end not included.
 
     Raises:
-        ParameterError: an unknown sampler.
+        ParameterError: the sampler is unknown.
     """
     if sampler not in SAMPLERS:
         raise ParameterError("sampler", sampler, nearest(sampler, SAMPLERS))
@@ -66,7 +68,7 @@ def _words(seed: int, *names: object) -> tuple[int, int]:
 
 
 def _mixed(words: np.ndarray) -> np.ndarray:
-    """Every bit of the result depends on every bit given (the finaliser of SplitMix64; Steele, Lea, Flood 2014)."""
+    """Words of which every bit depends on every bit given (the finaliser of SplitMix64; Steele, Lea, Flood 2014)."""
     words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return words ^ (words >> np.uint64(31))
@@ -84,7 +86,7 @@ def _uniform(key: tuple[int, int], index: np.ndarray) -> np.ndarray:
 
 
 def _stratified(seed: int, replicate: int, names: Sequence[str], size: int, begin: int, end: int) -> np.ndarray:
-    """Part of a Latin hypercube: each coordinate visits each of ``size`` equal strata once, at random within it."""
+    """Part of a Latin hypercube: each coordinate is in each of ``size`` equal strata once, at random within it."""
     index = np.arange(begin, end, dtype=np.uint64)
 
     def column(name: str) -> np.ndarray:
@@ -101,7 +103,7 @@ def _order(key: tuple[int, int], size: int) -> np.ndarray:
 
 
 def _sobol(seed: int, replicate: int, names: Sequence[str], size: int, begin: int, end: int) -> np.ndarray:
-    """Part of a scrambled Sobol sequence; the names take its dimensions in their order."""
+    """Part of a scrambled Sobol sequence; names correspond to its dimensions in order."""
     from scipy.stats import qmc  # takes a third of a second to import
 
     del size
@@ -109,6 +111,6 @@ def _sobol(seed: int, replicate: int, names: Sequence[str], size: int, begin: in
     if begin:
         engine.fast_forward(begin)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that lengths other than powers of two are not balanced
+        warnings.simplefilter("ignore", UserWarning)  # scipy warns that only powers of two are balanced
         drawn = engine.random(end - begin)
     return np.minimum(drawn + 2.0**-33, 1 - 2.0**-53)

@@ -1,8 +1,8 @@
-"""Estimates from samples with 95 % intervals that mean what they say.
+"""Estimates from samples, with intervals of 95 % confidence.
 
-A share lies in Wilson's interval (1927). Latin hypercube and Sobol samples are not independent: the spread between
-their independent designs gives the standard error of a share, hence an effective number of samples. A quantile lies
-between the quantiles of the ends of the interval of its share (Woodruff 1952).
+The interval of a share is Wilson's (1927). Latin hypercube and Sobol samples are not independent: the spread between
+their independent designs gives the standard error of a share, and from this an effective number of samples. The
+interval of a quantile ends at the quantiles of the ends of the interval of its share (Woodruff 1952).
 """
 
 import math
@@ -14,7 +14,7 @@ CONFIDENCE = 0.95
 
 
 class Estimate(NamedTuple):
-    """A value with its interval of 95 % confidence, open (infinite) where there are too few samples to tell."""
+    """A value with its interval of 95 % confidence, whose ends are infinite if there are too few samples."""
 
     value: float
     low: float
@@ -25,7 +25,7 @@ def share(good: np.ndarray, sizes: np.ndarray) -> Estimate:
     """Share of the population that is good.
 
     Args:
-        good: whether each sample is, shape (n,).
+        good: whether each sample is good, shape (n,).
         sizes: numbers of samples of the independent designs, adding to n (one design: independent samples).
     """
     value = float(np.mean(good))
@@ -38,8 +38,8 @@ def wilson(value: float, number: float, multiple: float) -> tuple[float, float]:
 
     Args:
         value: the share found.
-        number: of samples, or the effective one.
-        multiple: standard deviations that the interval reaches to each side.
+        number: number of samples, or the effective number.
+        multiple: half of the interval's width, in standard deviations.
     """
     square = multiple * multiple / number
     middle = (value + 0.5 * square) / (1 + square)
@@ -48,7 +48,7 @@ def wilson(value: float, number: float, multiple: float) -> tuple[float, float]:
 
 
 def _effective(good: np.ndarray, sizes: np.ndarray, value: float) -> tuple[float, float]:
-    """Effective number of samples, and standard deviations that an interval reaches."""
+    """Effective number of samples, and half of the interval's width in standard deviations."""
     from scipy import special
 
     if len(sizes) < 2:
@@ -60,7 +60,7 @@ def _effective(good: np.ndarray, sizes: np.ndarray, value: float) -> tuple[float
 
 
 def quantile(values: np.ndarray, level: float, sizes: np.ndarray) -> Estimate:
-    """Value below which a share of the population lies; nan where there are no values.
+    """Value below which a share of the population lies; nan if there are no values.
 
     Args:
         values: finite samples in the order of their designs, shape (n,).
@@ -78,13 +78,13 @@ def quantile(values: np.ndarray, level: float, sizes: np.ndarray) -> Estimate:
 
 
 def _end(ordered: np.ndarray, level: float, beyond: float) -> float:
-    """End of an interval; infinite where the samples do not reach so far."""
+    """End of an interval; infinite if it is beyond the samples."""
     place = _place(len(ordered), level)
     return _interpolated(ordered, level) if 0 <= place <= len(ordered) - 1 else beyond
 
 
 def _place(number: int, level: float) -> float:
-    """Place of a quantile among ordered samples, from 0."""
+    """Place of a quantile among ordered samples, counted from 0."""
     return level * (number + 1 / 3) + 1 / 3 - 1
 
 

@@ -1,10 +1,11 @@
-"""Which tolerance matters: shares of the variance of a measure, found in three ways, and what tightening would buy.
+"""Influence of each tolerance: its share of the variance of a measure, by three methods, and the gain by tightening it.
 
 - linear: mean of the squared derivatives times the variance of the number, over the variance of the measure; exact for
   a linear measure, and for normal numbers an upper bound of the total index (Sobol and Kucherenko 2009);
-- Sobol first and total indices from Saltelli's design (SALib): what a number explains alone, and with all others;
-- one at a time, as papers do: the range of the measure while one number runs through its middle 95 % and the others
-  stay at their medians, squared and scaled to shares.
+- Sobol first and total indices from Saltelli's design (SALib): the share that a number explains alone, and together
+  with all others;
+- one at a time, as is usual in papers: the range of the measure while one number runs through its middle 95 % and the
+  others stay at their medians, squared and scaled to shares.
 """
 
 import dataclasses
@@ -20,10 +21,10 @@ from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.statistics import Estimate, share
 from gearjax.typing import Array, Float
 
-DERIVATIVES = 1024  # samples that the linear shares are averaged over, at most
+DERIVATIVES = 1024  # samples over which the linear shares are averaged, at most
 LEVELS = np.linspace(0.025, 0.975, 39)
-OFF = 0.1  # by which a linear share may miss the total index
-MISSED = 0.2  # by which linear shares may miss adding to the whole variance
+OFF = 0.1  # largest difference of a linear share and the total index
+MISSED = 0.2  # largest difference of the sum of linear shares and 1
 TIGHTER = 0.5
 
 
@@ -32,15 +33,15 @@ class Sensitivities:
     """Shares of the variance of one measure, one entry for each number.
 
     Args:
-        name: of the measure.
-        paths: the toleranced numbers.
+        name: name of the measure.
+        paths: paths of the toleranced numbers.
         linear: share by derivatives, shape (number,).
         first, total: Sobol indices, shape (number,).
-        first_error, total_error: half widths of their 95 % intervals, shape (number,).
+        first_error, total_error: half widths of the 95 % intervals of the Sobol indices, shape (number,).
         one_at_a_time: share by ranges, shape (number,).
-        samples: gear sets evaluated for the Sobol indices.
-        failed: how many of them failed; they count as average ones.
-        correlated: whether the population has correlations, which are left out here.
+        samples: number of gear sets evaluated for the Sobol indices.
+        failed: number of these gear sets that failed; they count as average ones.
+        correlated: whether the population has correlations, which are ignored here.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Sensitivities:
 
     @property
     def linear_fails(self) -> str:
-        """Why the linear shares mislead; empty where they do not."""
+        """Why the linear shares mislead; empty if they do not."""
         whole = float(self.linear.sum())
         apart = np.abs(self.linear - self.total) - self.total_error
         worst = int(np.argmax(apart))
@@ -75,15 +76,15 @@ class Sensitivities:
 def sensitivities(
     tolerances: Tolerances, measure: Any, *, n: int = 1024, key: int = 0, **options: Any
 ) -> list[Sensitivities]:
-    """Shares of the variance, for each measure.
+    """Find the share of each toleranced number in the variance of each measure.
 
-    The numbers are taken as independent, whatever their correlations.
+    Correlations of the population are ignored: the numbers are drawn independently.
 
     Args:
         tolerances: the population.
         measure: as for `monte_carlo`.
-        n: base samples of Saltelli's design, which has n (numbers + 2); a power of two is best.
-        key: seed.
+        n: number of base samples of Saltelli's design, which has n (numbers + 2) samples; a power of two is best.
+        key: seed of the samples.
         options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
 
     Raises:
@@ -101,9 +102,9 @@ def sensitivities(
         column, good = measured[:, index], np.isfinite(measured[:, index])
         if good.mean() < 0.5:
             raise GearjaxError(f"sensitivity of {name}: {(~good).sum()} of {good.size} gear sets failed")
-        column = np.where(good, column, column[good].mean())  # a failure counts as nothing special
+        column = np.where(good, column, column[good].mean())  # a failed gear set counts as an average one
         varies = np.ptp(column) > 0
-        # SALib takes a seed of 0 for none, and draws what the errors rest on as it comes
+        # SALib takes a seed of 0 for no seed, and the resampling for the errors would then be random
         indices = sobol.analyze(problem, column, calc_second_order=False, seed=key + 1) if varies else None
         none = np.zeros(len(independent.paths))
         first, first_error, total, total_error = (none if indices is None else indices[part] for part in _PARTS)
@@ -166,12 +167,12 @@ def _one_at_a_time(work: Work) -> np.ndarray:
 
 
 def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
-    """Yield as it is and with one tolerance tightened, of the same gear sets.
+    """Yield of the same gear sets as they are, and with one tolerance tightened.
 
     Args:
-        work: the study; its measures with limits are looked at.
-        number: of gear sets.
-        factor: on the tolerance.
+        work: the study; yields are of its measures with limits.
+        number: number of gear sets.
+        factor: factor on the tolerance.
 
     Returns:
         By measure and path: the yield, and the yield with that tolerance scaled (`Tolerances.centres`).

@@ -1,6 +1,6 @@
-"""Fast forms of the motion of an output that moves alone.
+"""Fast computation of the motion of an output that moves alone.
 
-What they compute is what `gearjax.analysis.equation` means, the plain path, whose steps any solver of diffrax makes:
-that is the reference they are tested against. From the physics to the record: `oscillator` (the equation as even steps
-see it), `fitted` (the scheme), `signals` (what drives it), `recurrence` (the scan over steps), `march` (records).
+The reference is `gearjax.analysis.equation`, the plain path, which any solver of diffrax can integrate; tests compare
+with it. From the physics to the record: `oscillator` (the equation for even steps), `fitted` (the scheme), `signals`
+(the excitation), `recurrence` (the scan over steps), `march` (records).
 """

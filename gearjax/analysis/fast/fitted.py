@@ -1,12 +1,12 @@
-"""The exponentially fitted two-step scheme: exact for the oscillator of the current contact state.
+"""Exponentially fitted two-step scheme, exact for the oscillator of the current contact state.
 
-Between changes of contact the output obeys ``x'' + d x' + w x = F``. With the step h, ``u = d h / 2`` and ``z = w h^2``
-its exact solution under constant F satisfies
+While no contact opens or closes, the output obeys ``x'' + d x' + w x = F``. With the step h, ``u = d h / 2`` and
+``z = w h^2``, the exact solution for constant F satisfies
 
     x+ - x = e^(-2u) (x - x-) + 2 e^(-u) D(z) h^2 (F - w x),     D(z) = (cosh u - cos sqrt(z - u^2)) / z
 
-(Gautschi 1961; here with the damping in it), an entire function of z: no square root, one force per step, second order
-where F changes or a contact opens or closes within a step.
+(Gautschi 1961; here with damping). D is an entire function of z, so that no square root is needed, and a step needs one
+force. The scheme is of second order if F changes, or if a contact opens or closes within a step.
 """
 
 from collections.abc import Callable
@@ -19,10 +19,10 @@ from gearjax.typing import Array
 
 
 class State(NamedTuple):
-    """The oscillator of the current contact state, per step.
+    """Oscillator of the current contact state, per step.
 
     Args:
-        push: ``h^2 (F - w x)``: the acceleration without the damper's part, times the step squared.
+        push: ``h^2 (F - w x)``, acceleration without the part of the damper, times the step squared.
         stiffness: ``z = w h^2``.
         damping: ``u = d h / 2``.
         decay: ``e^-u``.
@@ -35,7 +35,7 @@ class State(NamedTuple):
 
 
 def advance(change: Array, state: State) -> Array:
-    """The change of position over the next step from that over the last one."""
+    """Change of position over the next step, from the change over the last step."""
     kept = state.decay * state.decay
     return kept * change + 2 * state.decay * _even(state.stiffness, state.damping) * state.push
 
@@ -44,9 +44,9 @@ def velocity(change: Array, state: State, rise: Array | float = 0.0) -> Array:
     """Velocity times step, from the change of position over the step that follows.
 
     Args:
-        change: of position.
-        state: before the step.
-        rise: how much the push grows over the step for what drives it alone.
+        change: change of position over the step.
+        state: oscillator at the start of the step.
+        rise: growth of the push over the step by its excitation alone, at a fixed position.
     """
     even, odd = _even(state.stiffness, state.damping), _odd(state.stiffness, state.damping)
     pushed = (even + state.damping * odd) * state.push + rise * _ramp(state, 1.0) / state.decay
@@ -54,14 +54,14 @@ def velocity(change: Array, state: State, rise: Array | float = 0.0) -> Array:
 
 
 def change_before(speed: Array, state: State, rise: Array | float = 0.0) -> Array:
-    """Change of position over the step before, from velocity times step; the other arguments as for `velocity`."""
+    """Change of position over the step before, from velocity times step; other arguments as for `velocity`."""
     even, odd = _even(state.stiffness, state.damping), _odd(state.stiffness, state.damping)
     moved = speed * _sine(state.stiffness, state.damping) - (even - state.damping * odd) * state.push
     return moved / state.decay + rise * _ramp(state, -1.0)
 
 
 def _ramp(state: State, sign: float) -> Array:
-    """What a push that grows evenly from nothing adds over a step forwards, or takes away backwards."""
+    """Change of position by a push that grows linearly from zero, over a step forwards (sign 1) or backwards (-1)."""
     damping = sign * state.damping
     even, odd = _even(state.stiffness, damping), _odd(state.stiffness, damping)
     kept = state.decay if sign > 0 else 1 / state.decay
@@ -88,7 +88,10 @@ def _odd(stiffness: Array, damping: Array) -> Array:
 
 
 def _divided(stiffness: Array, damping: Array, ratios: tuple[float, ...]) -> Array:
-    """Divided difference of a power series between ``-u^2`` and ``z - u^2``: its first coefficient, then ratios."""
+    """Divided difference of a power series between ``-u^2`` and ``z - u^2``.
+
+    ``ratios`` are its first coefficient, then the ratios of each coefficient to the next.
+    """
     low = -damping * damping
     high = stiffness + low
     coefficient, total = ratios[0], ratios[0]
@@ -114,7 +117,7 @@ class OscillatorTerm(diffrax.AbstractTerm):
     """A term of diffrax whose vector field is the `State` of an oscillator at a time and position.
 
     Args:
-        state: ``state(time, position, args)``, for steps of one unit of time.
+        state: ``state(time, position, args)``, the `State` for steps of one unit of time.
     """
 
     state: Callable[[Any, Array, Any], Any]
@@ -132,7 +135,7 @@ class OscillatorTerm(diffrax.AbstractTerm):
 class ExponentialFit(diffrax.AbstractSolver):
     """The scheme as a solver of diffrax, for one degree of freedom and even steps of one unit of time.
 
-    Its term is an `OscillatorTerm`; the solution holds position and velocity per step, shape (2,).
+    Its term is an `OscillatorTerm`. The solution is the position and the velocity per step, shape (2,).
     """
 
     term_structure: ClassVar = OscillatorTerm

@@ -1,8 +1,8 @@
-"""The fast path of the dynamic TE: even steps of the exponentially fitted scheme, in one go or in windows of time.
+"""Fast computation of the dynamic TE: even steps of the exponentially fitted scheme, in one go or in windows of time.
 
-The steps of a block are a scan that holds nothing but the position and its last change. A damped motion forgets its
-start, so that a long record can be cut into windows that run side by side, each warmed up from the quasi-static
-solution; how far they are apart where they meet is measured.
+The steps of a block are a scan whose state is only the position and its last change. A damped motion forgets its start.
+A long record can therefore be cut into windows that run in parallel, each warmed up from the quasi-static solution. The
+difference of neighbouring windows where they meet is measured.
 """
 
 import enum
@@ -22,26 +22,29 @@ from gearjax.analysis.fast.signals import Basis, Forcing, Given, StepForcing, at
 from gearjax.analysis.metrics import top
 from gearjax.typing import Array, Float, Scalar
 
-BLOCKS = (192, 96, 48, 24, 12)  # steps of a block: few, so that scenes of other speeds share a program
-SUMMED = {4: 96, 6: 12}  # nodes that each step sums over, and the fewest steps of a block that they pay for
-MORE_NODES = 12  # of fast or unknown speeds
-UNKNOWN = 0.03  # rad per step of the bodies, where their speeds are traced
-LANES = 48  # windows side by side; many more take longer for each
+BLOCKS = (192, 96, 48, 24, 12)  # numbers of steps per block; only a few, so that scenes of other speeds share a program
+SUMMED = {4: 96, 6: 12}  # nodes that a step sums over, each with the fewest steps per block that pay for them
+MORE_NODES = 12  # nodes for fast or unknown speeds
+UNKNOWN = 0.03  # rad, assumed rotation of the bodies per step if their speeds are traced
+LANES = 48  # windows in parallel; with many more, each takes longer
 
 
 class Block(NamedTuple):
-    """The most steps of a block, and how many nodes cover its slow signals."""
+    """Largest number of steps of a block, and number of nodes that cover its slow signals."""
 
     steps: int
     nodes: int
 
 
-QUICK = Block(96, 6), 1e-12  # of speeds that a run sees to be slow; as exact as more nodes
+QUICK = Block(96, 6), 1e-12  # block for speeds that a run finds to be slow, and its accuracy, that of more nodes
 
 
 class Signals(enum.Enum):
-    """How a step comes by what drives it: from a table, by sums over the nodes of its block within the step, or by such
-    sums whose nodes are worked out block by block, for a batch of scenes."""
+    """How a step gets its excitation.
+
+    Either from a table, or by sums over the nodes of its block within the step. For a batch of scenes the nodes of such
+    sums are computed block by block.
+    """
 
     TABLE = 0
     SUMS = 1
@@ -49,13 +52,13 @@ class Signals(enum.Enum):
 
 
 class Spacing(NamedTuple):
-    """Even steps.
+    """Division of a record into even steps.
 
     Args:
         samples: number of samples.
-        each: steps between two samples.
-        block: how the steps are cut.
-        signals: how a step comes by what drives it.
+        each: number of steps between two samples.
+        block: division of the steps into blocks.
+        signals: how a step gets its excitation.
     """
 
     samples: int
@@ -65,34 +68,37 @@ class Spacing(NamedTuple):
 
     @property
     def pieces(self) -> int:
-        """Blocks between two samples, where one is not enough."""
+        """Number of blocks between two samples; 1 if one block is enough."""
         numbers = range(1, self.each + 1)
         return next(n for n in numbers if self.each % n == 0 and self.each // n <= self.block.steps)
 
     @property
     def rows(self) -> int:
-        """Samples of a block, or pieces: as many in each as its steps allow, the last block not much emptier."""
+        """Number of samples per block, as many as its steps allow; 1 if there are several blocks between samples.
+
+        The last block is filled about as well as the others.
+        """
         most = max(1, self.block.steps // self.each) if self.pieces == 1 else 1
         return math.ceil(self.samples / math.ceil(self.samples / most))
 
     @property
     def blocks(self) -> int:
-        """Number of blocks, the last of which may reach beyond the last sample."""
+        """Number of blocks; the last block may extend beyond the last sample."""
         return math.ceil(self.samples * self.pieces / self.rows)
 
     @property
     def steps(self) -> int:
-        """Steps of a block."""
+        """Number of steps of a block."""
         return self.rows * self.each // self.pieces
 
     def of_whole_blocks(self) -> "Spacing":
-        """The same with more samples, until the last block is full."""
+        """The same division with more samples, so that the last block is full."""
         block = self.block._replace(steps=self.steps)
         return self._replace(samples=self.blocks * self.rows // self.pieces, block=block)
 
 
 def suitable_block(phase: float | None, dtype: Any, batched: bool) -> tuple[Block, Signals]:
-    """How steps are cut and driven, for a phase of the bodies per step [rad], or any up to `UNKNOWN`."""
+    """Block and signals that suit a phase of the bodies per step [rad]; for ``None`` any phase up to `UNKNOWN`."""
     few = {} if phase is None else SUMMED
     for nodes, fewest in {**few, MORE_NODES: 1, chebyshev.MOST_NODES: 1}.items():
         longest = chebyshev.reach(nodes, chebyshev.accuracy(dtype)) / max(UNKNOWN if phase is None else phase, 1e-12)
@@ -100,7 +106,7 @@ def suitable_block(phase: float | None, dtype: Any, batched: bool) -> tuple[Bloc
         if steps is not None:
             break
     else:
-        nodes, steps = chebyshev.MOST_NODES, BLOCKS[-1]  # the program says that this is not enough
+        nodes, steps = chebyshev.MOST_NODES, BLOCKS[-1]  # the program reports if this is not enough
     if batched:
         return Block(steps, nodes), Signals.BATCH
     return Block(steps, nodes), Signals.SUMS if nodes in SUMMED else Signals.TABLE
@@ -110,11 +116,11 @@ class March(NamedTuple):
     """The motion at its samples.
 
     Args:
-        positions: scaled, shape (sample,).
-        speeds: velocity times step, shape (sample,).
-        forces: shape (sample, contact) [N].
+        positions: scaled positions, shape (sample,).
+        speeds: velocity of the scaled position times step, shape (sample,).
+        forces: forces of the contacts, shape (sample, contact) [N].
         highest, lowest: extremes of the scaled position over the steps up to each sample, shape (sample,).
-        defect: how far neighbouring windows are apart where they meet, scaled; 0 without windows.
+        defect: largest scaled difference of neighbouring windows where they meet; 0 without windows.
     """
 
     positions: Array
@@ -126,14 +132,14 @@ class March(NamedTuple):
 
 
 def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing: Spacing, nodes: Any = None) -> March:
-    """All steps one after the other.
+    """Compute all steps one after the other.
 
     Args:
-        forcing: of the oscillator.
+        forcing: signals of the oscillator.
         start: time of the first sample [s].
-        carry: scaled position and its last change there, as by `begin`.
-        spacing: of samples and steps.
-        nodes: as by `nodes_of`, where they are known.
+        carry: scaled position and its last change at the first sample, as from `begin`.
+        spacing: spacing of samples and steps.
+        nodes: signals at the nodes as from `nodes_of`, if they are known already.
     """
     nodes = nodes_of(forcing, start, spacing) if nodes is None else nodes
     _, measured = run_blocks(forcing, start, carry, spacing, nodes)
@@ -141,15 +147,17 @@ def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing
 
 
 def _joined(measured: tuple, defect: Scalar) -> March:
-    """The samples of a record from what was found at each and up to the next one."""
+    """The samples of a record, from the results at each sample and up to the next sample."""
     x, speeds, forces, highest, lowest = measured
     high, low = (jnp.concatenate([x[:1], part[:-1]]) for part in (highest, lowest))
     return March(x, speeds, forces, high, low, defect)
 
 
 def nodes_of(forcing: Forcing, start: Scalar, spacing: Spacing) -> Any:
-    """What changes of the slow signals at the nodes of blocks, or for a batch the instants there; first axis of each
-    array the blocks."""
+    """The changing slow signals at the nodes of all blocks, or for a batch the instants at the nodes.
+
+    The first axis of each array is the block.
+    """
     if spacing.signals is not Signals.BATCH:
         return at_nodes(forcing, start, spacing.steps, spacing.block.nodes, spacing.blocks)
     within = chebyshev.nodes(spacing.steps, spacing.block.nodes)
@@ -159,16 +167,16 @@ def nodes_of(forcing: Forcing, start: Scalar, spacing: Spacing) -> Any:
 
 
 def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, nodes: Any) -> tuple[tuple, tuple]:
-    """The steps of as many samples, from position and last change at a time [s].
+    """Compute the steps of all blocks, from position and last change at a time [s].
 
     Args:
         forcing, start, spacing: as for `march`.
         carry: position and last change.
-        nodes: as by `nodes_of`.
+        nodes: signals at the nodes as from `nodes_of`.
 
     Returns:
-        Position and last change after the last block, which may reach beyond the last sample, and what `_measured`
-        found at each sample.
+        Position and last change after the last block, which may extend beyond the last sample, and the results of
+        `_measured` at each sample.
     """
     pieces, steps, blocks = spacing.pieces, spacing.steps, spacing.blocks
     every = spacing.each // pieces
@@ -177,7 +185,7 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
 
     def block(carry: tuple, now: tuple) -> tuple[tuple, tuple]:
         columns, (cosine, sine), origin = now
-        if spacing.signals is Signals.BATCH:  # in the loop, so that what is the same for all times is worked out once
+        if spacing.signals is Signals.BATCH:  # inside the loop, so that constant parts are computed once
             columns = jax.vmap(forcing.columns)(columns)
         waves = forcing.harmonics._replace(cosine=cosine, sine=sine)
         given = Given(columns, waves, forcing.torques(origin, steps + 1))
@@ -185,7 +193,7 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
         ended, path = _steps(forcing.oscillator, step_forcing, carry, rows.own)
         return ended, _measured(forcing.oscillator, step_forcing, rows.every, path, every)
 
-    turned = jax.vmap(lambda time: forcing.turned(time)[1:])(origins)  # but the mean, which stays
+    turned = jax.vmap(lambda time: forcing.turned(time)[1:])(origins)  # without the mean, which is constant
     ended, measured = jax.lax.scan(block, carry, (nodes, turned, origins))
     x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), measured)
     kept = slice(0, spacing.samples * pieces, pieces)
@@ -196,17 +204,17 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
 def begin(
     forcing: Forcing, time: Scalar, signals: Signals, state: Float[Array, "2"] | None = None
 ) -> tuple[tuple[Scalar, Scalar], Array]:
-    """Where a motion begins.
+    """Initial position and change of a motion.
 
     Args:
-        forcing: of the oscillator.
-        time: [s].
-        signals: how the steps that follow come by what drives them.
-        state: scaled position, and velocity times step; without, those of the equilibrium, moving as the gaps move it,
-            or zero where there is none.
+        forcing: signals of the oscillator.
+        time: time of the start [s].
+        signals: how the following steps get their excitation.
+        state: scaled position, and its velocity times step; by default those of the equilibrium as it moves with the
+            gaps, or zero if there is no equilibrium.
 
     Returns:
-        Scaled position and its last change, and whether there is such an equilibrium.
+        Scaled position and its last change, and whether there is an equilibrium; true if ``state`` is given.
     """
     oscillator, equation = forcing.oscillator, forcing.oscillator.equation
     times = jnp.stack([time, time + oscillator.step])
@@ -219,7 +227,7 @@ def begin(
         waves = forcing.turned(time)
         return Fast(waves.mean + waves.cosine.sum(axis=0), equation.torque_at(time))
 
-    # in a loop, what both times share is worked out once, not again for every number that it is part of
+    # in a loop, parts that both times share are computed once, not again for each number that depends on them
     both = jax.lax.map(slow_at, instants) if signals is Signals.BATCH else jax.vmap(slow_at)(instants)
     every = *both, jax.vmap(fast_at)(times)
     (gaps, *now), (_, *later) = (jax.tree.map(lambda leaf, i=i: leaf[i], every) for i in range(2))
@@ -234,13 +242,13 @@ def begin(
 
 
 def warm_start(forcing: Forcing, time: Scalar, spacing: Spacing, nodes: Any) -> tuple[Scalar, Scalar]:
-    """Where a warm-up begins: scaled position and change of the quasi-static solution, zero where there is none.
+    """Start of a warm-up: scaled position and change of the quasi-static solution, or zero if there is none.
 
     Args:
-        forcing: of the oscillator.
-        time: at which the first block begins [s].
-        spacing: of samples and steps.
-        nodes: of the first block.
+        forcing: signals of the oscillator.
+        time: time at which the first block begins [s].
+        spacing: spacing of samples and steps.
+        nodes: signals at the nodes of the first block.
     """
     basis = Basis.of(forcing, spacing.steps, spacing.block.nodes)
     given = Given(nodes, forcing.turned(time), forcing.torques(time, spacing.steps + 1))
@@ -255,16 +263,17 @@ def _rows(table: Any, chosen: slice) -> Any:
 
 
 def _steps(oscillator: Oscillator, step_forcing: StepForcing, carry: tuple, rows: Any) -> tuple[tuple, Array]:
-    """The steps of a block.
+    """Compute the steps of a block.
 
     Args:
-        oscillator: whose steps they are.
-        step_forcing: from a row to what drives a step.
+        oscillator: the oscillator.
+        step_forcing: functions from a row to the excitation of a step.
         carry: position and last change.
-        rows: of the steps.
+        rows: rows of the steps.
 
     Returns:
-        Position and last change after them, and the path: a position before, those of all steps, that after them.
+        Position and last change after the steps, and the path: the position one step before the block, those at the
+        begin of all its steps, and the one after them.
     """
 
     def step(position: Array, change: Array, numbers: Any) -> Array:
@@ -280,9 +289,9 @@ def _measured(oscillator: Oscillator, step_forcing: StepForcing, rows: Any, path
 
     Args:
         oscillator, step_forcing: as for `_steps`.
-        rows: of the steps and the first one of the next block.
-        path: of the steps.
-        each: steps between samples.
+        rows: rows of the steps and of the first step of the next block.
+        path: path of the steps.
+        each: number of steps between samples.
     """
     now, following = path[1:-1:each], path[2::each]
 
@@ -302,7 +311,7 @@ def _measured(oscillator: Oscillator, step_forcing: StepForcing, rows: Any, path
 
 
 def turning(path: Float[Array, " n"]) -> Float[Array, " m"]:
-    """Highest value near each point but the first and last: the vertex of the parabola where the path turns down."""
+    """Highest value near each point except the first and the last: the vertex of a parabola at a local maximum."""
     before, now, after = (path[i : path.shape[0] - 2 + i] for i in range(3))
     bend = 2 * now - before - after
     peak = (now >= before) & (now >= after) & (bend > 0)
@@ -311,12 +320,12 @@ def turning(path: Float[Array, " n"]) -> Float[Array, " m"]:
 
 
 class Windows(NamedTuple):
-    """How a record is cut.
+    """Division of a record into windows.
 
     Args:
-        number: of windows, side by side.
-        warm_up: samples before each window that are thrown away.
-        block: how the steps of a window are cut.
+        number: number of windows in parallel.
+        warm_up: number of samples before each window that are computed and discarded.
+        block: division of the steps of a window into blocks.
     """
 
     number: int
@@ -331,16 +340,16 @@ def march_windows(
     spacing: Spacing,
     windows: Windows,
 ) -> March:
-    """All windows at once, each lane of a vector one window; many windows in groups of `LANES`.
+    """Compute all windows in parallel, one window per lane of a vector; many windows in groups of at most `LANES`.
 
     Args:
         forcing, start, carry, spacing: as for `march`.
-        windows: how the record is cut.
+        windows: division of the record into windows.
     """
     groups = math.ceil(windows.number / LANES)
     lanes = math.ceil(windows.number / groups)
     samples = math.ceil(spacing.samples / (groups * lanes))
-    # whole blocks, so that each window ends where the next one begins, and shares nodes with the one before
+    # windows of whole blocks, so that each ends where the next begins, and its warm-up shares nodes with others
     own = spacing._replace(samples=samples, block=windows.block, signals=Signals.SUMS).of_whole_blocks()
     warm = own._replace(samples=own.rows * math.ceil(windows.warm_up / own.rows))
     whole = own._replace(samples=warm.samples + groups * lanes * own.samples)

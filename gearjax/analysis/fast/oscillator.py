@@ -1,4 +1,4 @@
-"""The equation of motion as even steps see it: an oscillator whose springs and dampers come and go."""
+"""The equation of motion for even steps: an oscillator whose springs and dampers act only while contacts are closed."""
 
 from typing import NamedTuple
 
@@ -14,23 +14,23 @@ from gearjax.contact.layout import Place
 from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float, Scalar
 
-FEW = 8  # pairs that are written out
+FEW = 8  # largest number of pairs that are written out one by one
 
 
-Numbers = Array | tuple[Array, ...]  # apart where motions run side by side
+Numbers = Array | tuple[Array, ...]  # a tuple of separate numbers if motions run in parallel
 
 
 class Slow(NamedTuple):
-    """What drives a step and follows the turning bodies.
+    """Slow part of the excitation of a step, which follows the rotation of the bodies.
 
     Args:
         lever: change of overlap per scaled position, shape (contact,) [m].
-        gap: shape (contact,) [m].
+        gap: gaps, shape (contact,) [m].
         inverse: push per force and lever, shape () [1/N m].
         damping: ``d h / 2`` of each pair's damper, shape (pair,).
         decay: ``e^-damping``, shape (pair,).
-        drag: push of each pair's damper on a resting output, shape (pair,).
-        turning: drag per scaled position, where the levers change, shape (pair,).
+        drag: push of each pair's damper on an output at rest, shape (pair,).
+        turning: drag per scaled position, shape (pair,); ``None`` if the levers are constant or without dampers.
     """
 
     lever: Numbers
@@ -43,30 +43,32 @@ class Slow(NamedTuple):
 
 
 class Fast(NamedTuple):
-    """What drives a step and follows the teeth or the load: stiffness of a contact of each pair [N/m], load torque
-    [N m]."""
+    """Fast part of the excitation of a step, which follows the teeth or the load.
+
+    It is the stiffness of one contact of each pair [N/m] and the load torque [N m].
+    """
 
     stiffness: Numbers
     torque: Array
 
 
 class Oscillator(eqx.Module):
-    """The equation of motion of even steps.
+    """The equation of motion for even steps.
 
     Args:
-        equation: of motion.
-        step: [s].
+        equation: equation of motion.
+        step: length of a step [s].
     """
 
     equation: Equation
     step: Scalar
 
     def slow_at(self, time: Scalar) -> Slow:
-        """Slow numbers of the step at a time [s]."""
+        """Slow excitation of the step at a time [s]."""
         return self.slow(self.equation.instant(time))
 
     def slow(self, instant: Instant) -> Slow:
-        """Slow numbers of the step at an instant."""
+        """Slow excitation of the step at an instant."""
         scene, now, scale = self.equation.scene, self.equation.gaps(instant), self.equation.scale
         layout, inertia = self.equation.layout, self.equation.inertia
         first = layout.flanks[0]
@@ -97,7 +99,7 @@ class Oscillator(eqx.Module):
                 lever, gap = _part(slow.lever, flank), _part(slow.gap, flank)
                 overlap = lever * position - gap
                 spring = lever * (slow.inverse * _part(fast.stiffness, pair))
-                # hard contacts by selection: a batch takes half the time of products with zeros and ones
+                # hard contacts select: in a batch this takes half the time of products with zeros and ones
                 closed = overlap > 0 if hard else scene.contact.closed(overlap)
                 force.append(_gate(closed, spring * overlap) if hard else spring * scene.contact.penetration(overlap))
                 stiffness.append(_gate(closed, spring * lever))
@@ -149,7 +151,7 @@ def _part(numbers: Numbers, place: Place) -> Array:
 
 
 def _gate(closed: Array, value: Array) -> Array:
-    """A value where contacts are closed; by parts where a smooth law closes them by parts."""
+    """The value for closed contacts, otherwise zero; with a smooth law in proportion to how far contacts are closed."""
     return jnp.where(closed, value, 0.0) if closed.dtype == bool else closed * value
 
 
@@ -158,7 +160,7 @@ def _either(one: Array, other: Array) -> Array:
 
 
 def _total(parts: list[Array], nothing: Array) -> Array:
-    """Sum of numbers, as a tree: a chain would wait for each addition."""
+    """Sum of numbers, added as a tree; in a chain each addition would wait for the one before."""
     parts = [part.sum() for part in parts] or [nothing]
     while len(parts) > 1:
         parts = [sum(parts[i + 1 : i + 2], parts[i]) for i in range(0, len(parts), 2)]
@@ -169,8 +171,8 @@ class Harmonics(NamedTuple):
     """Stiffness of a contact of each pair as a Fourier series of its mesh phase.
 
     Args:
-        mean: shape (pair,) [N/m].
-        cosine, sine: shape (harmonic, pair) [N/m].
+        mean: mean stiffness, shape (pair,) [N/m].
+        cosine, sine: coefficients, shape (harmonic, pair) [N/m].
     """
 
     mean: Array
@@ -179,7 +181,7 @@ class Harmonics(NamedTuple):
 
     @classmethod
     def of(cls, equation: Equation) -> "Harmonics":
-        """The series of a scene, from as many samples of a mesh period as it has terms."""
+        """The series of a scene, from as many samples per mesh period as it has terms."""
         compliance, pairs = equation.scene.linear_compliance, equation.layout.teeth
         number = 2 * compliance.harmonics + 1
         angles = 2 * np.pi * np.arange(number) / number
@@ -192,7 +194,7 @@ class Harmonics(NamedTuple):
         return cls(sampled.mean(axis=0), cosine, sine)
 
     def turned(self, angle: Float[Array, " pair"]) -> "Harmonics":
-        """The same counted from a mesh phase [rad]."""
+        """The series shifted, so that it counts from the given mesh phase [rad]."""
         if self.cosine.shape[0] == 0:
             return self
         order = jnp.arange(1, self.cosine.shape[0] + 1).astype(angle.dtype)

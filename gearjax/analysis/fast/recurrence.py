@@ -1,13 +1,14 @@
-"""The scan over the steps of a motion, with a derivative that costs little more than the scan.
+"""Scan over the steps of a motion, with a derivative that costs little more than the scan.
 
-A derivative of the loop by the rules would carry every tangent through every operation of every step. But a step is a
-smooth function of position, last change and what drives it, so its partial derivatives can be worked out for all steps
-at once, after the scan; what is left in sequence is the linear recurrence
+Automatic differentiation of the loop would carry every tangent through every operation of every step. But a step is a
+smooth function of position, last change and excitation. Its partial derivatives can therefore be computed for all steps
+at once after the scan. The remaining recurrence is linear,
 
     dc_n+1 = (dc/dx)_n dx_n + (dc/dc)_n dc_n + b_n,     dx_n+1 = dx_n + dc_n+1
 
-whose transpose is another one, backwards. Both modes follow from this one rule. What drives the steps follows from rows
-and constants, within the step as the scan runs, but as a table for the derivative, which is a few matrix products.
+and its transpose is another linear recurrence, backwards. Forward and reverse mode follow from this one rule. The
+excitation is computed from rows and constants: within each step in the scan, but for the derivative as a table, by a
+few matrix products.
 """
 
 from collections.abc import Callable
@@ -22,21 +23,21 @@ from jax.custom_derivatives import SymbolicZero
 from gearjax.dependence import depends
 from gearjax.typing import Array
 
-ALIASED = 2048  # bytes; beginnings of vectors a multiple of it apart fight for the same places of a cache
+ALIASED = 2048  # bytes; vectors that begin a multiple of it apart compete for the same lines of a cache
 Step = Callable[[Array, Array, Any], Array]
 
 
 def recur(
     step: Step, at: Callable[[Any], Any], table: Callable[[Any], Any], position: Array, change: Array, rows: Any
 ) -> tuple[tuple[Array, Array], Array]:
-    """Positions before each step, and position and change after the last.
+    """Position and change after the last step, and positions before each step.
 
     Args:
-        step: from position, last change and what drives a step to the next change, numbers.
-        at: from a row to what drives its step, a tree of numbers.
-        table: the same of all rows, a tree of arrays.
-        position, change: at the start.
-        rows: a tree of arrays, their first axis the steps.
+        step: function from position, last change and excitation of a step to the next change, all numbers.
+        at: function from a row to the excitation of its step, a tree of numbers.
+        table: the same function for all rows, with a tree of arrays.
+        position, change: position and last change at the start.
+        rows: a tree of arrays; the first axis is the step.
     """
     first = jax.tree.map(lambda column: column[0], rows)
     whole, constants = jax.closure_convert(lambda x, c, row: step(x, c, at(row)), position, change, first)
@@ -50,7 +51,7 @@ def _loop(step: Callable, position: Array, change: Array, rows: Any, constants: 
     def one(carry, row):
         position, change = carry
         change = step(position, change, row, *constants)
-        return (_moved(position, change), change), position  # an output that takes no work is not worked out twice
+        return (_moved(position, change), change), position  # the new position as output would be computed twice
 
     return jax.lax.scan(one, (position, change), rows)
 
@@ -59,7 +60,7 @@ def _moved(position: Array, change: Array) -> Array:
     moved = position + change
     if moved.ndim == 0:
         return moved
-    # the bounds matter to no motion: XLA's CPU compiler makes a bare sum of two vectors take twice as long (jax 0.10)
+    # no motion reaches the bounds; without the clamp XLA on CPUs makes the sum of two vectors twice as slow (jax 0.10)
     most = np.finfo(moved.dtype).max
     return jax.lax.clamp(-most, moved, most)
 
@@ -71,7 +72,7 @@ def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: 
 
     @run.def_vmap
     def side_by_side(size: int, batched: Any, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
-        """Lanes last, so that every number of a step is one vector."""
+        """The batch axis becomes the last one, so that every number of a step is one vector."""
         extra = _extra(size * position.dtype.itemsize)
 
         def laid(value: Array, batched: bool) -> Array:
@@ -99,13 +100,15 @@ def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: 
 
 
 def _extra(size: int) -> int:
-    """Lanes that keep vectors of a size [bytes] from beginning at the same places of a processor's cache, which holds
-    few of such."""
+    """Additional lanes, so that vectors of a size [bytes] do not begin at the same lines of a cache.
+
+    A cache holds only few vectors that begin at the same lines.
+    """
     return 8 if size % ALIASED == 0 else 0
 
 
 def _primal(steps: tuple, position: Array, change: Array, rows: Any, constants: tuple, *of_parts: tuple) -> tuple:
-    del of_parts  # of the derivative
+    del of_parts  # used by the derivative only
     return _scan(steps[0], position, change, rows, constants)
 
 
@@ -144,12 +147,12 @@ def _recur_jvp(steps: tuple, primals: tuple, tangents: tuple) -> tuple:
 
 
 def _ways(tangents: Any) -> list[Array | None]:
-    """How each leaf moves, ``None`` where it stays as it is."""
+    """Tangent of each leaf; ``None`` if the leaf is constant."""
     return [None if isinstance(way, SymbolicZero) else way for way in jax.tree.leaves(tangents)]
 
 
 def _along(function: Callable, given: tuple, tangents: tuple) -> tuple[Any, list[Array | None]]:
-    """Values of a function of trees, and how each leaf of them moves along a way of what is given."""
+    """Values of a function of trees, and the tangent of each leaf of the values; ``None`` if the leaf is constant."""
     values, tree = jax.tree.flatten(given)
     moved = {i: way for i, way in enumerate(_ways(tangents)) if way is not None}
     start = {i: values[i] for i in moved}
@@ -164,13 +167,13 @@ def _along(function: Callable, given: tuple, tangents: tuple) -> tuple[Any, list
 
 
 def _driven(step: Callable, path: Array, changes: Array, given: tuple, ways: list[Array | None]) -> Array:
-    """What each step's change moves by; numbers and constants that stay as they are cost nothing.
+    """Tangent of the change of each step by its numbers and constants; constant leaves cost nothing.
 
     Args:
-        step: from position, last change, numbers and constants.
-        path, changes: of all steps.
+        step: function of position, last change, numbers and constants.
+        path, changes: positions and changes of all steps.
         given: numbers of all steps, and constants.
-        ways: how each leaf of them moves.
+        ways: tangents of the leaves of ``given``; ``None`` for constant leaves.
     """
     values, tree = jax.tree.flatten(given)
     moved = {i: way for i, way in enumerate(ways) if way is not None}

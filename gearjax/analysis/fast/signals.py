@@ -1,7 +1,7 @@
-"""What drives the steps of an oscillator, block by block: tables, or polynomials worked out within a step.
+"""Excitation of the steps of an oscillator, block by block: tables, or polynomials evaluated within a step.
 
-A block of steps is covered by Chebyshev nodes. Where these are few, each step sums over them; where they are many,
-because nothing is known of the speeds, one motion reads rows of a table that is made a block at a time.
+Chebyshev nodes cover a block of steps. If they are few, each step sums over them. If they are many, because speeds are
+not known, a single motion reads rows of a table that is made for one block at a time.
 """
 
 import math
@@ -21,16 +21,16 @@ from gearjax.analysis.fast.oscillator import Fast, Harmonics, Oscillator, Slow, 
 from gearjax.dependence import depends
 from gearjax.typing import Array, Float, Scalar
 
-COARSE, EXACT = 20, 1e-14  # nodes that cover several blocks, and their accuracy: to rounding
+COARSE, EXACT = 20, 1e-14  # nodes that cover several blocks, and their accuracy, which is that of rounding
 
 
 class StepForcing(NamedTuple):
-    """From rows to what drives steps.
+    """Functions from rows to the excitation of steps.
 
     Args:
-        at: numbers of one row.
-        table: those of all rows, each an array with the rows along its first axis.
-        put: what they mean.
+        at: function from one row to the numbers of its step.
+        table: function from all rows to the numbers of all steps, each an array whose first axis is the row.
+        put: function from such numbers to slow and fast excitation.
     """
 
     at: Callable[[Any], Any]
@@ -38,7 +38,7 @@ class StepForcing(NamedTuple):
     put: Callable[[Any], tuple[Slow, Fast]]
 
     def __call__(self, row: Any) -> tuple[Slow, Fast]:
-        """What drives the step of one row."""
+        """Slow and fast excitation of the step of one row."""
         return self.put(self.at(row))
 
 
@@ -46,10 +46,10 @@ class Forcing(eqx.Module):
     """The signals that drive an oscillator.
 
     Args:
-        oscillator: what is driven.
-        harmonics: of its stiffness.
-        held: its slow signals at any time.
-        changing: which leaves of them change over time.
+        oscillator: the driven oscillator.
+        harmonics: harmonics of its stiffness.
+        held: its slow signals at one time; their constant leaves are used.
+        changing: for each leaf of the slow signals, whether it changes over time.
     """
 
     oscillator: Oscillator
@@ -59,20 +59,20 @@ class Forcing(eqx.Module):
 
     @classmethod
     def of(cls, oscillator: Oscillator, time: Scalar) -> "Forcing":
-        """The signals of an oscillator; the time [s] is that of any sample."""
+        """The signals of an oscillator; ``time`` [s] may be that of any sample."""
         changing = tuple(depends(oscillator.slow_at, time))
         return cls(oscillator, Harmonics.of(oscillator.equation), oscillator.slow_at(time), changing)
 
     def columns(self, instant: Instant) -> tuple[Scalar, ...]:
-        """What changes of the slow signals at an instant: numbers apart, which a batch works out as one vector each."""
+        """The changing slow signals at an instant, as separate numbers; a batch computes one vector for each."""
         leaves = jax.tree.leaves(self.oscillator.slow(instant))
         return tuple(n for leaf, new in zip(leaves, self.changing, strict=True) if new for n in _numbers(leaf.ravel()))
 
     def slow(self, columns: Sequence[Array] | Array) -> Slow:
-        """The slow signals with what changes put in.
+        """The slow signals, with given values of the changing ones.
 
         Args:
-            columns: what changes, shape (column,); a list of numbers for signals of numbers apart.
+            columns: changing signals, shape (column,); a list of numbers gives signals as tuples of numbers.
         """
         apart = not isinstance(columns, jax.Array)
         taken, leaves = 0, []
@@ -83,11 +83,11 @@ class Forcing(eqx.Module):
         return jax.tree.unflatten(jax.tree.structure(self.held), leaves)
 
     def turned(self, time: Scalar) -> Harmonics:
-        """Stiffness harmonics counted from a time [s]."""
+        """Stiffness harmonics shifted, so that they count from a time [s]."""
         return self.harmonics.turned(mesh_phases(self.oscillator.equation, time))
 
     def torques(self, time: Scalar, steps: int) -> Array:
-        """Load of every step of a block [N m]; one number where it does not alternate."""
+        """Load of each step of a block [N m]; one number if the load is constant."""
         if not self.oscillator.equation.load_varies:
             return self.oscillator.equation.torque_at(time)
         return jax.vmap(lambda step: self.oscillator.equation.torque_at(time + step * self.oscillator.step))(
@@ -96,12 +96,12 @@ class Forcing(eqx.Module):
 
 
 class Basis(NamedTuple):
-    """What all blocks of a length share.
+    """Arrays that all blocks of the same length share.
 
     Args:
-        weights: of the nodes at each step, the last one that of the next block, shape (step, node).
-        cosine, sine: of the mesh harmonics at each step from the start of a block, shape (step, harmonic).
-        own: the same of the block's own steps; sliced within the loop over blocks, they would be for each of them.
+        weights: weights of the nodes for each step and the first step of the next block, shape (step, node).
+        cosine, sine: mesh harmonics at each step, counted from the start of a block, shape (step, harmonic).
+        own: the same arrays for the block's own steps; slices within the loop over blocks would be made for each block.
     """
 
     weights: Array
@@ -111,7 +111,7 @@ class Basis(NamedTuple):
 
     @classmethod
     def of(cls, forcing: Forcing, steps: int, nodes: int) -> "Basis":
-        """The basis of blocks of some steps and nodes."""
+        """The basis of blocks with given numbers of steps and nodes."""
         weights = chebyshev.weights(steps, nodes, np.arange(steps + 1))
         rate = mesh_rate(forcing.oscillator.equation) * forcing.oscillator.step
         order = jnp.arange(1, forcing.harmonics.cosine.shape[0] + 1).astype(rate.dtype)
@@ -122,12 +122,12 @@ class Basis(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What one block is made from.
+    """Data of one block.
 
     Args:
-        columns: what changes of the slow signals at its nodes, each of shape (node,).
-        waves: stiffness harmonics, counted from its start.
-        torque: of each of its steps, or one number [N m].
+        columns: changing slow signals at the nodes of the block, each of shape (node,).
+        waves: stiffness harmonics, counted from the start of the block.
+        torque: load torque of each step, or one number [N m].
     """
 
     columns: tuple[Array, ...] | Float[Array, "column node"]
@@ -138,14 +138,14 @@ class Given(NamedTuple):
 def at_nodes(
     forcing: Forcing, start: Scalar, steps: int, number: int, blocks: int
 ) -> Float[Array, "block column node"]:
-    """What changes of the slow signals at the nodes of blocks, from fewer nodes that cover many blocks at once.
+    """Changing slow signals at the nodes of blocks, interpolated from fewer nodes that cover many blocks at once.
 
     Args:
-        forcing: of the oscillator.
+        forcing: signals of the oscillator.
         start: time of the first step [s].
-        steps: of a block.
-        number: nodes of a block, which resolve its signals.
-        blocks: one after the other.
+        steps: number of steps of a block.
+        number: number of nodes of a block, enough to resolve its signals.
+        blocks: number of consecutive blocks.
     """
     phase = chebyshev.reach(number, chebyshev.accuracy(start.dtype))
     enough = (n for n in range(number + 1, COARSE) if chebyshev.reach(n, EXACT) >= blocks * phase)
@@ -156,7 +156,7 @@ def at_nodes(
         coarse, together, pieces = number, 1, blocks
     places = together * steps * np.arange(pieces)[:, None] + chebyshev.nodes(together * steps, coarse)[None, :]
     times = start + jnp.asarray(places, start.dtype) * forcing.oscillator.step
-    nothing = jnp.zeros((0,), start.dtype)  # of bodies without errors
+    nothing = jnp.zeros((0,), start.dtype)  # for bodies without errors, where nothing changes
 
     def together_at(time: Scalar) -> Float[Array, " column"]:
         return jnp.hstack([nothing, *forcing.columns(forcing.oscillator.equation.instant(time))])
@@ -171,11 +171,11 @@ def at_nodes(
 
 
 class Rows(NamedTuple):
-    """What a block reads: trees of arrays, their first axis the steps.
+    """Rows that a block reads: trees of arrays whose first axis is the step.
 
     Args:
-        own: of its own steps.
-        every: of these and the first one of the next block.
+        own: rows of the block's own steps.
+        every: rows of these steps and of the first step of the next block.
     """
 
     own: Any
@@ -183,7 +183,7 @@ class Rows(NamedTuple):
 
 
 def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
-    """Rows of one table for the steps of a block, and what they mean."""
+    """Rows of a table for the steps of a block, and the functions that convert them to the excitation."""
     waves, torque = given.waves, given.torque
     stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
     rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (torque,) if torque.ndim else ()
@@ -197,14 +197,14 @@ def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepF
 
 
 def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
-    """Weights for the steps of a block, and the sums over its nodes that they mean."""
+    """Weights of the nodes for the steps of a block, and the functions that sum over its nodes."""
     waves, torque = given.waves, given.torque
     torques = (torque,) if torque.ndim else ()
     own = *basis.own, tuple(part[:-1] for part in torques)
     rows = Rows(own, (basis.weights, basis.cosine, basis.sine, torques))
 
     def at(row: Any) -> tuple:
-        # whole arrays are taken into the step, so that lanes can be laid out side by side there
+        # the step takes whole arrays, so that a batch can be arranged as vectors within the step
         weights, cosine, sine = (_numbers(part) for part in row[:3])
         nothing = jnp.zeros((), waves.mean.dtype)
         slow = tuple(_product(weights, _numbers(column), nothing) for column in given.columns)
@@ -228,7 +228,7 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
 
 @jax.custom_jvp
 def summed(weights: Float[Array, "step node"], values: Float[Array, " node"]) -> Float[Array, " step"]:
-    """Sums over nodes, written out; their derivative a product of matrices."""
+    """Sums over nodes, written out; their derivative is a matrix product."""
     nothing = jnp.zeros((weights.shape[0],), values.dtype)
     return _product([weights[:, node] for node in range(values.shape[0])], _numbers(values), nothing)
 
@@ -240,7 +240,7 @@ def _summed_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     if not isinstance(tangents[0], SymbolicZero):
         along.append(summed(tangents[0], values))
     if not isinstance(tangents[1], SymbolicZero):
-        # in this order its transpose, which gradients take, reads the weights of a node in a row: in half the time
+        # in this order the transpose, used by gradients, reads the weights of a node consecutively: in half the time
         along.append(tangents[1] @ weights.T)
     return summed(weights, values), sum(along[1:], along[0])
 
@@ -250,14 +250,14 @@ def _numbers(values: Array) -> list[Array]:
 
 
 def _product(weights: list[Array], numbers: list[Array], total: Array) -> Array:
-    """Sum of products, added to a number."""
+    """``total`` plus the sum of the products of weights and numbers."""
     for weight, number in zip(weights, numbers, strict=True):
         total = total + weight * number
     return total
 
 
 def _spread(weights: Float[Array, "step node"], values: Float[Array, "node column"]) -> Float[Array, "step column"]:
-    """A small matrix product, written out: in a loop it takes a quarter of a library call's time."""
+    """Small matrix product, written out; in a loop it takes a quarter of the time of a library call."""
     total = jnp.zeros((weights.shape[0], values.shape[1]), weights.dtype)
     for node in range(values.shape[0]):
         total = total + weights[:, node, None] * values[node][None, :]

@@ -1,4 +1,4 @@
-"""Motion of bodies on supports, in all their coordinates."""
+"""Motion of bodies on supports, in all coordinates, by steps of constant modes."""
 
 from gearjax.analysis.modes.equation import StructureEquation
 from gearjax.analysis.modes.lines import Lines

@@ -2,9 +2,9 @@
 
     M q'' + C q' + K q + J^T f = Q(t) - M r phi'',     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
 
-with a damper per pair along its first flank, ``c overlap'``, or one on each slice of a contact line, in proportion to
-its stiffness. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the highest natural frequency, as
-in `gearjax.analysis.equation`, which is the case of one coordinate and of springs that do not come and go.
+with one damper per pair along its first flank, ``c overlap'``, or one damper per slice of a contact line, in proportion
+to the stiffness of the slice. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the highest
+natural frequency. `gearjax.analysis.equation` is the special case of one coordinate and of springs of pairs of teeth.
 """
 
 from typing import NamedTuple
@@ -23,17 +23,17 @@ from gearjax.scene import Scene
 from gearjax.structure import Structure
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
-OFF = 0.01  # m, between flanks where slices are off the path of contact
+OFF = 0.01  # m, gap that is added to slices off the path of contact, so that they touch nothing
 
 
 class Excitation(NamedTuple):
-    """What drives the motion at one time: everything but the coordinates themselves.
+    """Excitation of the motion at one time: everything in the equation except the coordinates and their rates.
 
     Args:
-        jacobian: shape (contact, coordinate) [m/rad, -]; ``None`` where it is known before.
-        gap: shape (contact,) [m].
-        jacobian_rate, gap_rate: their rates; ``None`` without dampers.
-        stiffness: shape (contact,) [N/m].
+        jacobian: Jacobian of the contacts, shape (contact, coordinate) [m/rad, -].
+        gap: gaps, shape (contact,) [m].
+        jacobian_rate, gap_rate: rates of Jacobian and gaps; ``None`` without dampers.
+        stiffness: stiffness of the contacts, shape (contact,) [N/m].
         torque: load torque [N m].
     """
 
@@ -49,19 +49,20 @@ class StructureEquation(eqx.Module):
     """The scaled equation of motion of a scene with supports under one torque.
 
     Args:
-        scene: with its start worked out.
-        torque: size of the load [N m].
-        structure: masses, supports.
-        jacobian: of the contacts at the start, shape (contact, coordinate) [m/rad, -].
-        free: how many coordinates, the first ones, nothing but contacts holds.
-        holds: of each contact the one that it holds, as in a `ContactSet`.
-        springs: what is known of them at all times.
-        coefficient: of the damper of each pair [N s/m], of slices over their stiffness, shape () [s]; ``None`` without.
-        scale: each coordinate per scaled one, shape (coordinate,) [rad, m].
+        scene: the scene, `Scene.anchored`.
+        torque: size of the load torque [N m].
+        structure: masses, supports and shafts.
+        jacobian: Jacobian of the contacts at the start, shape (contact, coordinate) [m/rad, -].
+        free: number of coordinates that only contacts hold; they come first.
+        holds: for each contact the coordinate that it holds, as in a `ContactSet`.
+        springs: mean springs of the contacts.
+        coefficient: damping coefficient of each pair [N s/m]; for slices one coefficient over stiffness, shape () [s];
+            ``None`` without dampers.
+        scale: coordinates per scaled coordinate, shape (coordinate,) [rad, m].
         frequency: highest natural frequency with all contacts closed [rad/s]; scales time.
-        contact_rate: fastest rate that forces of the contacts make by themselves, the bodies free [rad/s].
+        contact_rate: fastest rate by springs or dampers of the contacts, with supports and shafts left out [rad/s].
         levers_turn: whether the Jacobian changes over time.
-        turns_evenly: whether the ideal output does.
+        turns_evenly: whether the ideal output turns evenly.
         layout: sides and pairs of the contacts.
     """
 
@@ -91,7 +92,7 @@ class StructureEquation(eqx.Module):
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time, "varying").jacobian, start)
         coefficient = None
         if scene.damping is not None:
-            free = contacts.free  # as if nothing gave way, so that stiff supports tend to none
+            free = contacts.free  # held coordinates left out, so that stiff supports tend to none
             mass = _at_pairs(jacobian[layout.flanks[0], :free], structure.mass[:free, :free])
             if contacts.free == 1:
                 mass = scene.inertia.at_contacts(contacts.output_levers)
@@ -101,7 +102,7 @@ class StructureEquation(eqx.Module):
         arms = arms.at[0].set(jnp.mean(jnp.abs(contacts.output_levers)))
         scale = LENGTH_SCALE / arms
         teeth = springs.stiffest(jacobian)
-        own = jnp.diagonal(structure.stiffness)  # that of a fast crank's body may be below zero
+        own = jnp.diagonal(structure.stiffness)  # centrifugal forces of a fast crank may make it negative
         held = structure.stiffness + jnp.diag(jnp.abs(own) - own)
         whole = _fastest(structure.mass, teeth + held)
         contact = _fastest(structure.mass, teeth)
@@ -116,12 +117,12 @@ class StructureEquation(eqx.Module):
 
     @property
     def pushed(self) -> bool:
-        """Whether a centrifugal force acts along a coordinate."""
+        """Whether a centrifugal force of a body on a crank acts along a coordinate."""
         orbits, supports = self.scene.system.orbits, self.scene.supports
         return any("x" in support.directions for body, support in supports.items() if body in orbits)
 
     def torque_at(self, time: Scalar) -> Scalar:
-        """Load torque, and what the ideal output takes to accelerate [N m]."""
+        """Load torque plus the torque that accelerates the ideal output [N m]."""
         assert self.scene.load is not None
         turns = self.scene.system.input_speed * time / (2 * jnp.pi)
         torque = self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
@@ -130,7 +131,7 @@ class StructureEquation(eqx.Module):
         return torque + self.structure.mass[0, 0] * self.scene.system.output_acceleration(time)
 
     def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
-        """Contacts and load at a time [s]; rates where dampers count them or ``moving`` asks for them."""
+        """Contacts and load at a time [s], with rates if dampers need them or ``moving`` asks for them."""
 
         def contacts(time: Scalar) -> tuple[Array, Array, Array]:
             candidates = self.scene.contacts(self.scene.system.input_speed * time, "varying")
@@ -144,21 +145,21 @@ class StructureEquation(eqx.Module):
         return Excitation(jacobian, gap, rates[0], rates[1], stiffness, self.torque_at(time))
 
     def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
-        """Forces on the contacts: elastic, shape (contact,), and of the dampers, shape (damper,), ``None`` without [N].
+        """Elastic forces, shape (contact,), and damper forces, shape (damper,), of the contacts [N].
 
         Args:
-            now: what drives the motion.
-            place, speed: of the coordinates, shape (coordinate,).
+            now: excitation at this time.
+            place, speed: coordinates and velocities, shape (coordinate,).
         """
         overlap = now.jacobian @ place - now.gap
         return self.elastic(now, overlap), self.resistance(now.stiffness, overlap, self.approach(now, place, speed))
 
     def elastic(self, now: Excitation, overlap: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        """Elastic forces [N]."""
+        """Elastic force of each contact from its overlap [N]."""
         return now.stiffness * self.scene.contact.penetration(overlap)
 
     def approach(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " damper"] | None:
-        """Rate of overlap of the contacts that have dampers [m/s]; ``None`` without."""
+        """Rate of overlap of the contacts with dampers [m/s]; ``None`` without dampers."""
         if self.coefficient is None:
             return None
         assert now.jacobian_rate is not None
@@ -167,7 +168,7 @@ class StructureEquation(eqx.Module):
         return now.jacobian[first] @ speed + now.jacobian_rate[first] @ place - now.gap_rate[first]
 
     def resistance(self, stiffness: Array, overlap: Array, approach: Array | None) -> Float[Array, " damper"] | None:
-        """Forces of the dampers [N]; ``None`` without."""
+        """Forces of the dampers [N]; ``None`` without dampers."""
         if approach is None or self.coefficient is None:
             return None
         return self.drag(stiffness) * self.engaged(overlap) * approach
@@ -178,7 +179,7 @@ class StructureEquation(eqx.Module):
         return self.coefficient * stiffness if self.springs.sliced else self.coefficient
 
     def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " damper"]:
-        """How far the dampers act, 0 to 1: while any flank of the pair, or the slice, is in contact, or always."""
+        """How far each damper acts, 0 to 1: while its slice or any flank of its pair is in contact, or always."""
         assert self.scene.damping is not None
         closed = self.scene.contact.closed(overlap)
         if self.springs.sliced:
@@ -191,14 +192,14 @@ class StructureEquation(eqx.Module):
         return 1.0 - left
 
     def on_coordinates(self, now: Excitation, elastic: Array, damping: Array | None) -> Float[Array, " coordinate"]:
-        """What forces of the contacts pull the coordinates back by, ``J^T f`` [N m, N]."""
+        """Generalised forces of the contacts on the coordinates, ``J^T f`` [N m, N]."""
         pull = now.jacobian.T @ elastic
         if damping is None:
             return pull
         return pull + now.jacobian[self.springs.damped].T @ damping
 
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
-        """Forces on the coordinates that do not depend on them [N m, N]."""
+        """Generalised forces that do not depend on the coordinates: load torque, centrifugal forces [N m, N]."""
         return self.structure.push.at[0].add(-now.torque)
 
     def acceleration(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " coordinate"]:
@@ -218,7 +219,7 @@ class StructureEquation(eqx.Module):
         return now.stiffness * self.scene.contact.penetration(now.jacobian @ place - now.gap)
 
     def loaded(self, jacobian: Array, torque: Scalar) -> Bool[Array, " contact"]:
-        """Contacts that hold against a load torque [N m]."""
+        """Whether each contact can carry a load torque [N m]."""
         supports = None if self.free == jacobian.shape[1] else self.structure.stiffness[self.free :, self.free :]
         none = jnp.zeros(jacobian.shape[0], jacobian.dtype)
         return ContactSet(jacobian, none, None, self.layout, supports, self.holds).loaded(-torque)
@@ -230,15 +231,17 @@ class StructureEquation(eqx.Module):
     def resting(
         self, jacobian: Array, gap: Array, stiffness: Array, torque: Scalar
     ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
-        """Static equilibrium [rad, m], and the forces of the contacts [N]: centrifugal forces included, nan where there
-        is none."""
+        """Static equilibrium [rad, m] with centrifugal forces, and the contact forces [N].
+
+        The position is nan if there is no equilibrium.
+        """
         free, supports, springs = self.free, None, LinearSprings(stiffness)
         pushed = self.structure.push
         if free < len(pushed):
             supports = self.structure.stiffness[free:, free:]
             pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
         gap = gap - jacobian @ pushed
-        if self.springs.sliced:  # off the path a slice touches nothing
+        if self.springs.sliced:  # off the path of contact a slice touches nothing
             gap = gap + jnp.where(stiffness > 0, 0.0, OFF)
         contacts = ContactSet(jacobian, gap, springs, self.layout, supports, self.holds)
         rest = equilibrium(contacts, -torque, self.scene.contact)
@@ -247,7 +250,7 @@ class StructureEquation(eqx.Module):
         return jnp.where(rest.result == 0, place, jnp.nan), rest.forces
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2 coordinate"]:
-        """Scaled positions and velocities to start from."""
+        """Scaled positions and velocities at the start."""
         if start == "zero":
             return jnp.zeros((2, len(self.scale)), time.dtype)
         now = self.excitation(time, moving=True)
@@ -262,7 +265,7 @@ class StructureEquation(eqx.Module):
         """Fastest rate that a step has to resolve [rad/s].
 
         Args:
-            modes: for steps of constant modes, to which supports are exact whatever their rate.
+            modes: whether the steps are of constant modes, which are exact for supports of any stiffness.
         """
         scene, orders = self.scene, self.scene.system.orders
         assert scene.load is not None
@@ -277,7 +280,7 @@ class StructureEquation(eqx.Module):
 
 
 def _at_pairs(first: Float[Array, "pair coordinate"], mass: Array) -> Float[Array, " pair"]:
-    """What moves with each pair, the others open, as a mass on its line of action [kg]."""
+    """Effective mass on the line of action of each pair while the other pairs are open [kg]."""
     return 1 / (first.T * jnp.linalg.solve(mass, first.T)).sum(axis=0)
 
 

@@ -1,7 +1,10 @@
-"""What the contacts of bodies on supports see of their structure, and what they put into it: lines.
+"""Lines: the displacements through which contacts act on a structure of bodies on supports.
 
-L has a row per contact where the levers of few contacts stand still (G then has one more column for the load torque),
-else it is the identity and u holds generalised forces. Letters are those of `gearjax.analysis.modes.steps`.
+A line is a row of L: ``s = L q`` is its displacement, u its input force, and G takes the inputs to the coordinates. If
+the levers are constant and the contacts not more than the coordinates, each contact is a line, and G has further
+columns for the load torque and for centrifugal forces. Otherwise L is the identity, and u are generalised forces. A
+sight is the vector on which the inputs depend: s, and rates of s if needed. Letters are those of
+`gearjax.analysis.modes.steps`.
 """
 
 from typing import NamedTuple
@@ -14,15 +17,15 @@ from gearjax.typing import Array, Float, Scalar
 
 
 class Driving(NamedTuple):
-    """What drives a step, at its end: contacts last, so that a sum over coordinates is one of vectors.
+    """Excitation at the end of a step. Contacts are the last axis, so that sums over coordinates add vectors.
 
     Args:
-        lever: J, shape (coordinate, contact) [m/rad, -]; ``None`` where lines are contacts.
-        gap: shape (contact,) [m].
-        lever_rate: of contacts with dampers, shape (coordinate, damper) [m/rad s, 1/s]; ``None`` with ``lever``, or no
-            dampers.
-        gap_rate: of the same, shape (damper,) [m/s]; ``None`` without dampers.
-        stiffness: shape (contact,) [N/m].
+        lever: J, shape (coordinate, contact) [m/rad, -]; ``None`` if lines are contacts.
+        gap: gaps, shape (contact,) [m].
+        lever_rate: rate of J for contacts with dampers, shape (coordinate, damper) [m/rad s, 1/s]; ``None`` if
+            ``lever`` is ``None``, or without dampers.
+        gap_rate: rate of the gaps of contacts with dampers, shape (damper,) [m/s]; ``None`` without dampers.
+        stiffness: stiffness of the contacts, shape (contact,) [N/m].
         torque: load torque [N m].
     """
 
@@ -35,14 +38,14 @@ class Driving(NamedTuple):
 
 
 class Lines(eqx.Module):
-    """What the contacts see of the structure, and where their forces act.
+    """The lines of a scene, and the mean springs and dampers along them.
 
     Args:
-        equation: of motion.
+        equation: equation of motion.
         seen: L, shape (line, coordinate).
-        acting: G, shape (coordinate, input): of the lines, then of what is known before.
-        stiffness: mean springs that count with the structure, shape (line, line) [N/m].
-        damping: the same of dampers [N s/m]; ``None`` without.
+        acting: G, shape (coordinate, input): columns of the lines, then those of the known inputs.
+        stiffness: mean springs that are counted with the structure, shape (line, line) [N/m].
+        damping: dampers that are counted with the structure, shape (line, line) [N s/m]; ``None`` without.
         apart: whether lines are contacts.
     """
 
@@ -55,7 +58,7 @@ class Lines(eqx.Module):
 
     @classmethod
     def of(cls, equation: StructureEquation, start: Scalar) -> "Lines":
-        """Lines that suit a scene, with the springs that carry at the start."""
+        """Lines that suit a scene, with the mean springs of the contacts that carry at the start."""
         layout, springs = equation.layout, equation.springs
         now, coefficient = equation.excitation(start), equation.coefficient
         jacobian = now.jacobian
@@ -85,23 +88,22 @@ class Lines(eqx.Module):
 
     @property
     def whole(self) -> tuple[Float[Array, "coordinate coordinate"], Float[Array, "coordinate coordinate"]]:
-        """Stiffness and damping of the structure with what counts with it of the contacts [N/m, N s/m]."""
+        """Stiffness and damping of the structure, including mean springs and dampers of the contacts [N/m, N s/m]."""
         parts, seen = self.equation.structure, self.seen
         stiffness = parts.stiffness + seen.T @ self.stiffness @ seen
         return stiffness, parts.damping if self.damping is None else parts.damping + seen.T @ self.damping @ seen
 
     @property
     def hears_speed(self) -> bool:
-        """Whether inputs depend on velocities: where dampers come and go, or their levers turn."""
+        """Whether inputs depend on velocities: if dampers act only in contact, or if lines are not contacts."""
         damping = self.equation.scene.damping
         return damping is not None and (damping.acting == "contact" or not self.apart)
 
     def sights(self, place: Float[Array, "coordinate *any"], speed: Float[Array, "coordinate *any"]) -> Array:
-        """What inputs depend on: s, and where `hears_speed` its rate; of contacts at the first flanks, which alone have
-        dampers.
+        """The sight: s, and with `hears_speed` its rate. If lines are contacts, only rates at dampers are included.
 
         Args:
-            place, speed: of the coordinates, or per number of a state.
+            place, speed: coordinates and velocities, or both per number of a state.
         """
         if not self.hears_speed:
             return self.seen @ place
@@ -109,13 +111,13 @@ class Lines(eqx.Module):
         return jnp.concatenate([self.seen @ place, heard @ speed])
 
     def sight(self, seen: Float[Array, " line"], rate: Float[Array, " line"]) -> Array:
-        """The same of s and its rate at all lines."""
+        """The sight, from s and its rate at all lines."""
         if not self.hears_speed:
             return seen
         return jnp.concatenate([seen, rate[self.equation.springs.damped] if self.apart else rate])
 
     def driving(self, time: Scalar) -> Driving:
-        """What drives the steps at a time [s]: without what stands still."""
+        """Excitation of the steps at a time [s], without the parts that are constant."""
         now, first = self.equation.excitation(time), self.equation.springs.damped
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
@@ -129,7 +131,10 @@ class Lines(eqx.Module):
         return (seen if now.lever is None else total(now.lever, seen)) - now.gap
 
     def approach(self, now: Driving, sight: Array) -> Float[Array, " damper"] | None:
-        """Rate of overlap along the dampers [m/s]; where they always act, without the part of the moving structure."""
+        """Rate of overlap at the dampers [m/s].
+
+        Without `hears_speed` only the part of the gaps, because the structure contains the other part.
+        """
         if now.gap_rate is None:
             return None
         if not self.hears_speed:
@@ -141,7 +146,7 @@ class Lines(eqx.Module):
         return total(now.lever[:, self.equation.springs.damped], heard) + total(now.lever_rate, seen) - now.gap_rate
 
     def known(self, now: Driving) -> Float[Array, " known"]:
-        """Inputs that do not depend on the motion, where lines are contacts: load torque and centrifugal forces."""
+        """Inputs that do not depend on the motion, if lines are contacts: load torque and centrifugal forces."""
         if not self.apart:
             return jnp.zeros((0,), now.torque.dtype)
         return jnp.stack([now.torque, jnp.ones_like(now.torque)]) if self.equation.pushed else now.torque[None]
@@ -150,8 +155,8 @@ class Lines(eqx.Module):
         """The inputs u of the lines [N, N m].
 
         Args:
-            now: what drives the motion.
-            sight: as of `sights`.
+            now: excitation at this time.
+            sight: a vector as from `sights`.
         """
         equation, seen = self.equation, sight[: len(self.seen)]
         overlap = self.overlap(now, sight)
@@ -169,16 +174,18 @@ class Lines(eqx.Module):
         return kept + equation.structure.push - now.torque * first - now.lever @ force
 
     def _of_mean(self, mean: Array, seen: Array) -> Array:
-        """What mean springs or dampers hold; those of contacts do not see each other."""
+        """Forces of mean springs or dampers; if lines are contacts, their matrix is diagonal."""
         return jnp.diagonal(mean) * seen if self.apart else total(mean, seen)
 
     def missed(self, now: Driving, before: Array, sight: Array) -> Float[Array, " line"]:
-        """What the parabola misses where contacts open or close within the step [N, N m].
+        """Correction of the inputs for contacts that open or close within the step [N, N m].
+
+        The parabola through the inputs misses the kink or jump of such a contact.
 
         Args:
-            now: what drives the motion at the end of the step.
-            before: overlap at its beginning, shape (contact,) [m].
-            sight: at its end.
+            now: excitation at the end of the step.
+            before: overlap at the start of the step, shape (contact,) [m].
+            sight: sight at the end of the step.
         """
         equation, overlap = self.equation, self.overlap(now, sight)
         crossed = (before > 0) != (overlap > 0)
@@ -195,7 +202,7 @@ class Lines(eqx.Module):
 
 
 def total(columns: Float[Array, "column ..."], numbers: Float[Array, "column ..."]) -> Float[Array, "..."]:
-    """A product that fuses with what is around it, written out: a sum of vectors."""
+    """A matrix product written out as a sum of vectors, so that XLA fuses it with the operations around it."""
     product = columns[0] * numbers[0]
     for column in range(1, len(columns)):
         product = product + columns[column] * numbers[column]

@@ -1,21 +1,21 @@
-"""Steps of a linear structure under inputs that run as parabolas: exact whatever the rates of its modes.
+"""Steps of a linear structure under inputs that are parabolas in time: exact for modes of any rate.
 
-    x' = A x + B u(t),     u through u_n-1, u_n and u_n+1 on the step from n to n + 1
+    x' = A x + B u(t),     u is the parabola through u_n-1, u_n and u_n+1 on the step from n to n + 1
 
     x_n+1 = E x_n + W_ u_n-1 + W0 u_n + W+ u_n+1
     E = e^(h A),  W+ = (phi_2 / 2 + phi_3) h B,  W0 = (phi_1 - 2 phi_3) h B,  W_ = (phi_3 - phi_2 / 2) h B
 
-with ``phi_k = int_0^1 e^((1 - s) h A) s^(k-1) / (k-1)! ds`` (Hochbruck and Ostermann 2010). All four come out of one
-exponential of a matrix (Al-Mohy and Higham 2011, theorem 2.1): rigid, overdamped and repeated modes need no case of
-their own, and derivatives with respect to mass, stiffness and damping are those of that exponential.
+with ``phi_k = int_0^1 e^((1 - s) h A) s^(k-1) / (k-1)! ds`` (Hochbruck and Ostermann 2010). One matrix exponential
+gives all four (Al-Mohy and Higham 2011, theorem 2.1). Rigid, overdamped and repeated modes need no special case, and
+derivatives with respect to mass, stiffness and damping are those of the exponential.
 
-Where the slope of the input changes by s within the step at the time ``theta h``, the two parabolas that see it miss
-together, to leading order,
+If the slope of the input changes by s within the step, at the time ``theta h``, two parabolas contain the kink, that of
+this step and that of the next. Together they miss, to leading order,
 
-    (W+ + W0 + W_) s h (1/12 - theta (1 - theta) / 2),       and where it jumps by j:  (W+ + W0 + W_) j (1/2 - theta).
+    (W+ + W0 + W_) s h (1/12 - theta (1 - theta) / 2),       and for a jump by j:  (W+ + W0 + W_) j (1/2 - theta).
 
-The first from ``(1 - theta)^2 / 2`` less ``5/12 (1 - theta)`` of this parabola and ``-theta / 12`` of the next; the
-second from ``1 - theta`` less ``5/12`` and ``1/12``.
+The first is ``(1 - theta)^2 / 2`` minus ``5/12 (1 - theta)`` of this parabola and ``-theta / 12`` of the next; the
+second is ``1 - theta`` minus ``5/12`` and ``1/12``.
 """
 
 from collections.abc import Callable
@@ -28,12 +28,12 @@ import jax.numpy as jnp
 from gearjax.structure import Structure
 from gearjax.typing import Array, Float, Scalar
 
-SMALL, TERMS = 0.5, 14  # norm of a matrix whose series needs no more terms
-MOST_SQUARINGS = 32  # of the exponential: a support of 1e18 N/m takes some twenty
+SMALL, TERMS = 0.5, 14  # norm of a matrix for which so many terms of the series are enough
+MOST_SQUARINGS = 32  # of the exponential; a support of 1e18 N/m needs some twenty
 
 
 class Weights(NamedTuple):
-    """What a step makes of the state and of three inputs, shapes (state, state) and (state, input)."""
+    """Matrices of a step: effect of the state, shape (state, state), and of three inputs, shape (state, input)."""
 
     kept: Array
     after: Array
@@ -42,7 +42,7 @@ class Weights(NamedTuple):
 
     @property
     def kink(self) -> Array:
-        """Of what the parabolas miss where the input has a kink or a jump, per input."""
+        """Effect of the correction for a kink or a jump of the inputs, ``W+ + W0 + W_``."""
         return self.after + self.now + self.before
 
 
@@ -65,9 +65,9 @@ def weights(matrix: Float[Array, "state state"], inputs: Float[Array, "state inp
 
 
 def exponential(matrix: Float[Array, "state state"]) -> Float[Array, "state state"]:
-    """The exponential of a matrix, by its series and squarings (Moler and Van Loan 2003).
+    """Matrix exponential, by its series and squarings (Moler and Van Loan 2003).
 
-    Not that of JAX, whose programs of batches that devices share never end (jaxlib 0.10 on CPUs).
+    The exponential of JAX is not used: in batches that are shared between devices it never ends (jaxlib 0.10 on CPUs).
     """
     size = jax.lax.stop_gradient(jnp.abs(matrix).sum(axis=0).max())
     squarings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(size, SMALL) / SMALL)), 0, MOST_SQUARINGS)
@@ -83,14 +83,14 @@ def exponential(matrix: Float[Array, "state state"]) -> Float[Array, "state stat
 
 
 class Scaled(NamedTuple):
-    """The structure in a state of positions and velocities whose numbers are of one size.
+    """First-order form of the structure, with positions and velocities scaled to numbers of similar size.
 
     Args:
         matrix: ``h A``, shape (state, state).
         inputs: ``h B``, per force on each coordinate, shape (state, coordinate).
-        place: coordinates of a state, shape (coordinate, state) [rad, m].
-        speed: their velocities, shape (coordinate, state) [rad/s, m/s].
-        back: a state of coordinates and velocities, shape (state, 2 coordinate).
+        place: matrix from a state to the coordinates, shape (coordinate, state) [rad, m].
+        speed: matrix from a state to the velocities, shape (coordinate, state) [rad/s, m/s].
+        back: matrix from coordinates and velocities to a state, shape (state, 2 coordinate).
     """
 
     matrix: Array
@@ -101,12 +101,13 @@ class Scaled(NamedTuple):
 
     @classmethod
     def of(cls, structure: Structure, stiffness: Array, damping: Array, step: Scalar) -> "Scaled":
-        """Positions times the root of their mass, velocities over their rate where that is above one per step.
+        """Scale positions by the root of their mass, and velocities also by their rate, if it is above one per step.
 
         Args:
-            structure: whose masses count.
-            stiffness, damping: of the structure and of what is counted with it, shape (coordinate, coordinate).
-            step: [s].
+            structure: structure that gives the masses.
+            stiffness, damping: matrices of the structure and of mean springs and dampers of the contacts, shape
+                (coordinate, coordinate).
+            step: length of a step [s].
         """
         root = jnp.sqrt(jnp.diagonal(structure.mass))
         mass = structure.mass / jnp.outer(root, root)
@@ -127,7 +128,7 @@ class ForcedTerm(diffrax.AbstractTerm):
     """A term of diffrax whose vector field is the input of a structure.
 
     Args:
-        push: ``push(time, state, args)``: the input u, shape (input,), for steps of one unit of time.
+        push: ``push(time, state, args)``, the input u, shape (input,), for steps of one unit of time.
     """
 
     push: Callable[[Any, Array, Any], Array]
@@ -145,7 +146,7 @@ class ForcedTerm(diffrax.AbstractTerm):
 class ExponentialParabola(diffrax.AbstractSolver):
     """The scheme as a solver of diffrax, for ``x' = A x + B u(t, x)`` and even steps of one unit of time.
 
-    Third order, and exact where u is a parabola in time. Its term is a `ForcedTerm`; kinks of it are not told.
+    It is of third order, and exact if u is a parabola in time. Its term is a `ForcedTerm`. Kinks are not corrected.
 
     Args:
         matrix: ``h A`` with the step h, shape (state, state).
@@ -165,7 +166,7 @@ class ExponentialParabola(diffrax.AbstractSolver):
         return 3
 
     def init(self, terms, t0, t1, y0, args):
-        """Inputs now, and a step before as their slope has it."""
+        """Inputs now, and those a step before, extrapolated by their slope."""
         now = terms.vf(t0, y0, args)
         along = jnp.ones_like(t0), self.matrix @ y0 + self.inputs @ now
         _, slope = jax.jvp(lambda time, state: terms.vf(time, state, args), (t0, y0), along)

@@ -1,6 +1,6 @@
-"""What a step of constant modes makes of the state and of the inputs, as three small products.
+"""The matrices of a step of constant modes: three small products with the state and the inputs.
 
-Letters are those of `gearjax.analysis.modes.steps`.
+Letters are those of `gearjax.analysis.modes.steps`, lines and sights those of `gearjax.analysis.modes.lines`.
 """
 
 from typing import NamedTuple
@@ -13,16 +13,18 @@ from gearjax.typing import Array
 
 
 class Products(NamedTuple):
-    """What a step makes of the state with the inputs of the lines now and a step before.
+    """Matrices of a step. "Now" is the start of the step.
 
     Args:
-        free: without the inputs at its end: sights at the inputs that the last two lead to, sights, and the state,
-            shape (2 sight + state, state + 2 line).
-        after: of the inputs at its end: sights and the state, shape (sight + state, line).
-        kink: of what a parabola misses, shape (sight + state, line).
+        free: effect of the state and of the inputs of the lines now and a step before. Its rows are sights with the
+            inputs at the end extrapolated from these two, then sights and state without the inputs at the end, shape
+            (2 sight + state, state + 2 line).
+        after: effect of the inputs at the end on sights and state, shape (sight + state, line).
+        kink: effect of the correction for kinks on sights and state, shape (sight + state, line).
         sight: sights of a state, shape (sight, state).
-        known: of known inputs at its end, now, and a step before, rows as of ``free``, each of shape (row, known).
-        given: what known inputs make where they stand still, shape (2 sight + state,); ``None`` where they change.
+        known: effect of the known inputs at the end, now, and a step before, rows as in ``free``, each of shape
+            (row, known).
+        given: effect of known inputs that are constant, shape (2 sight + state,); ``None`` if they change.
     """
 
     free: Array
@@ -34,12 +36,12 @@ class Products(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Numbers of sights, of lines, and of a state."""
+        """Lengths of a sight, of the inputs of the lines, and of a state."""
         return len(self.sight), self.after.shape[1], self.sight.shape[1]
 
     @classmethod
     def of(cls, lines: Lines, scaled: Scaled, part: Weights, known: Array | None) -> "Products":
-        """Those of a step; known inputs where they stand still."""
+        """The matrices of a step; ``known`` are the known inputs if they are constant."""
         number, sight = lines.seen.shape[0], lines.sights(scaled.place, scaled.speed)
 
         def rows(expected: Array, corrected: Array) -> Array:

@@ -1,17 +1,18 @@
-"""The scan over the steps of a motion of many coordinates, with a derivative that costs little more than the scan.
+"""Scan over the steps of a motion of many coordinates, with a derivative that costs little more than the scan.
 
-A derivative of the loop by the rules would carry every tangent through every operation of every step. But what is not
-linear in a step are the inputs of the lines and what a parabola misses, and their slopes can be worked out for all
-steps at once, after the scan, from the states and inputs that it records. What is left in sequence is linear, in the
-state, the inputs now and a step before, and the overlap before a step:
+Automatic differentiation of the loop would carry every tangent through every operation of every step. In a step only
+two things are not linear: the inputs of the lines and the correction for kinks. Their slopes can be computed for all
+steps at once after the scan, from the recorded states and inputs. The remaining recurrence is linear in the state, the
+inputs now and a step before, and the overlap before the step:
 
     dc = F (dx, du, du_) + g,    du' = A dc_s + a,    df = dc_f + W du',    dm = P do + Q df_s + b,    dx' = df_x + V dm
 
-with F, W and V of `gearjax.analysis.modes.products`, slopes A of the inputs, P and Q of what is missed, and what
-everything else moves them by: g, a and b. Its transpose is another linear scan, backwards; so both modes follow.
+with the matrices F, W and V of `gearjax.analysis.modes.products`, the slopes A of the inputs, and the slopes P and Q of
+the correction for kinks. g, a and b are the changes by everything else. The transpose of this recurrence is another
+linear scan, backwards, so that forward and reverse mode both follow.
 
-Where lines are not contacts, but coordinates that many of them act on, slopes are matrices that few contacts fill, and
-the derivative is that of the loop.
+If lines are coordinates and not contacts, many contacts act on each line. The slopes are then no sparse matrices of
+single pairs, and the derivative is that of the loop.
 """
 
 from collections.abc import Callable
@@ -29,18 +30,18 @@ from gearjax.analysis.modes.products import Products
 from gearjax.contact import HardContact
 from gearjax.typing import Array, Float
 
-UNROLL = 4  # steps that are written out: as installed, one by one takes 1.4 times as long; with options, the same
+UNROLL = 4  # steps written out: one by one takes 1.4 times as long with default XLA, the same with `xla_options`
 
 
 class Begun(NamedTuple):
-    """Where steps begin.
+    """Data at the start of steps.
 
     Args:
-        whole: state with the inputs of the lines now and a step before, shape (state + 2 line,).
+        whole: state, followed by the inputs of the lines now and a step before, shape (state + 2 line,).
         known: known inputs a step before, shape (known,).
-        now: what drives the motion now.
-        overlap: of the contacts now, shape (contact,) [m]; of a start from the coordinates themselves, as without a
-            torque it is zero, whose sign decides.
+        now: excitation now.
+        overlap: overlap of the contacts now, shape (contact,) [m]. At the start it comes from the coordinates
+            themselves: without a torque it is zero, and rounding must not change its sign.
     """
 
     whole: Array
@@ -52,14 +53,15 @@ class Begun(NamedTuple):
 def recur(
     lines: Lines, products: Products, begun: Begun, table: Driving, shares: np.ndarray | None
 ) -> tuple[Begun, Array]:
-    """Where the steps end, and state and inputs after each, shape (step, state + line).
+    """Run the steps: the data at their end, and state and inputs after each step, shape (step, state + line).
 
     Args:
-        lines: of the contacts.
-        products: of a step.
-        begun: where they begin.
-        table: what drives them, each leaf with rows as its first axis.
-        shares: of the rows in each step, shape (block, step of a block, row); ``None`` where there is one per step.
+        lines: lines of the contacts.
+        products: matrices of a step.
+        begun: data at the start.
+        table: rows of the excitation, the first axis of each leaf.
+        shares: weights of the rows for each step, shape (block, step of a block, row); ``None`` if each step has its
+            own row.
     """
     arrays, rest = eqx.partition(lines, eqx.is_inexact_array)
     march = _recur if lines.apart else _primal
@@ -73,7 +75,7 @@ def recur(
 
 
 def rows_of(table: Driving, shares: np.ndarray | None, last: int = 0) -> Driving:
-    """What drives each step, or the last ones."""
+    """Excitation of each step, or of the ``last`` ones."""
     if shares is None:
         return jax.tree.map(lambda column: column[-last:], table)
     flat, unpacked = packed(table)
@@ -85,7 +87,7 @@ def _at(rows: Driving, place: int) -> Driving:
 
 
 def packed(driving: Driving) -> tuple[Float[Array, "time number"], Callable[[Array], Driving]]:
-    """Numbers of several times as the rows of one table, and what such rows mean."""
+    """Excitation at several times as rows of one table, and the function that converts such rows back."""
     leaves, tree = jax.tree.flatten(driving)
     ends = np.cumsum([0, *(leaf[0].size for leaf in leaves)])
 
@@ -105,7 +107,7 @@ def _kinks(lines: Lines) -> bool:
 
 
 def _advance(lines: Lines, products: Products, carry: tuple, now: Driving) -> tuple[tuple, Array]:
-    """A step, from what drives it at its end."""
+    """One step, from the excitation at its end."""
     whole, known, overlap = carry
     sights, number, states = products.sizes
     coming, new = products.free @ whole, lines.known(now)
@@ -138,7 +140,7 @@ def _primal(
     flat, unpacked = packed(table)
 
     def between(carry: tuple, share: Array) -> tuple[tuple, Array]:
-        # written out it is no call, but many contacts then take twice the time of one
+        # written out, the product needs no library call; for many contacts it would take twice the time of a call
         rows = total(flat[:, None], share.T[:, :, None]) if lines.apart else share @ flat
         return along(carry, unpacked(rows))
 
@@ -178,14 +180,14 @@ def _recur_jvp(static: tuple, primals: tuple, tangents: tuple) -> tuple[Array, A
 
 
 class Path(NamedTuple):
-    """What was known at each step.
+    """Quantities of each step, computed again from the record.
 
     Args:
-        whole: state and inputs that it began from, shape (step, state + 2 line).
-        overlap: there, shape (step, contact) [m].
-        expected, corrected, ended: sights at its end: if inputs go on, without what is missed, and with it, shape
-            (step, sight).
-        inputs, missed: inputs at its end, and what a parabola missed, shape (step, line).
+        whole: state and inputs at the start of the step, shape (step, state + 2 line).
+        overlap: overlap at the start, shape (step, contact) [m].
+        expected, corrected, ended: sights at the end of the step: with extrapolated inputs, without the correction for
+            kinks, and with it, shape (step, sight).
+        inputs, missed: inputs at the end, and the correction for kinks, shape (step, line).
     """
 
     whole: Array
@@ -198,7 +200,7 @@ class Path(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """All steps at once, and what moves them; arguments as of `recur`."""
+    """All steps at once, and their linearisation; arguments as for `recur`."""
 
     lines: Lines
     products: Products
@@ -207,7 +209,7 @@ class Linear(NamedTuple):
     shares: np.ndarray | None
 
     def coming(self, rows: Driving, whole: Array) -> Array:
-        """Sights and states without the inputs at the ends of the steps."""
+        """Sights and states at the ends of the steps, without the inputs at the ends."""
         coming, products = whole @ self.products.free.T, self.products
         if products.given is not None:
             return coming + products.given[None]
@@ -217,7 +219,7 @@ class Linear(NamedTuple):
         return sum((one @ part.T for part, one in parts), coming)
 
     def path(self, record: Array) -> Path:
-        """What was known at each step, from states and inputs after it."""
+        """Quantities of each step, from states and inputs after the steps."""
         sights, number, states = self.products.sizes
         rows, begun, lines = rows_of(self.table, self.shares), self.begun.whole, self.lines
         now = _before(begun[: states + number], record)
@@ -230,8 +232,11 @@ class Linear(NamedTuple):
         return Path(whole, overlap, coming[:, :sights], corrected, ended, inputs, missed)
 
     def pushes(self, path: Path) -> tuple[Array, Array, tuple[Array, Array] | None]:
-        """What a step makes besides what it began from and looks at, which are held: sights and states; inputs; what is
-        missed, and the overlap."""
+        """Results of each step, to be differentiated with respect to everything except the state.
+
+        The results are sights and states, inputs, and the correction with the overlap. The data at the start of the
+        steps, and the sights that inputs are evaluated at, are held fixed.
+        """
         sights, products, lines = self.products.sizes[0], self.products, self.lines
         rows = rows_of(self.table, self.shares)
         whole = self.coming(rows, path.whole).at[:, sights:].add(path.inputs @ products.after.T)
@@ -244,8 +249,10 @@ class Linear(NamedTuple):
         return whole, inputs, (jax.vmap(lines.missed)(rows, path.overlap, path.corrected), overlap)
 
     def slopes(self, path: Path) -> tuple[Array, tuple[Array, Array] | None]:
-        """Of the inputs by the sights that they are taken at, shape (step, line, sight), and of what is missed by the
-        overlap at the beginning and by the sights at the end."""
+        """Slopes of the inputs with respect to their sights, shape (step, line, sight), and slopes of the correction.
+
+        The correction depends on the overlap at the start of a step and on the sights at its end.
+        """
         rows, lines, layout = rows_of(self.table, self.shares), self.lines, self.lines.equation.layout
         flank = np.zeros(len(layout.pair), int)
         for number, contacts in enumerate(layout.flanks):
@@ -266,7 +273,7 @@ class Linear(NamedTuple):
         return of_inputs, jax.vmap(of_missed)(rows, path.overlap, path.corrected)
 
     def moved(self, slopes: tuple, driven: tuple, start: tuple[Array, Array]) -> Array:
-        """How states and inputs after each step move, from how the beginning does."""
+        """Tangents of states and inputs after each step, from the tangents at the start."""
         products, (sights, number, states) = self.products, self.products.sizes
 
         def step(carry: tuple[Array, Array], given: tuple) -> tuple[tuple[Array, Array], Array]:
@@ -287,13 +294,16 @@ class Linear(NamedTuple):
 
 
 def _before(first: Array, rest: Array) -> Array:
-    """Rows a step before."""
+    """The rows shifted by one step, with ``first`` in front."""
     return jnp.concatenate([first[None], rest[:-1]])
 
 
 def _slope(function: Callable[[Array], Array], at: Array, pair: np.ndarray, seen: tuple) -> Array:
-    """Slopes of numbers of contacts of some pairs by numbers, of which pairs and kinds are told: only those of one pair
-    see each other, so that all of a kind are moved together."""
+    """Slopes of a function of contacts. ``seen`` gives the pair and the kind of each argument.
+
+    Only contacts and arguments of the same pair influence each other. One tangent can therefore move all arguments of a
+    kind together.
+    """
     pairs, kinds = seen
     ways = (jnp.asarray(kinds == kind, at.dtype) for kind in range(kinds.max() + 1))
     along = jnp.stack([jax.jvp(function, (at,), (way,))[1] for way in ways])
@@ -301,6 +311,8 @@ def _slope(function: Callable[[Array], Array], at: Array, pair: np.ndarray, seen
 
 
 def _product(matrix: Array, vector: Array) -> Array:
-    """Of a matrix with a vector, so that it stays within the kernel of the loop for many vectors too (5 times as fast),
-    and turned round (1.4 times)."""
+    """Product of a matrix with a vector, written so that it stays within the kernel of the loop.
+
+    This is 5 times as fast for a batch of vectors, and 1.4 times for the transpose.
+    """
     return (matrix * vector[None]).sum(axis=1)

@@ -1,8 +1,8 @@
-"""What is known of the springs of the contacts at all times: means, a bound from above, and where dampers act.
+"""Properties of the contact springs that hold at all times: means, an upper bound, and the places of the dampers.
 
-Springs of pairs of teeth swing about a mean, and each pair has one damper, along its first flank. Slices of contact
-lines come onto the path of contact and leave it, with a stiffness that goes by the angle: their mean is that of the
-whole mesh over its period, and each has a damper of its own, in proportion to its stiffness.
+The stiffness of a pair of teeth varies about a mean, and each pair has one damper, along its first flank. Slices of
+contact lines enter and leave the path of contact, and their stiffness depends on the angle. Their mean is that of the
+whole mesh over a mesh period, and each slice has its own damper, in proportion to its stiffness.
 """
 
 import math
@@ -19,22 +19,24 @@ from gearjax.inertia import DampingRatio
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Scalar
 
-ANGLES = 32  # of a mesh period, that slices are looked at
-TOUCHING = 1e-9  # m, between ideal flanks that touch; corners of tips beyond the path of contact do not
-HARMONICS = 16  # of the mesh, that steps resolve where slices come and go
+ANGLES = 32  # number of angles per mesh period at which slices are evaluated
+TOUCHING = 1e-9  # m, largest gap of ideal flanks that touch; tip corners beyond the path have larger gaps
+HARMONICS = 16  # harmonics of the mesh that steps resolve for slices
 
 
 class MeanSprings(eqx.Module):
-    """Springs of the contacts of a scene.
+    """Mean springs of the contacts of a scene.
 
     Args:
-        mean: stiffness of each contact, shape (contact,) [N/m]; of slices where flanks touch, averaged over the period.
-        peak: of slices the highest stiffness of the mesh over its mean [-], else that of a pair [N/m].
-        pairs: of slices how many pairs touch on average, the total contact ratio [-].
-        carries: 1 for slices on the flanks that hold the torque, 0 for others, shape (contact,).
-        matrix: of slices, mean of ``J^T k J`` of those, shape (coordinate, coordinate) [N m/rad, N/m]; ``None`` of
-            other springs.
-        harmonics: of the mesh frequency, that steps resolve.
+        mean: mean stiffness of each contact, shape (contact,) [N/m]; for slices averaged over the mesh period, with
+            zero while the flanks do not touch and for flanks that do not carry the torque.
+        peak: for slices the highest stiffness of the mesh over its mean [-], otherwise the peak stiffness of a pair
+            [N/m].
+        pairs: for slices the total contact ratio, the mean number of pairs in contact [-].
+        carries: 1 for slices on the flanks that carry the torque, 0 for others, shape (contact,).
+        matrix: for slices, mean of ``J^T k J`` over those flanks, shape (coordinate, coordinate) [N m/rad, N/m];
+            ``None`` for other springs.
+        harmonics: number of harmonics of the mesh frequency that steps resolve.
         layout: sides and pairs of the contacts.
     """
 
@@ -48,7 +50,7 @@ class MeanSprings(eqx.Module):
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "MeanSprings":
-        """Those of a scene whose springs are one by one (`require`), about a load torque [N m]."""
+        """Mean springs of a scene with independent springs (`require`), under a load torque [N m]."""
         layout = scene.layout
         if not isinstance(scene.compliance, AbstractSliceCompliance):
             compliance = scene.linear_compliance
@@ -65,7 +67,7 @@ class MeanSprings(eqx.Module):
 
         def at(theta: Scalar) -> tuple[Array, Array, Array]:
             pose = scene.pose(theta, "varying")
-            # back flanks count from the least of their gaps, that of their own backlash
+            # the smallest gap of back flanks is the gear set's own backlash: these flanks touch there
             room = jnp.where(jnp.asarray(np.asarray(layout.side) > 0), 0.0, pose.gap.min(where=back, initial=jnp.inf))
             contacts = scene.contacts(pose, "varying")
             assert contacts.linear is not None
@@ -82,7 +84,7 @@ class MeanSprings(eqx.Module):
 
     @property
     def sliced(self) -> bool:
-        """Whether they are slices of contact lines, whose stiffness comes and goes."""
+        """Whether the contacts are slices of contact lines, which enter and leave the path of contact."""
         return self.matrix is not None
 
     @property
@@ -91,11 +93,11 @@ class MeanSprings(eqx.Module):
         return slice(0, len(self.layout.side)) if self.sliced else self.layout.flanks[0]
 
     def at_contacts(self, of_dampers: Float[Array, " damper"]) -> Float[Array, " contact"]:
-        """Numbers of the dampers at their contacts, zero at others."""
+        """Numbers of the dampers at their contacts, zero at the other contacts."""
         return of_dampers if self.sliced else self.layout.on_first(of_dampers)
 
     def earliest(self, of_contacts: Float[Array, " contact"]) -> Float[Array, " damper"]:
-        """The least number of the contacts that each damper acts with."""
+        """For each damper, the smallest number of the contacts that it belongs to."""
         if self.sliced:
             return of_contacts
         first, *others = self.layout.flanks
@@ -105,12 +107,13 @@ class MeanSprings(eqx.Module):
         return least
 
     def damping(self, damping: DampingRatio, mass: Array) -> Float[Array, "*pair"]:
-        """Coefficients of the dampers of pairs [N s/m]; of slices over their stiffness, as if each of the pairs that
-        touch had one, shape () [s].
+        """Damping coefficients of the pairs [N s/m]; for slices one coefficient over stiffness, shape () [s].
+
+        For slices the whole mesh has, on average, as many dampers of a pair as pairs touch.
 
         Args:
-            damping: of each pair.
-            mass: on the line of action [kg].
+            damping: damping of each pair.
+            mass: equivalent mass on the line of action [kg].
         """
         if not self.sliced:
             first = self.layout.flanks[0]
@@ -119,7 +122,7 @@ class MeanSprings(eqx.Module):
         return damping.coefficient(self.pairs * whole, mass) / whole
 
     def stiffest(self, jacobian: Float[Array, "contact coordinate"]) -> Float[Array, "coordinate coordinate"]:
-        """Stiffness of the coordinates on all contacts at their peak [N m/rad, N/m]."""
+        """Stiffness matrix of the coordinates from all contacts at peak stiffness [N m/rad, N/m]."""
         if self.matrix is not None:
             return self.peak * self.matrix
         first = jacobian[self.layout.flanks[0]]
@@ -128,7 +131,10 @@ class MeanSprings(eqx.Module):
     def dampers(
         self, jacobian: Float[Array, "contact coordinate"], coefficient: Float[Array, "*pair"]
     ) -> Float[Array, "coordinate coordinate"]:
-        """Damping of the coordinates by all dampers [N m s/rad, N s/m]; arguments as of the equation of motion."""
+        """Damping matrix of the coordinates from all dampers [N m s/rad, N s/m].
+
+        Arguments are those of the equation of motion.
+        """
         if self.matrix is not None:
             return coefficient * self.peak * self.matrix
         first = jacobian[self.layout.flanks[0]]

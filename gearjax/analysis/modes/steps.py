@@ -1,15 +1,16 @@
-"""Motion of bodies on supports in even steps: constant modes, one evaluation of the contacts a step, exact kinks.
+"""Motion of bodies on supports by even steps of constant modes, with one contact evaluation per step and exact kinks.
 
-The structure is taken together with mean springs and dampers of its contacts, so that what is left for the inputs is
-small and changes slowly:
+Mean springs and dampers of the contacts are added to the structure, so that the remaining inputs are small and change
+slowly:
 
     M q'' + (C + L^T c L) q' + (K + L^T k L) q = G u,     u = k s + c s' - f(s, s', t),     s = L q
 
-What L and u are, `gearjax.analysis.modes.lines` tells. Steps are those of `gearjax.analysis.modes.parabola`, the inputs
-taken at the s that their last two values lead to.
+`gearjax.analysis.modes.lines` defines L and u. Steps are those of `gearjax.analysis.modes.parabola`. The inputs at the
+end of a step are evaluated at the s that follows if the last two inputs are extrapolated.
 
-A step is three small products, with what the contacts do in between: of the state, then of the inputs at its end, then
-of what a parabola misses there. Their rows are sights (what the inputs depend on) and the state.
+A step consists of three small matrix products, with evaluations of the contacts in between: with the state, with the
+inputs at the end of the step, and with the correction for kinks. Their rows are sights (vectors on which the inputs
+depend) and the state.
 """
 
 import functools
@@ -31,13 +32,13 @@ from gearjax.analysis.solvers import highest_between
 from gearjax.dependence import depends
 from gearjax.typing import Array, Float, Scalar
 
-AT_ONCE = 16  # steps whose excitation is worked out together, where it is at each, or of many contacts
-OF_FEW = 96  # of few contacts, between nodes: blocks have a price of their own
-LONGEST_SPAN = 4096  # steps between nodes: a derivative backwards keeps them
+AT_ONCE = 16  # steps whose excitation is computed together, if it is computed at each step or for many contacts
+OF_FEW = 96  # the same for few contacts between nodes, where each block has a fixed cost
+LONGEST_SPAN = 4096  # largest number of steps per span, all of which reverse mode stores
 
 
 def divisor(number: int, most: int) -> int:
-    """The largest one that is not above a bound."""
+    """The largest divisor of a number that is not above ``most``."""
     return next(n for n in range(min(number, most), 0, -1) if number % n == 0)
 
 
@@ -45,10 +46,10 @@ class Steps(eqx.Module):
     """Even steps of one motion.
 
     Args:
-        lines: of its contacts.
-        scaled: its structure, with mean springs and dampers.
-        products: of a step.
-        begin, step: time of the start, and of a step [s].
+        lines: lines of the contacts.
+        scaled: the structure with mean springs and dampers, in scaled first-order form.
+        products: matrices of a step.
+        begin, step: time of the start, and length of a step [s].
     """
 
     lines: Lines
@@ -59,7 +60,7 @@ class Steps(eqx.Module):
 
     @classmethod
     def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar) -> "Steps":
-        """Steps of a length, with what carries at the start."""
+        """Steps of a given length; mean springs are those of the contacts that carry at the start."""
         lines = Lines.of(equation, begin)
         scaled = Scaled.of(equation.structure, *lines.whole, step)
         part = weights(scaled.matrix, scaled.inputs @ lines.acting)
@@ -68,9 +69,9 @@ class Steps(eqx.Module):
         return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step)
 
     def start(self, place: Array, speed: Array) -> Begun:
-        """Where steps begin, from the coordinates.
+        """Initial data of the steps, from coordinates and velocities.
 
-        A start whose inputs have no slope would make the whole motion first order.
+        Inputs a step before are extrapolated by their slope; without it the whole motion would be of first order.
         """
         equation, lines = self.lines.equation, self.lines
 
@@ -86,7 +87,7 @@ class Steps(eqx.Module):
         return Begun(jnp.concatenate([state, here[0], own_before]), known_before, now, overlap)
 
     def coordinates(self, state: Array) -> Float[Array, "2 coordinate"]:
-        """Coordinates and their velocities."""
+        """Coordinates and velocities of a state."""
         alone = state[: self.scaled.place.shape[1]]
         return jnp.stack([self.scaled.place @ alone, self.scaled.speed @ alone])
 
@@ -97,8 +98,10 @@ class Steps(eqx.Module):
 
 
 class March(NamedTuple):
-    """A record at its samples: coordinates and velocities, shape (n, 2, coordinate), and extremes of the output over
-    the steps up to each sample, shape (n,) [rad]."""
+    """A record at its samples: coordinates and velocities, shape (n, 2, coordinate), and extremes of the output.
+
+    The extremes are those over the steps up to each sample, shape (n,) [rad].
+    """
 
     states: Array
     highest: Array
@@ -106,12 +109,12 @@ class March(NamedTuple):
 
 
 class Spacing(NamedTuple):
-    """How a record is cut.
+    """Division of a record into samples, steps and spans.
 
     Args:
-        samples, each: number of samples, and of steps between them.
-        span: steps whose excitation is worked out together.
-        nodes: of the polynomial through it; ``None`` where it is worked out at each step.
+        samples, each: number of samples, and of steps between two samples.
+        span: number of steps whose excitation is computed together.
+        nodes: nodes of the polynomial that interpolates it; ``None`` if it is computed at each step.
     """
 
     samples: int
@@ -121,12 +124,12 @@ class Spacing(NamedTuple):
 
     @classmethod
     def of(cls, samples: int, each: int, phase: float | None, dtype: Any) -> "Spacing":
-        """The cheapest cut.
+        """The cheapest division.
 
         Args:
-            samples, each: number of samples, and of steps between them.
-            phase: of what drives the motion fastest, per step [rad]; ``None`` where it is not known.
-            dtype: of the numbers.
+            samples, each: number of samples, and of steps between two samples.
+            phase: phase per step of the fastest excitation [rad]; ``None`` if it is not known.
+            dtype: type of the numbers.
         """
         accuracy = chebyshev.accuracy(dtype)
         best = cls(samples, each, divisor(each, AT_ONCE), None)
@@ -142,19 +145,19 @@ class Spacing(NamedTuple):
 
 
 def march(steps: Steps, place: Array, speed: Array, spacing: Spacing, table: Driving | None = None) -> March:
-    """Motion from coordinates and velocities over samples with some steps between them.
+    """Motion from initial coordinates and velocities, recorded at samples with even steps between them.
 
     Args:
-        steps: even ones.
-        place, speed: coordinates and velocities at their start.
-        spacing: how the record is cut.
-        table: what drives the motion at the ends of the steps, where it is known; first axis of each leaf the steps.
-            Of a spacing without nodes.
+        steps: the even steps.
+        place, speed: coordinates and velocities at the start.
+        spacing: division of the record.
+        table: excitation at the ends of the steps, if it is known already, for a spacing without nodes; the first axis
+            of each leaf is the step.
     """
     seconds = steps.step * spacing.each
 
     def driven(begun: Begun, given: Any) -> tuple[Begun, Array]:
-        """The steps of a span: where they end, and their states."""
+        """The steps of a span: the data at their end, and their states."""
         lines, places, shares = steps.lines, np.arange(1, spacing.span + 1, dtype=float), None
         if spacing.nodes is not None:
             block = divisor(spacing.span, OF_FEW if lines.apart else AT_ONCE)
@@ -165,7 +168,7 @@ def march(steps: Steps, place: Array, speed: Array, spacing: Spacing, table: Dri
         begun, record = recur(lines, steps.products, begun, given, shares)
         return begun, record[:, : steps.products.sizes[2]]
 
-    # worked out again where a derivative runs backwards: its memory grows with spans, not with steps
+    # reverse mode computes each span again, so that its memory grows with the spans and not with the steps
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def span(inner: tuple, given: Any) -> tuple[tuple, None]:
         carry, last, highest, lowest = inner
@@ -191,5 +194,5 @@ def march(steps: Steps, place: Array, speed: Array, spacing: Spacing, table: Dri
 
 
 def peak(position: Float[Array, " n"], slope: Float[Array, " n"]) -> Scalar:
-    """Highest value on the steps between positions, from their slopes per step."""
+    """Highest value on the steps between given positions, from the slopes per step at these positions."""
     return top(highest_between(position[:-1], position[1:], slope[:-1], slope[1:], jnp.ones_like(position[1:])))
