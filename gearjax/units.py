@@ -38,7 +38,9 @@ class Dimension(NamedTuple):
 
     @property
     def several(self) -> str:
-        """The plural of the name, such as ``lengths`` or ``frequencies``."""
+        """The plural of the name, such as ``lengths`` or ``frequencies``; ``numbers`` without a unit."""
+        if not self.unit:
+            return "numbers"
         return {"y": f"{self.name[:-1]}ies", "s": f"{self.name}es"}.get(self.name[-1], f"{self.name}s")
 
 

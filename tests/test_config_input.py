@@ -33,11 +33,11 @@ def test_all_missing_keys_are_told_at_once(config_text, rv_text):
     words = refusal(config_text.replace('mean = "9.245e7 N/m"', "").replace("relative_amplitudes = [0.13]", ""))
     assert words == (
         'compliance = (2 keys missing): must have mean: a stiffness such as "9.2e7 N/m"; relative_amplitudes: a list '
-        "of ratios such as [0.1], [] for none"
+        "of numbers such as [0.1], [] for none"
     )
     words = refusal(config_text.replace("relative_amplitudes = [0.13]", ""))
     assert words == (
-        "compliance.relative_amplitudes = (missing): must be given: a list of ratios such as [0.1], [] for none"
+        "compliance.relative_amplitudes = (missing): must be given: a list of numbers such as [0.1], [] for none"
     )
     words = refusal(config_text[: config_text.index("[run]")] + "[run]")
     assert words.startswith('run = (3 keys missing): must have duration: a time such as "3 s"; samples: a whole number')

@@ -33,6 +33,7 @@ LAYERS = {
     "inertia": 1,
     "supports": 1,
     "structure": 1,
+    "sketch": 0,
     "coordinates": 1,
     "shafts": 1,
     "clearance": 1,

@@ -138,6 +138,11 @@ def test_every_case_and_figure(spur, tmp_path):
     assert cases[-1].metrics["mean"] == pytest.approx(cases[2].record[50:].mean(), rel=0.03)
 
 
+def test_it_is_not_drawn_without_a_sketch(spur):
+    with pytest.raises(gj.SceneError, match="a spur_pair gives no sketch"):
+        plot.schematic_figure(spur)
+
+
 def test_gradients_and_batches(spur):
     theta = jnp.linspace(0.0, spur.system.cycle, 501)
 

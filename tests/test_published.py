@@ -24,8 +24,11 @@ def find(rows, start):
 def test_every_quasi_static_row_is_reproduced(rows):
     quasi_static = [row for row in rows if "DTE" not in row.item]
     assert len(quasi_static) == 49
-    missed = [(row.item, row.deviation, row.tolerance) for row in quasi_static if row.status != "reproduced"]
+    missed = [(row.item, row.deviation, row.tolerance) for row in quasi_static if abs(row.deviation) > row.tolerance]
     assert missed == []
+    told = {row.status for row in quasi_static if "STE" in row.item}
+    assert told == {"inferred"}  # by one stiffness, which the paper does not give
+    assert {row.status for row in quasi_static if "NLTE" in row.item} == {"reproduced"}
 
 
 def test_table_4_to_its_third_decimal(rows):

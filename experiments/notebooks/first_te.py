@@ -31,6 +31,7 @@ import numpy as np
 
 import gearjax as gj
 from gearjax.config.examples import examples
+from gearjax.plot import schematic_figure
 from gearjax.units import arcmin, um
 
 plt.style.use("gearjax.plot.gearjax")
@@ -43,6 +44,19 @@ loaded = {torque: gj.transmission_error(scene, theta, torque=torque) for torque 
 print(f"without load: peak-to-peak {free.peak_to_peak / arcmin:.3f} arcmin, std {free.std / arcmin:.3f} arcmin")
 for torque, te in loaded.items():
     print(f"{torque:5.0f} N m: peak-to-peak {te.peak_to_peak / arcmin:.3f} arcmin, mean {te.mean / arcmin:.3f} arcmin")
+
+# %% [markdown]
+# ## The gear set
+# Its bodies at input angle zero, as the package draws every gear set (a run writes it as `schematic.png`). A dashed
+# line on each body shows where phase zero points, an arc the sense in which phases count, a thick arrow the
+# eccentricity. The sun turns the crank, which carries both planet wheels around in the fixed ring; they turn slowly the
+# other way, and with them the output. A positive transmission error is an output that is further ahead than the ideal
+# ratio says.
+
+# %%
+drawing = schematic_figure(scene)
+drawing.savefig(OUT / "first_te_bodies.svg")
+drawing
 
 # %% [markdown]
 # ## The curve

@@ -62,7 +62,9 @@ def distribution_keys(kind: type[AbstractDistribution], parameter: Parameter) ->
             declared = field.metadata["parameter"]
             own = dataclasses.replace(declared, dimension=declared.dimension or parameter.dimension)
             required = field.default is dataclasses.MISSING
-            keys[field.name] = Key(in_words(own), default="" if required else as_toml(field.default), required=required)
+            keys[field.name] = Key(
+                in_words(own, own_example=True), default="" if required else as_toml(field.default), required=required
+            )
     return keys
 
 

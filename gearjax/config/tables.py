@@ -67,8 +67,13 @@ def require_keys(path: str, table: Mapping[str, Any], keys: Mapping[str, Key]) -
     raise ParameterError(path, Missing(len(lacking)), f"must have {told}{without}")
 
 
-def in_words(parameter: Parameter) -> str:
-    """What a configuration may give for a parameter, in words: ``a length such as "10 um"``."""
+def in_words(parameter: Parameter, *, own_example: bool = False) -> str:
+    """What a configuration may give for a parameter, in words: ``a length such as "10 um"``.
+
+    Args:
+        parameter: the parameter.
+        own_example: whether the example is that of the parameter, not that of its dimension, which several share.
+    """
     quoted = [f'"{name}"' for name in parameter.names]
     if parameter.kind == "count":
         return "a whole number"
@@ -77,9 +82,12 @@ def in_words(parameter: Parameter) -> str:
     if parameter.kind == "name":
         return " or ".join(quoted) or "a name in quotes"
     assert parameter.dimension is not None
-    example = f'"{parameter.dimension.example}"' if parameter.dimension.unit else parameter.dimension.example
+    own = own_example and parameter.example is not None
+    shown = parameter.example if own else parameter.dimension.example
+    example = f'"{shown}"' if parameter.dimension.unit else shown
     if parameter.kind == "series":
-        return f"a list of {parameter.dimension.several} such as [{example}], [] for none"
+        each = f'"{parameter.dimension.example}"' if parameter.dimension.unit else parameter.dimension.example
+        return f"a list of {parameter.dimension.several} such as [{each}], [] for none"
     words = f"{parameter.dimension.described} such as {example}"
     if parameter.words:
         return f'{words}, or a name such as "crank"'

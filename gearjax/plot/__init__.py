@@ -7,6 +7,7 @@ from gearjax.plot.noncircular import noncircular_figure, save_noncircular_animat
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.report import report_page
 from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
+from gearjax.plot.schematic import schematic_figure
 from gearjax.plot.stiffness import stiffness_figure
 from gearjax.plot.tolerance import save_tolerance_figures
 from gearjax.plot.tradeoff import save_tradeoff_figure
@@ -31,6 +32,7 @@ __all__ = [
     "save_stage_figure",
     "save_tolerance_figures",
     "save_tradeoff_figure",
+    "schematic_figure",
     "spectrum_figure",
     "stage_figure",
     "stiffness_figure",

@@ -16,6 +16,7 @@ from gearjax.plot.involute import pair_figure
 from gearjax.plot.measured import measured_figure
 from gearjax.plot.noncircular import noncircular_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
+from gearjax.plot.schematic import schematic_figure
 from gearjax.results import Case, order_lines, required_run
 from gearjax.scene import Scene
 from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, InvoluteRV, RVCycloidal
@@ -196,6 +197,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         GearjaxError: a file cannot be written.
     """
     figures = {
+        "schematic.png": None if scene.system.sketch() is None else schematic_figure(scene),
         "transmission_error.png": error_figure(scene, cases),
         "contact_forces.png": force_figure(scene, cases),
         "order_spectrum.png": spectrum_figure(scene, cases),

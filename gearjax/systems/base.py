@@ -14,6 +14,7 @@ from gearjax.contact import GearSize, Layout, Moved, Movements, Places, Pose, Re
 from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
 from gearjax.geometry.involute import InvoluteGear
+from gearjax.sketch import Sketch
 from gearjax.structure import Orbit
 from gearjax.typing import Array, Bool, Float, Scalar
 
@@ -151,6 +152,9 @@ class AbstractSystem(eqx.Module):
     def told_of_forces(self) -> str | None:
         """A note for readers of the single contact forces, such as a limit of their accuracy; ``None`` without one."""
         return None
+
+    def sketch(self) -> Sketch | None:
+        """Sketch of the gear set with the directions of its phases; ``None`` if the gear set does not give it."""
 
     def gear_size(self, body: str) -> GearSize | None:
         """Sizes of a gear that its deviations are checked against; ``None`` if the gear set does not give them."""

@@ -16,6 +16,7 @@ from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
 from gearjax.geometry.plane_of_action import SlicePoints, slice_points
 from gearjax.parameters import angle, check_parameters, count, length, name, number
+from gearjax.sketch import ANTICLOCKWISE, CLOCKWISE, Sketch, SketchedBody
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Number, Scalar
 
@@ -171,6 +172,17 @@ class HelicalPair(AbstractSystem):
     def orders(self) -> Mapping[str, float]:
         teeth = float(self.pinion_teeth)
         return {"output": teeth / self.wheel_teeth, "pinion": 1.0, "tooth": teeth, "mesh": teeth}
+
+    def sketch(self) -> Sketch:
+        internal = self.wheel_kind == "internal"
+        distance = self.wheel_teeth - self.pinion_teeth if internal else self.wheel_teeth + self.pinion_teeth
+        size = max(self.wheel_teeth, self.pinion_teeth)
+        radii = self.pinion_teeth / size, self.wheel_teeth / size
+        axis, turns = (-distance / size, 0.0) if internal else (distance / size, 0.0), 1 if internal else -1
+        pinion = SketchedBody(PINION, (0.0, 0.0), radii[0], turns=ANTICLOCKWISE)
+        zero, sense = (0.0, ANTICLOCKWISE) if internal else (math.pi, CLOCKWISE)
+        wheel = SketchedBody(WHEEL, axis, radii[1], zero, sense, turns=turns)
+        return Sketch((pinion, wheel), (((radii[0], 0.0), PINION),), (), (axis, radii[1], turns))
 
     @property
     def cycle(self) -> float:

@@ -17,6 +17,7 @@ from gearjax.geometry.internal_checks import faults
 from gearjax.geometry.internal_pair import FlankPoints, InternalPair, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.parameters import angle, check_parameters, count, length, number
+from gearjax.sketch import Sketch, SketchedBody, on_cranks
 from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Bool, Float, Int, Number, Scalar
@@ -207,6 +208,15 @@ class InvoluteRV(AbstractSystem):
         pair = place // (self.profile_points * self.face_points)
         flank = "driving" if block < self.gears else "back"
         return f"the {flank} flank of pair {pair + 1} of {self.pairs} on gear_{block % self.gears + 1}"
+
+    def sketch(self) -> Sketch:
+        throws = tuple(2 * math.pi * i / self.gears for i in range(self.gears))
+        turns = 1 - self.internal_teeth / self.external_teeth  # of a gear, while the throw turns once
+        gears = tuple(SketchedBody(f"gear_{i + 1}", (0.0, 0.0), zero=turns * throw) for i, throw in enumerate(throws))
+        throw = SketchedBody("throw", (0.0, 0.0), seen_by="gear_1")
+        ring = SketchedBody("ring", (0.0, 0.0), 1.0, seen_by="gear_1", share=-1)
+        first = (SketchedBody(name, (0.0, 0.0), zero=None) for name in ("sun", "planet") if name in self.bodies)
+        return on_cranks(gears, throws, (throw, ring, *first))
 
     @property
     def cycle(self) -> float:

@@ -18,6 +18,7 @@ from gearjax.geometry.noncircular import AbstractRatio, EllipseRatio, PitchCurve
 from gearjax.geometry.noncircular_outline import Teeth, tooth_points
 from gearjax.geometry.noncircular_teeth import closing_centre_distance, closing_eccentricity, faults
 from gearjax.parameters import angle, check_parameters, count, length, name, number, series
+from gearjax.sketch import ANTICLOCKWISE, CLOCKWISE, Sketch, SketchedBody
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -27,6 +28,7 @@ CLOSES = 1e-4  # relative error of the perimeter that rounded numbers may cause
 SCALES = 1e-3  # relative error of the mean ratio that is scaled away
 KINKED = 0.8  # share of the largest second difference by which one may deviate from the mean of its two neighbours
 BENT = 0.1  # smallest change of slope that counts as a corner, in largest values per radian: rounding makes less
+CORNERS = 181  # of a pitch curve in a sketch
 FEWEST = 8  # fewest values of a table
 
 
@@ -121,6 +123,24 @@ class AbstractNoncircularPair(AbstractSystem):
     def output(self, theta: Scalar) -> Scalar:
         return self.ratio_function.driven_angle(theta)
 
+    def sketch(self) -> Sketch:
+        turn = np.linspace(0.0, 2 * math.pi, CORNERS)
+        driver, _, _, distance = (np.asarray(part) for part in _pitch(self, jnp.asarray(turn)))
+        _, driven, turned, _ = (
+            np.asarray(part) for part in _pitch(self, jnp.asarray(turn * self.driven_lobes / self.driver_lobes))
+        )
+
+        def closed(radius: np.ndarray, angle: np.ndarray, x: float) -> tuple[tuple[float, float], ...]:
+            points = np.stack([x + radius * np.cos(angle) / distance, radius * np.sin(angle) / distance], axis=1)
+            return tuple(map(tuple, points.tolist()))
+
+        # the point of a gear that rolls through the pitch point later lies behind it on the gear
+        first = SketchedBody(DRIVER, (0.0, 0.0), turns=ANTICLOCKWISE, outline=closed(driver, -turn, 0.0))
+        outline = closed(driven, math.pi + turned, 1.0)
+        second = SketchedBody(DRIVEN, (1.0, 0.0), sense=CLOCKWISE, turns=CLOCKWISE, outline=outline)
+        pitch = (float(driver[0] / distance), 0.0), DRIVER
+        return Sketch((first, second), (pitch,), (), ((1.0, 0.0), 0.25, CLOCKWISE))
+
     @property
     def cycle(self) -> float:
         return 2 * math.pi * self.driven_lobes / math.gcd(self.driver_lobes, self.driven_lobes)
@@ -207,6 +227,14 @@ class AbstractNoncircularPair(AbstractSystem):
 @eqx.filter_jit  # compiled as one program; without it, every single operation would be compiled separately
 def _ready(system: AbstractNoncircularPair) -> PitchCurves:
     return system.curves
+
+
+@eqx.filter_jit
+def _pitch(system: AbstractNoncircularPair, t: Array) -> tuple[Array, Array, Array, Array]:
+    """Radii of the pitch point on both gears, angle of the driven gear, and distance of the axes."""
+    curves = system.curves
+    at = curves.at(t)
+    return at.radius, at.driven_radius, curves.ratio.driven_angle(t), curves.centre_distance
 
 
 @eqx.filter_jit

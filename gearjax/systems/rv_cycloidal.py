@@ -17,6 +17,7 @@ from gearjax.geometry.cycloid import Cycloid, Touch, curvature, gap, largest_off
 from gearjax.geometry.first_stage import FirstStage
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import angle, check_parameters, count, length, name, number
+from gearjax.sketch import Sketch, SketchedBody, on_cranks
 from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
@@ -172,6 +173,16 @@ class RVCycloidal(AbstractSystem):
 
     def contact_name(self, contact: int) -> str:
         return f"pin {contact % self.pins + 1} on disc_{contact // self.pins + 1}"
+
+    def sketch(self) -> Sketch:
+        throws = tuple(2 * math.pi * i / self.discs for i in range(self.discs))
+        discs = tuple(
+            SketchedBody(f"disc_{i + 1}", (0.0, 0.0), zero=-throw / (self.pins - 1)) for i, throw in enumerate(throws)
+        )
+        throw = SketchedBody("throw", (0.0, 0.0), seen_by="disc_1")
+        ring = SketchedBody("pin_ring", (0.0, 0.0), 1.0, seen_by="disc_1", share=-1)
+        first = (SketchedBody(name, (0.0, 0.0), zero=None) for name in ("sun", "planet") if name in self.bodies)
+        return on_cranks(discs, throws, (throw, ring, *first), mesh=False)
 
     @property
     def cycle(self) -> float:

@@ -12,6 +12,7 @@ from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.geometry import FewTeethDifference, base_radius, internal_centre_distance
 from gearjax.parameters import Named, angle, check_parameters, count, length, number
+from gearjax.sketch import CLOCKWISE, Sketch, SketchedBody, on_cranks
 from gearjax.structure import Orbit
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Float, Number, Scalar
@@ -129,6 +130,17 @@ class TwoKV(AbstractSystem):
     def contact_name(self, contact: int) -> str:
         flank = "back" if contact >= self.planets else "driving"
         return f"the {flank} flank of planet_{contact % self.planets + 1}"
+
+    def sketch(self) -> Sketch:
+        throws = tuple(-2 * math.pi * i / self.planets for i in range(self.planets))
+        # relative to the throw a planet wheel turns clockwise, and phase zero is away from the mesh
+        planets = tuple(
+            SketchedBody(f"planet_{i + 1}", (0.0, 0.0), zero=throw + math.pi, sense=CLOCKWISE)
+            for i, throw in enumerate(throws)
+        )
+        shared = {"axis": (0.0, 0.0), "zero": math.pi, "sense": CLOCKWISE, "seen_by": "planet_1"}
+        others = SketchedBody("revolution", **shared), SketchedBody("output_wheel", **shared, turns=CLOCKWISE)
+        return on_cranks(planets, throws, others)
 
     @property
     def cycle(self) -> float:

@@ -34,8 +34,8 @@ class Iso1328RunOut(AbstractDistribution):
 
     kind: ClassVar[str] = "iso_1328_run_out"
     grade: int = declared_number(kind="count", at_least=0.0, at_most=12.0)
-    module: float = declared_number(LENGTH, above=0.0)
-    diameter: float = declared_number(LENGTH, above=0.0)
+    module: float = declared_number(LENGTH, above=0.0, example="2.5 mm")
+    diameter: float = declared_number(LENGTH, above=0.0, example="120 mm")
     edition: str = declared_number(kind="name", default=EDITIONS[0], names=EDITIONS)
 
     def __post_init__(self):
@@ -73,7 +73,7 @@ class Iso286(AbstractDistribution):
     kind: ClassVar[str] = "iso_286"
     mean: float = declared_number()
     grade: int = declared_number(kind="count", at_least=1.0, at_most=18.0)
-    size: float = declared_number(LENGTH, above=0.0)
+    size: float = declared_number(LENGTH, above=0.0, example="80 mm")
 
     def __post_init__(self):
         check_declared(self)
