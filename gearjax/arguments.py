@@ -141,8 +141,8 @@ def angles(name: str, value: Any) -> None:
     long = steps.size and steps.min() > 0.5 and array[-1] - array[0] > DEGREES
     if long and np.allclose(steps, np.round(steps), rtol=0, atol=1e-6):
         warnings.warn(
-            f"{name} runs from {array[0]:g} to {array[-1]:g} in whole steps: it is in radians; degrees are given as "
-            f"{name} * gj.units.deg",
+            f"{name} runs from {array[0]:g} to {array[-1]:g} in whole steps, but it is in radians: give degrees "
+            f"as {name} * gj.units.deg",
             stacklevel=3,
         )
 

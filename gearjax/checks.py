@@ -85,7 +85,7 @@ def check_name(key: str, name: object) -> None:
         ParameterError: the name breaks the rule, which the message states.
     """
     if not isinstance(name, str) or len(name) > _SHOWN or not _NAME.fullmatch(name):
-        right = f"a name is of letters, digits, _ and -, begins with a letter and has at most {_SHOWN} of them"
+        right = f"a name begins with a letter and has at most {_SHOWN} characters: letters, digits, _ and -"
         raise ParameterError(key, name, right)
 
 

@@ -54,7 +54,7 @@ class Coordinates:
         """
         for body, support in supports.items():
             if meshes and body != meshes[0][0] and support.rz is not None:
-                words = f"is for {meshes[0][0]}, whose turn the input holds: what else turns, contacts and shafts hold"
+                words = f"is only for {meshes[0][0]}: contacts and shafts hold the rotation of the other bodies"
                 raise ParameterError(f"supports.{body}.rz", support.rz, words)
         # sorted, because JAX passes a dictionary to a program in the order of its keys
         ways = tuple(sorted((body, support.directions) for body, support in supports.items()))
@@ -154,7 +154,7 @@ def check_offered(
     for name, shaft in shafts.items():
         check_name("shafts", name)
         if name == "output":
-            raise ParameterError("shafts", name, "is what the output's own turn is called: give another name")
+            raise ParameterError("shafts", name, "is the name of the output's rotation: give another name")
         turning = [body for body, ways in offered.items() if "rz" in ways]
         if not turning:
             raise SceneError(f"[shafts.{name}] is not for a {kind}: its bodies are on no shafts")
@@ -181,7 +181,7 @@ def _coordinates(
     driven = {name: [mesh for mesh, (_, body) in enumerate(meshes) if body in own[name]] for name in own}
     for name in own:
         if not driven[name]:
-            raise SceneError(f"[shafts.{name}] turns freely: no mesh drives one of its bodies")
+            raise SceneError(f"[shafts.{name}] turns freely: no mesh drives any of its bodies")
     loose = sorted(own, key=lambda name: driven[name][0])
     held = [f"{body}.{way}" for body, listed in ways for way in listed]
     twists = [
@@ -221,7 +221,7 @@ def _check_shafts(meshes: Meshes, shafts: Mapping[str, tuple[str, ...]]) -> None
     for body in bodies:
         if body not in (*on, meshes[0][0], meshes[-1][1]):
             words = f'list [shafts.NAME] with bodies = ["{body}", ...]'
-            raise SceneError(f"{body} turns with another body of the train: {words}")
+            raise SceneError(f"{body} must share a shaft with another body of the train: {words}")
     for name, own in shafts.items():
         if meshes and {meshes[0][0], meshes[-1][1]} <= set(own):
             raise SceneError(f"[shafts.{name}] joins the input to the output: nothing is left to move")
@@ -237,16 +237,14 @@ def _holds(meshes: Meshes, rotations: Mapping[str, tuple[int, ...]], free: int) 
     for driver, body in meshes:
         free_of = [next((at for at in rotations[end] if at < free), None) for end in (driver, body)]
         if free_of[1] is None:
-            raise SceneError(
-                f"the mesh of {driver} and {body} drives the input's shaft: it must turn a shaft behind it"
-            )
+            raise SceneError(f"the mesh of {driver} and {body} drives the input's shaft: it must drive a later shaft")
         if free_of[0] is not None and (free_of[0] == 0 or 0 < free_of[1] <= free_of[0]):
             raise SceneError(
-                f"the mesh of {driver} and {body} drives a shaft that comes before it, seen from the input"
+                f"the mesh of {driver} and {body} drives a shaft that comes before {driver}, seen from the input"
             )
         driven.append(free_of[1])
         drivers.append(free_of[0])
         if len(sources := {turn for turn, held in zip(drivers, driven, strict=True) if held == free_of[1]}) > 1:
-            words = "behind which torque would split between shafts: this is not modelled"
-            raise SceneError(f"the shaft of {body} is driven from {len(sources)} shafts that turn apart, {words}")
+            words = "torque that splits between shafts is not modelled"
+            raise SceneError(f"the shaft of {body} is driven by {len(sources)} independent shafts: {words}")
     return tuple(driven)

@@ -74,7 +74,9 @@ class BodyInertia(eqx.Module):
     def __check_init__(self):
         check_parameters(self)
         if self.mass is None and self.polar is None and self.transverse is None:
-            raise ParameterError("mass", MISSING, "polar or transverse must be given: what the body's motion needs")
+            raise ParameterError(
+                "mass", MISSING, "mass, polar or transverse must be given, depending on the body's motion"
+            )
 
 
 OF_WAY = {"x": "mass", "y": "mass", "z": "mass", "rx": "transverse", "ry": "transverse", "rz": "polar"}

@@ -62,6 +62,6 @@ def _small_or_large(number: float) -> str:
 def fitting(most: float) -> str:
     """Words that say how many of something fit into the memory, rounded down to two digits."""
     if most < 2:
-        return "nothing fits: use a machine with more"
+        return "not even one fits: use a machine with more memory"
     step = 10.0 ** max(0, math.floor(math.log10(most)) - 1)
     return f"at most {math.floor(most / step) * step:.0f} fit"

@@ -100,7 +100,7 @@ def _read_plugins() -> None:
             try:
                 own = _group_of(part)
                 if own != group:
-                    raise GearjaxError(f"{entry.value} belongs into the group {own}, not {group}")
+                    raise GearjaxError(f"{entry.value} belongs to the group {own}, not {group}")
                 _add(part, group)
             except GearjaxError as fault:
                 raise GearjaxError(f"{where}: {fault}") from fault

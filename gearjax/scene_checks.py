@@ -42,19 +42,19 @@ def check_moving(scene: Scene) -> None:
         if body not in system.coordinates and system.coordinates:
             raise ParameterError("inertia", body, nearest(body, system.coordinates))
         if not needs:
-            words = f"is for a body that gives way: list [supports.{body}], or leave out [inertia.{body}]"
+            words = f"is for a body that can move: list [supports.{body}], or leave out [inertia.{body}]"
             raise SceneError(f"[inertia.{body}] {words}")
         for key, moves in (("mass", "moves in x, y or z"), ("polar", "turns"), ("transverse", "tilts")):
             if getattr(inertia, key) is not None and key not in needs:
-                raise SceneError(f"[inertia.{body}] {key} is of a body that {moves} on its own, which {body} does not")
+                raise SceneError(f"[inertia.{body}] {key} is for a body that {moves} on its own; {body} does not")
     if system.exact and not coordinates.alone:
         raise SceneError('[supports] and clearance = "exact" do not go together yet: use clearance = "linear"')
     if coordinates.free > 1:
         layout, meshes = scene.layout, len(system.meshes)
         if layout.sides_turn:
-            raise SceneError("shafts that turn freely are for contacts whose sides are known")
+            raise SceneError("shafts that turn freely need contacts of known flanks, driving or back")
         if set(layout.mesh) != set(range(meshes)):
-            words = f"Layout(..., mesh=...) must tell of each contact its mesh, 0 to {meshes - 1}"
+            words = f"Layout(..., mesh=...) must give the mesh of each contact, 0 to {meshes - 1}"
             raise SceneError(f"the layout of {system.kind} has meshes {sorted(set(layout.mesh))}: {words}")
 
 
@@ -122,20 +122,20 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         return
     if isinstance(scene.compliance, AbstractLineContact):
         raise SceneError(
-            f'"{what}" needs springs in proportion, such as [compliance] kind = "harmonic_stiffness": the force of '
-            f"{scene.compliance.kind} is not"
+            f'"{what}" needs linear springs, such as [compliance] kind = "harmonic_stiffness": the force of '
+            f"{scene.compliance.kind} is nonlinear"
         )
     if scene.compliance is not None and couples(scene.compliance):
-        words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) makes one of them"
-        raise SceneError(f'"{what}" needs springs one by one: {words}')
+        words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) reduces them to one"
+        raise SceneError(f'"{what}" needs independent springs: {words}')
     own = scene.compliance
     if scene.system.has_slices and own is not None and not (isinstance(own, AbstractSliceCompliance) and own.linear):
         words = "[compliance] of slices that are linear springs, such as line_stiffness, or tooth_slices with contact ="
-        words = f'{words} "constant"; gj.one_contact(scene, torque) makes one contact of all'
+        words = f'{words} "constant"; gj.one_contact(scene, torque) reduces all to one contact'
         raise SceneError(f'"{what}" of a {scene.system.kind} needs {words}')
     coordinates = scene.moving.coordinates
     if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
-        raise SceneError(f'"{what}" is for one output that turns unevenly, without shafts or cranks before it')
+        raise SceneError(f'"{what}" of an output that turns unevenly is only possible without shafts and cranks')
     for body in coordinates.bodies:
         given = scene.body_inertia.get(body)
         for key in coordinates.needs(body):
@@ -151,7 +151,7 @@ def require_springs_apart(scene: Scene, what: str) -> None:
     """
     require_output_alone(scene, what)
     if not scene.springs_apart:
-        raise SceneError(f'"{what}" is for springs of pairs of teeth, which slices of contact lines are not')
+        raise SceneError(f'"{what}" needs springs of pairs of teeth, not slices of contact lines')
 
 
 def require_output_alone(scene: Scene, what: str) -> None:
@@ -163,6 +163,6 @@ def require_output_alone(scene: Scene, what: str) -> None:
     if scene.output_alone:
         return
     if scene.is_train:
-        raise SceneError(f'"{what}" is for a scene whose output alone moves, which that of a train does not')
+        raise SceneError(f'"{what}" needs a scene in which only the output moves; in a train, shafts move too')
     words = [f"[{slot}.{name}]" for slot in ("supports", "shafts") for name in getattr(scene, slot)]
-    raise SceneError(f'"{what}" is for a scene whose output alone moves: leave out {words[0]}')
+    raise SceneError(f'"{what}" needs a scene in which only the output moves: leave out {words[0]}')

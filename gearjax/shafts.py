@@ -38,10 +38,14 @@ class Shaft(eqx.Module):
         if len(set(self.bodies)) < len(self.bodies):
             raise ParameterError("bodies", list(self.bodies), "names a body twice")
         if self.torsion is None and self.torsion_damping is not None:
-            raise ParameterError("torsion", MISSING, "must be given: torsion_damping is of a shaft that twists")
+            raise ParameterError("torsion", MISSING, "must be given: torsion_damping is for a shaft that twists")
         for key in ("torsion", "bending"):
             if getattr(self, key) is not None and len(self.bodies) < 2:
-                raise ParameterError("bodies", list(self.bodies), f"is one body: {key} is between a body and the next")
+                raise ParameterError(
+                    "bodies",
+                    list(self.bodies),
+                    f"must list at least two bodies: {key} acts between a body and the next",
+                )
 
     @property
     def rigid(self) -> "Shaft":

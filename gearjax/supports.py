@@ -65,7 +65,7 @@ class Support(eqx.Module):
     def __check_init__(self):
         check_parameters(self)
         if not self.directions:
-            words = "or another direction must be given: the stiffness of the support there"
+            words = "the stiffness of the support must be given for x or another direction"
             raise ParameterError("x", MISSING, words)
         for way in DIRECTIONS:
             if getattr(self, way) is None and getattr(self, f"{way}_damping") is not None:

@@ -163,7 +163,7 @@ def test_orders_that_cannot_be(scene, order):
 
 def test_orders_beyond_what_the_angles_tell(scene):
     few = np.linspace(0.0, scene.system.cycle, 801)  # some ten for each of its 79 turns
-    refuses("order = 401.0: the input angles are too few for it: at most 400", gj.minimise,
+    refuses("order = 401.0: there are too few input angles: they resolve at most 400", gj.minimise,
             gj.Term("no_load_order", order=401.0), scene, where=[PHASE], theta=few)  # fmt: skip
 
 
@@ -222,7 +222,7 @@ def test_unknown_names_are_those_of_python(scene):
 
 @pytest.mark.parametrize("degrees", [np.arange(0.0, 361.0), np.linspace(0.0, 720.0, 145), np.arange(0, 40, 2)])
 def test_degrees_are_warned_of(degrees):
-    with pytest.warns(UserWarning, match=r"in radians; degrees are given as theta \* gj\.units\.deg"):
+    with pytest.warns(UserWarning, match=r"in radians: give degrees as theta \* gj\.units\.deg"):
         arguments.angles("theta", degrees)
     arguments.angles("theta", degrees * gj.units.deg)  # any warning would be an error
 
@@ -265,7 +265,7 @@ def test_named_measures_of_scenes_that_a_function_draws(scene):
 
 
 def test_named_measures_of_something_else():
-    words = r'measure = "no_load.std": is of a scene, and sample returns a \w+: give a function of that'
+    words = r'measure = "no_load.std": is for a scene, but sample returns a \w+: give a function of it'
     refuses(words, gj.monte_carlo, lambda key: jax.random.uniform(key), "no_load.std")
 
 

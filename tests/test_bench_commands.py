@@ -59,7 +59,7 @@ def test_identify_writes_what_it_found(files, tmp_path, capsys):
     told = told_by(capsys, "identify", str(CONFIG), *options(files), "--out", str(out))
     assert "errors.output_wheel.cos" in told.out
     assert "hidden: the recordings do not change with" in told.out
-    assert "would show 2 of 2 hidden directions" in told.out
+    assert "a further recording would show 2 of 2 hidden directions" in told.out
     assert "[reference] is left out" in told.err
     names = {path.name for path in out.iterdir()}
     figures = {"comparison.png", "orders.png", "estimates.png", "residual.png"}
@@ -111,7 +111,7 @@ def test_a_section_says_what_is_looked_for_and_turned(files, tmp_path, capsys):
         ({"offset_spread": "1 um"}, "is a length"),
         ({"orders": "some"}, 'must be "find"'),
         ({"starts": 0}, "must be"),
-        ({"reassemble": {"where": ["errors.ring"]}}, "is no eccentricity that was found"),
+        ({"reassemble": {"where": ["errors.ring"]}}, "is not an identified eccentricity"),
         ({"reassemble": {"metric": "mean"}}, "valid: std, peak_to_peak"),
         ({"measured": ["no_such.csv"]}, "cannot be read"),
     ],
@@ -160,7 +160,7 @@ def test_small_start_angles_are_told_from_a_turn_of_a_body(start):
 def test_start_angles_of_uneven_outputs_are_refused():
     elliptic = gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml")
     record = gj.synthetic_measurement(elliptic, rows=400)
-    with pytest.raises(gj.SceneError, match="outputs that turn evenly"):
+    with pytest.raises(gj.SceneError, match="needs an output that turns evenly"):
         gj.compare(elliptic, record, shift="find")
 
 
@@ -250,14 +250,14 @@ def test_reassembly_tells_gain_risk_and_what_another_recording_would_do(found):
     turns = places.turns["errors.planet_1"] / (45 * deg)
     assert turns == pytest.approx(round(turns))
     for given, words in (
-        ({"where": ["errors.x"]}, "is no eccentricity that was found"),
+        ({"where": ["errors.x"]}, "is not an identified eccentricity"),
         ({"steps": {"errors.planet_1": 0}}, "at least 1"),
         ({"metric": "mean"}, "valid: std, peak_to_peak"),
-        ({"where": ["errors.planet_1"], "steps": {"errors.planet_2": 5}}, "is not turned"),
+        ({"where": ["errors.planet_1"], "steps": {"errors.planet_2": 5}}, "is not among the errors in where"),
     ):
         with pytest.raises(gj.GearjaxError, match=words):
             gj.reassemble(found, **given)
-    with pytest.raises(gj.ParameterError, match=r"must be what gj\.identify returns"):
+    with pytest.raises(gj.ParameterError, match=r"must be a result of gj\.identify"):
         gj.reassemble(found.scene)
 
 

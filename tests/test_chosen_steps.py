@@ -19,7 +19,7 @@ LONG, SHORT = np.linspace(0.0, 3.0, 3001), np.linspace(0.0, 0.02, 21)
         ({}, LONG, None, "fitted march in windows", "the record is long"),
         ({}, SHORT, None, "fitted march", "the record is short"),
         ({"damping": None}, LONG, None, "fitted march", "undamped"),
-        ({"load": gj.SinusoidalLoad("mesh")}, LONG, None, "fitted march", "its load changes"),
+        ({"load": gj.SinusoidalLoad("mesh")}, LONG, None, "fitted march", "the load changes"),
         ({}, SHORT**2, None, "RungeKutta4", "not evenly spaced"),
         ({}, SHORT, gj.FixedStep(1e-5, solver=gj.RungeKutta4()), "RungeKutta4", "was given"),
         ({}, SHORT, gj.AdaptiveStep(), "AdaptiveStep", "was given"),
@@ -61,7 +61,7 @@ def test_more_coordinates_and_uneven_outputs():
     many = gj.chosen_steps(planets(), SHORT, 100.0)
     assert many.scheme == "constant modes"
     assert "planet_1.x" in many.reason
-    assert "its load changes" in gj.chosen_steps(lobed(), LONG, 10.0).reason
+    assert "the load changes" in gj.chosen_steps(lobed(), LONG, 10.0).reason
 
 
 def test_what_cannot_be_chosen_is_refused(scene):

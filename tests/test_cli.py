@@ -56,7 +56,7 @@ def test_run_writes_what_it_shows(capsys, tmp_path, fast):
     assert "static, 300 N m" in out
     assert "(2.848)" in out, "published values stand in brackets"
     names = {path.name for path in folder.iterdir()}
-    figures = {"transmission_error.png", "contact_forces.png", "order_spectrum.png"}
+    figures = {"schematic.png", "transmission_error.png", "contact_forces.png", "order_spectrum.png"}
     assert names == {"results.nc", "curves.csv", "metrics.csv"} | figures
     with xr.open_dataset(folder / "results.nc", engine="scipy") as stored:
         assert stored.attrs["config"] == FAST

@@ -75,7 +75,11 @@ MISTAKES = [
     ("\nplanet_teeth = 50", "\nplanet_teeth = -50", ["system.planet_teeth = -50", "at least 2"]),
     ("sun_teeth = 12", "sun_teeth = 0", ["system.sun_teeth = 0", "at least 1"]),
     ('"35.266 deg"', '"95 deg"', ["system.working_pressure_angle", "95 deg", "below 90 deg"]),
-    ('"35.266 deg"', '"15 deg"', ["working_pressure_angle", '"15 deg"', "centre distance cannot give", "20 deg to 90"]),
+    (
+        '"35.266 deg"',
+        '"15 deg"',
+        ["working_pressure_angle", '"15 deg"', "centre distance a must be at least", "20 deg to 90"],
+    ),
     (
         '"300 rpm"',
         '"5 Hz"',

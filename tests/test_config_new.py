@@ -66,7 +66,7 @@ def test_each_option_loads_when_it_is_put_in(text):
         fault = mistake(other)
         if fault:
             noted = " ".join(line[2:] for line in lines[: places[0]] if line.startswith("# "))
-            assert f"More must change with it: {fault}" in noted
+            assert f"Other sections must change too: {fault}" in noted
             refused.append(lines[places[1]])
     assert changed == len(found) - 1, "all but the rayleigh distribution, which is there already, change something"
     without_motion = {
@@ -112,10 +112,9 @@ def test_what_does_not_suit_is_said():
 def test_meaning_units_bounds_and_default_stand_above_a_key():
     text = written("two_kv")
     assert ('# module of the second stage (a length, at least 1e-06 m and at most 1 m)\nmodule = "2.5 mm"\n') in text
-    assert "# number of planet wheels (a whole number, at least 1 and at most 5); without it 2\n#planets = 2\n" in text
+    assert "# number of planet wheels (a whole number, at least 1 and at most 5); default 2\n#planets = 2\n" in text
     assert (
-        "# number of starting points of the gradient search (a whole number from 1 to 1000000); without it 300\n"
-        in text
+        "# number of starting points of the gradient search (a whole number from 1 to 1000000); default 300\n" in text
     )
 
 

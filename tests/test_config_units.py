@@ -116,7 +116,7 @@ REFUSED = {
         "2.5 MM": 'did you mean "mm"?',
         "2.5 Mm": '"Mm" is read as megameter, did you mean "mm"?',
         "2,5 mm": "has a comma",
-        '5"': "strokes may be",
+        '5"': "may mean angles or lengths",
         "5 mm²": "is an area",
         "5 degC": 'unknown unit "degC"',
         "5 mil": "write thou, um or mrad",
@@ -136,7 +136,7 @@ REFUSED = {
         "9 N*m": "is a torque",
         "9 Nm/rad": "is a torsional stiffness",
         "9 KN/MM": 'did you mean "kN/mm"?',
-        "14 N/mm*um": "leaves open what is divided by",
+        "14 N/mm*um": "is ambiguous: write a / before",
         "5 J/m^2": "is not written as a stiffness",
     },
     PRESSURE: {

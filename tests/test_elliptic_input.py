@@ -23,8 +23,8 @@ def by_table(ratio, **changes) -> gj.NoncircularPair:
 
 
 REFUSED = [
-    ({"eccentricity": 0.70711}, 'eccentricity = "0.70711": locks itself: pressure angle 65.0003 deg at 45 deg'),
-    ({"eccentricity": 0.8}, "must be at most 65 deg, a tangent that leans by 45 deg: eccentricity at most 0.7071"),
+    ({"eccentricity": 0.70711}, 'eccentricity = "0.70711": self-locking: pressure angle 65.0003 deg at 45 deg'),
+    ({"eccentricity": 0.8}, "must be at most 65 deg, a tangent inclined by 45 deg: eccentricity at most 0.7071"),
     ({"eccentricity": 0.77, "pressure_angle": 15 * deg, "teeth": 80}, "eccentricity at most 0.7660"),
     ({"eccentricity": 0.5, "driver_lobes": 2, "driven_lobes": 2, "teeth": 48}, "eccentricity at most 0.4472"),
     ({"eccentricity": 1.0}, "below 1"),
@@ -37,21 +37,21 @@ REFUSED = [
     ({"centre_distance": 0.15}, "or eccentricity = 0.47862625"),
     (
         {"teeth": 3, "eccentricity": 0.0},
-        "undercut: the pitch curve of the driver bends outwards by a radius of 4.5 mm at 0 deg, must be",
+        "undercut: the pitch curve of the driver is curved outwards with a radius of 4.5 mm at 0 deg, must be",
     ),
-    ({"teeth": 3, "eccentricity": 0.0}, "or at most 0.1754"),
+    ({"teeth": 3, "eccentricity": 0.0}, "or an addendum of at most 0.1754"),
     (
         {"teeth": 47, "driver_lobes": 2},
         "would have 23.5 teeth, must be a whole number: give a multiple of 2",
     ),
-    ({"addendum": 2.2, "teeth": 120}, "modules thick, must be 0.05 or more: lower it"),
+    ({"addendum": 2.2, "teeth": 120}, "modules thick, must be 0.05 or more: lower the addendum"),
     ({"addendum": 0.35}, "no continuous contact: contact ratio"),
     ({"clearance": "fine"}, "exact"),
     ({"teeth": 47, "driver_lobes": 4, "driven_lobes": 2}, "give a multiple of 2"),
     ({"pressure_angle": 22.5 * deg, "eccentricity": 0.68}, "at most 0.6755"),
     (
         {"teeth": 144, "module": 1e-3, "eccentricity": 0.15, "driver_lobes": 6, "driven_lobes": 6},
-        "undercut: the pitch curve of the driver bends inwards by a radius of 14",
+        "undercut: the pitch curve of the driver is curved inwards with a radius of 14",
     ),
 ]
 
@@ -77,7 +77,7 @@ def test_gears_that_cannot_be(changes, words):
         (TABLE[:5], {}, "must be a list of 8 values or more"),
         ([1.2, 1.2, 1.2, 1.2, 0.8, 0.8, 0.8, 0.8] * 3, {}, "has a corner or a jump near"),
         ((1 + 0.3 * (2 * np.abs(np.arange(36) / 18 - 1) - 1)).tolist(), {}, "has a corner or a jump near"),
-        ((1 + 0.9 * np.cos(np.arange(36) * 10 * deg)).tolist(), {}, 'ratio = "(as given)": locks itself'),
+        ((1 + 0.9 * np.cos(np.arange(36) * 10 * deg)).tolist(), {}, 'ratio = "(as given)": self-locking'),
     ],
 )
 def test_ratios_that_cannot_be(ratio, changes, words):

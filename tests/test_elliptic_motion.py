@@ -114,7 +114,7 @@ def test_speed_of_separation(torque):
 
 
 def test_separation_is_for_uneven_outputs():
-    with pytest.raises(SceneError, match="outputs that turn unevenly, which that of a two_kv does not"):
+    with pytest.raises(SceneError, match="an output that turns unevenly; that of a two_kv does not"):
         gj.separation_speed(gj.load("configs/two_kv/wang_2020.toml"), 10.0)
     with pytest.raises(gj.ParameterError, match="must not be zero"):
         gj.separation_speed(moving(20.0), 0.0)

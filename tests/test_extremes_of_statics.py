@@ -202,7 +202,7 @@ def test_load_sharing_of_pins_counts_those_that_could_carry():
 def test_few_angles_are_told_where_extremes_between_them_are_asked_for(rng):
     one = scene(discs=1)
     coarse = gj.transmission_error(one, jnp.asarray(np.sort(rng.uniform(0, 0.5, 41))))
-    with pytest.warns(gj.FewAngles, match=r"only .* angles per turn of what turns fastest \(40"):
+    with pytest.warns(gj.FewAngles, match=r"only .* angles per cycle of the fastest order \(40"):
         _ = coarse.peak_to_peak
     with pytest.warns(gj.FewAngles):
         _ = gj.backlash(one, jnp.asarray([0.0, 0.1, 0.2])).range

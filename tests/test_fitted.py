@@ -131,7 +131,7 @@ def test_windows_that_do_not_agree_are_replaced(scene):
     ts = jnp.linspace(0.0, 0.5, 501)
     whole = gj.simulate(light, ts, 100.0, stepper=gj.FixedStep(per_sample=16))
     cut = gj.FixedStep(per_sample=16, windows=gj.Windows(8, 0.02))
-    with pytest.warns(UserWarning, match="rad apart where they meet: computed in one go instead"):
+    with pytest.warns(UserWarning, match="rad where they meet: computed again without windows"):
         motion = gj.simulate(light, ts, 100.0, stepper=cut)
     np.testing.assert_array_equal(motion.te, whole.te)
     for program, given in (

@@ -226,7 +226,7 @@ def test_errors_across_the_face_are_what_they_say():
 @pytest.mark.parametrize("error", [gj.HelixSlope("gear_1", 3 * um), gj.Crowning("gear_1", 3 * um)])
 def test_gears_without_slices_refuse_errors_across_the_face(error):
     scene = gj.load("configs/involute_rv/yang_2019.toml")
-    with pytest.raises(gj.ParameterError, match="cannot show this error"):
+    with pytest.raises(gj.ParameterError, match="which this error needs"):
         gj.Scene(scene.system, {"face": error})
 
 

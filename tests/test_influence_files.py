@@ -57,7 +57,7 @@ def test_a_damaged_result_is_worked_out_again(gear, table, tmp_path):
 
 def test_a_table_of_another_gear_is_refused(gear, table, tmp_path):
     path = gj.save_influence(tmp_path / "teeth.npz", table, gear)
-    with pytest.raises(gj.GearjaxError, match=r"made for another gear, profile_shift 0.2 and not 0.21"):
+    with pytest.raises(gj.GearjaxError, match=r"made for another gear, with profile_shift = 0.2, not 0.21"):
         gj.read_influence(path, gear_of(shift=0.21))
     with pytest.raises(gj.GearjaxError, match="made for another gear"):
         table.check_gear(gear_of(41))
@@ -92,7 +92,7 @@ def changed_header(path, **changed):
     [
         ({"units": {"radius": "mm"}}, "header has units"),
         ({"version": 2}, "header has version = 2; right is 1"),
-        ({"made": {"rim": "2"}}, "sha256 is not that of gear and made"),
+        ({"made": {"rim": "2"}}, "sha256 does not match gear and made"),
         ({"gear": None}, "header has no gear"),
     ],
 )

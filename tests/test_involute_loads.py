@@ -110,7 +110,7 @@ def test_neighbours_move_each_other_through_a_rim_only():
     sizes = [np.abs(influence[apart == distance]).mean() for distance in range(5)]
     assert sizes[0] > 5 * sizes[1] > 5 * sizes[2] > 0
     assert sizes[3] == sizes[4] == 0
-    with pytest.raises(gj.GearjaxError, match="neighbours = 1: teeth move each other through a rim"):
+    with pytest.raises(gj.GearjaxError, match="neighbours = 1: neighbouring teeth deflect each other through the rim"):
         gj.ElasticTeeth(**STEEL, neighbours=1)
 
 

@@ -253,5 +253,5 @@ def test_new_numbers_compile_nothing_anew():
 
 def test_no_tight_distance_is_named_where_there_is_none():
     """Shifts so negative that the teeth have backlash at every centre distance."""
-    with pytest.raises(gj.ParameterError, match=r"raise a tip or the profile shifts$"):
+    with pytest.raises(gj.ParameterError, match=r"increase a tip diameter or the profile shifts$"):
         gj.iso6336_stiffness(**{**SPUR, **MISTAKES["apart, never tight"][0]})

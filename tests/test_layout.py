@@ -128,7 +128,7 @@ def test_layouts_that_cannot_be(side, pair, words):
 def test_contacts_across_a_face_share_the_stiffness_of_their_pair():
     whole = gj.Layout((1, 1, 1, 1), (0, 0, 1, 1), across=2)
     np.testing.assert_array_equal(whole.per_contact(whole.apiece(jnp.asarray([6.0, 8.0]))), [3.0, 3.0, 4.0, 4.0])
-    with pytest.raises(ValueError, match="3 across the face: must divide the 2 contacts"):
+    with pytest.raises(ValueError, match="across = 3: must divide the 2 contacts"):
         gj.Layout((1, 1, 1, 1), (0, 0, 1, 1), across=3)
 
 

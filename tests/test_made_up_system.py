@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import gearjax as gj
 from gearjax import plot, results, units
@@ -136,6 +137,27 @@ def test_every_case_and_figure(spur, tmp_path):
         "order_spectrum.png",
     ]
     assert cases[-1].metrics["mean"] == pytest.approx(cases[2].record[50:].mean(), rel=0.03)
+
+
+def test_a_colour_is_one_case_and_the_input_angle_stands_above_time(spur):
+    cases = list(results.run_cases(spur))
+    figures = plot.error_figure(spur, cases), plot.spectrum_figure(spur, cases)
+    lines = [line for figure in figures if figure for ax in figure.axes for line in ax.lines]
+    titles = {case.title for case in cases}
+    drawn = {(line.get_label(), line.get_color(), line.get_linestyle()) for line in lines if line.get_label() in titles}
+    assert len(drawn) == len(titles) == len({look[1:] for look in drawn})
+    above = figures[0].axes[0].child_axes[0]
+    assert above.get_xlabel() == "input angle [deg]"
+    FigureCanvasAgg(figures[0]).draw()
+    low, high = above.get_xlim()
+    time = figures[0].axes[0].get_xlim()
+    speed = np.degrees(float(spur.system.input_speed))
+    np.testing.assert_allclose((low, high), speed * np.array(time), rtol=1e-12)
+
+
+def test_many_cases_differ_by_style_too():
+    styles = plot.axes.styles_of([f"case {number}" for number in range(30)])
+    assert len({tuple(style.values()) for style in styles.values()}) == 30
 
 
 def test_it_is_not_drawn_without_a_sketch(spur):

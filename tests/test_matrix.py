@@ -357,19 +357,19 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
     ("contact_pressure", "two_kv", ""): "line contacts",
     ("contact_pressure", "elliptic_pair", ""): "line contacts",
     **{
-        (name, "elliptic_pair", ""): "outputs that turn evenly"
+        (name, "elliptic_pair", ""): "needs an output that turns evenly"
         for name in ("one_contact", "joint_model", "export_joint")
     },
     **{(name, "involute_rv", ""): "more than 131072" for name in ("joint_model", "export_joint")},
     **{
-        ("separation_speed", kind, ""): "outputs that turn unevenly"
+        ("separation_speed", kind, ""): "an output that turns unevenly"
         for kind in ("two_kv", "rv_cycloidal", "involute_rv", "helical_pair")
     },
     **{
         ("export_profile", kind, ""): "has no disc with a profile" for kind in ("two_kv", "involute_rv", "helical_pair")
     },
     ("allocate", "", "phase"): "is no tolerance",
-    **{(name, "helical_pair", ""): "makes one contact of all" for name in MOTION},
+    **{(name, "helical_pair", ""): "reduces all to one contact" for name in MOTION},
     **{("matched_assembly", "", kind): "phases" for kind in KINDS[1:]},
     **{
         (name, kind, "element"): "does not depend on it"

@@ -60,7 +60,7 @@ def test_missing_points_are_filled_in_and_told(tmp_path):
     whole = gj.read_flank(written(tmp_path, rows), "driving")["deviation"]
     rows[7][-1], rows[12][-1] = "", "nan"
     del rows[3]
-    with pytest.warns(gj.RepairedData, match="3 of 60 points are missing: filled in"):
+    with pytest.warns(gj.RepairedData, match="3 of 60 points are missing: they are filled in"):
         filled = gj.read_flank(written(tmp_path, rows), "driving")["deviation"]
     assert np.isfinite(filled).all()
     np.testing.assert_allclose(filled, whole, atol=2.5 * um)  # of flanks that change by 10 um from row to row
@@ -90,11 +90,11 @@ def test_outliers_are_told(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda rows: [*rows, rows[3]], r"line 62: tells of a point that an earlier line told of"),
+        (lambda rows: [*rows, rows[3]], r"line 62: repeats a point of an earlier line"),
         (lambda rows: rows[::2], "more than a tenth"),
         (lambda rows: [*rows[:5], ["0", "driving", "7", "-30", "two"], *rows[5:]], "line 7, column 5: is no number"),
-        (lambda rows: [["-1", *row[1:]] for row in rows], "line 2, column 1: is no number of a tooth"),
-        (lambda rows: [["1e12", *row[1:]] for row in rows], "line 2, column 1: is no number of a tooth"),
+        (lambda rows: [["-1", *row[1:]] for row in rows], "line 2, column 1: must be the number of a tooth"),
+        (lambda rows: [["1e12", *row[1:]] for row in rows], "line 2, column 1: must be the number of a tooth"),
         (lambda rows: [[*row[:2], "1e308", *row[3:]] for row in rows], "line 2, column 3: is more than 10 m"),
         (lambda rows: [[row[0], "left", *row[2:]] for row in rows], "line 2, column 2: must be driving or back"),
         (lambda rows: [row[:4] for row in rows], "line 2 has 4 values"),
@@ -130,7 +130,7 @@ def test_a_file_without_a_column_is_refused(tmp_path):
         gj.read_flank(written(tmp_path, rows_of(flanks=("driving", "back"))))
     with pytest.raises(ParameterError, match='must be "driving" or "back"'):  # of one kind too
         gj.read_flank(written(tmp_path, rows_of()))
-    with pytest.raises(GearjaxError, match="parted by commas"):
+    with pytest.raises(GearjaxError, match="separated by commas"):
         gj.read_flank(written(tmp_path, [["10;1"]], "roll [mm];deviation [um]"))
     with pytest.raises(GearjaxError, match="has no rows of the back flank"):
         gj.read_flank(written(tmp_path, rows_of()), "back")
@@ -145,10 +145,10 @@ def test_pitches_of_files(tmp_path):
     with pytest.warns(gj.RepairedData, match="add up to 3 um"):
         np.testing.assert_allclose(gj.read_pitch(path)["deviation"], [0.0, 2e-6, -1e-6], atol=1e-18)
     for rows, header, words in (
-        ([["0", "1"], ["2", "1"]], "tooth,single [um]", "lacks tooth 1: all of 0 to 2"),
-        ([["0", "1"], ["0", "1"]], "tooth,single [um]", "line 3: tells of a tooth that"),
+        ([["0", "1"], ["2", "1"]], "tooth,single [um]", "tooth 1 is missing: give all teeth from 0 to 2"),
+        ([["0", "1"], ["0", "1"]], "tooth,single [um]", "line 3: repeats a tooth of"),
         ([["0"]], "tooth", "cumulative .um. or single"),
-        ([["0", "1", "1"]], "tooth,single [um],cumulative [um]", "one of them"),
+        ([["0", "1", "1"]], "tooth,single [um],cumulative [um]", "must name either cumulative"),
     ):
         with pytest.raises(GearjaxError, match=words):
             gj.read_pitch(written(tmp_path, rows, header))

@@ -349,7 +349,7 @@ def test_what_is_missing_or_does_not_suit_is_named():
         gj.simulate(bare, TS, 100.0)
     with pytest.raises(SceneError, match=r"QuasiStatic.*leave out .supports.planet_1"):
         gj.simulate(scene, TS, 100.0, stepper=gj.QuasiStatic())
-    with pytest.raises(SceneError, match="windows are for a scene whose output alone moves"):
+    with pytest.raises(SceneError, match="windows need a scene in which only the output moves"):
         gj.simulate(scene, TS, 100.0, stepper=gj.FixedStep(windows=gj.Windows(4, 0.01)))
     with pytest.raises(SceneError, match=r"the step is too long.*it must be at most"):
         gj.simulate(scene, TS, 100.0, stepper=gj.FixedStep(per_sample=2))

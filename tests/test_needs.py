@@ -144,7 +144,7 @@ def test_the_stored_size_is_the_one_told(tmp_path, capsys):
     config.write_text(small(samples=2000, chunk=1000))
     assert command(str(config), "--out", str(out), "--json") == 0
     shown = capsys.readouterr().err
-    assert "needs about" in shown
+    assert "the study needs about" in shown
     assert "on disk and roughly" in shown
     told = needs(loads_tolerance(config.read_text())[2], 1)
     chunks = [path for path in (out / room.NAME).rglob("*") if path.is_file() and path.parent.name == "c"]

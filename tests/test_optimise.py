@@ -161,7 +161,11 @@ def test_the_section():
         ("starts = 300", 'starts = 300\nwindow = "3 m"', "is a length; needs a time"),
         ("starts = 300", "starts = 300\nseed = -1", "must be a whole number from 0"),
         ("starts = 300", 'starts = 300\n[optimise.bounds]\n"errors.planet_1.phase" = ["1 deg"]', "must be a pair"),
-        ("starts = 300", 'starts = 300\n[optimise.bounds]\n"system.module" = ["1 mm", "2 mm"]', "is not free"),
+        (
+            "starts = 300",
+            'starts = 300\n[optimise.bounds]\n"system.module" = ["1 mm", "2 mm"]',
+            "is not in optimise.where",
+        ),
         ("[run]", "[runs]", 'did you mean "run"'),
     ],
 )

@@ -124,7 +124,7 @@ def test_mistakes_are_one_line(tmp_path, scene):
             gj.ParameterError, match=r"tolerance = .*: must be (at least 1e-10 m and at most 0\.0001 m|finite)"
         ):
             gj.export_profile(own, tmp_path / "disc.csv", tolerance=wrong)
-    with pytest.raises(gj.ParameterError, match=r"needs more than 5000000 points: give a longer one, or \.dxf"):
+    with pytest.raises(gj.ParameterError, match=r"needs more than 5000000 points: give a larger tolerance, or \.dxf"):
         gj.export_profile(SYSTEMS["1000 pins"], tmp_path / "disc.csv", tolerance=1e-10)
     (tmp_path / "taken").write_text("")
     with pytest.raises(gj.GearjaxError, match="cannot be written"):

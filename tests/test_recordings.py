@@ -89,9 +89,9 @@ MENDED = {
     "nan": (lambda table: _with(table, (50, 2), np.nan), "rows with missing values left out", 1),
     "repeated": (lambda table: np.insert(table, 100, table[100], axis=0), "repeated rows left out", 1),
     "unsorted": (lambda table: table[[*range(200), 201, 200, *range(202, ROWS)]], "out of the order of time sorted", 2),
-    "zeros": (lambda table: _with(table, (300, 2), 0.0), "exactly zero among others", 1),
-    "wrapped": (lambda table: _column(table, 1, table[:, 1] % 360), "input angle carried on", 79),
-    "output wrapped": (lambda table: _column(table, 2, (table[:, 2] + 180) % 360), "output angle carried on", 1),
+    "zeros": (lambda table: _with(table, (300, 2), 0.0), "an isolated zero as", 1),
+    "wrapped": (lambda table: _column(table, 1, table[:, 1] % 360), "jumps of the input angle", 79),
+    "output wrapped": (lambda table: _column(table, 2, (table[:, 2] + 180) % 360), "jumps of the output angle", 1),
 }  # fmt: skip
 
 
@@ -133,11 +133,11 @@ def test_text_among_numbers_counts_as_missing(tmp_path):
 
 INPUT_AND_TE = "input angle [deg],te [arcmin]"
 FAULTS = {
-    "no input angle": ("time [s],output angle [deg]", TABLE[:, [0, 2]], "column input angle .time alone is no angle"),
+    "no input angle": ("time [s],output angle [deg]", TABLE[:, [0, 2]], "column input angle .time cannot replace it"),
     "no output": ("time [s],input angle [deg]", TABLE[:, :2], "must name a column output angle, or te"),
     "no unit": ("input angle,te [arcmin]", TABLE[:, 1:3], "input angle needs its unit"),
     "wrong unit": ("input angle [mm],te [arcmin]", TABLE[:, 1:3], "is a length"),
-    "counts": ("input angle [counts],te [arcmin]", TABLE[:, 1:3], "give input_counts, per turn"),
+    "counts": ("input angle [counts],te [arcmin]", TABLE[:, 1:3], r"give input_counts \(counts per turn\)"),
     "twice": ("te [deg],input angle [deg],te [arcmin],x", TABLE, "two columns are named te"),
     "constant": (INPUT_AND_TE, np.stack([0 * THETA, TE], axis=1), "input angle holds the same value"),
     "stuck": ("input angle [deg],output angle [deg]", np.stack([THETA, 0 * TE + 1], axis=1), "output angle holds the"),
@@ -158,7 +158,7 @@ def test_what_is_no_table_is_refused(tmp_path):
     path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff\xfe" * 50)
     refused("not a CSV file|must name|cannot be read", path)
     path.write_text("input angle [deg];te [arcmin]\n0;1\n1;2\n", encoding="utf-8")
-    refused("parted by commas", path)
+    refused("separated by commas", path)
     path.write_text("input angle [deg],te [arcmin]\n", encoding="utf-8")
     refused("no rows", path)
     path.write_text("input angle [deg],te [arcmin]\n0,1\n1,2\n2,3,4\n", encoding="utf-8")
@@ -190,7 +190,7 @@ def test_rows_beyond_a_million_are_averaged_as_they_are_read(tmp_path, scene, mo
 
 WRONG = {
     "ratio": (lambda r: dataclasses.replace(r, output=r.output * 79 / 80), r"fits a ratio of 80\.\d* .* set has 79"),
-    "other way": (lambda r: dataclasses.replace(r, output=-r.output), "turns the other way"),
+    "other way": (lambda r: dataclasses.replace(r, output=-r.output), "turns in the opposite direction"),
     "degrees": (lambda r: dataclasses.replace(r, theta=r.theta * 57.29578), "the input angle seems to be in degrees"),
     "radians": (lambda r: dataclasses.replace(r, theta=r.theta / 57.29578), "the input angle seems to be in radians"),
     "turns": (lambda r: dataclasses.replace(r, output=r.output * 360), "in turns"),
@@ -224,7 +224,7 @@ def test_a_short_record_and_a_gap_are_told(scene):
         ({"theta": [0.0, np.nan, 1.0]}, r"theta\[1\] = nan: must be finite"),
         ({"theta": [0.0, 1.0, 2.0], "te": [0.0, 1.0]}, "is a shape"),
         ({"theta": [0.0, 1.0, 2.0], "te": ["a", "b", "c"]}, "must be numbers"),
-        ({"theta": [0.0, 1.0, 2.0], "te": None}, "give the output angle, or the transmission error"),
+        ({"theta": [0.0, 1.0, 2.0], "te": None}, "give either the output angle or the transmission error"),
         ({"theta": [1.0, 1.0, 1.0]}, "the input does not turn"),
     ],
 )

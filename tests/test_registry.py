@@ -137,7 +137,7 @@ def test_errors_and_compliances_are_registered_too(config_text):
         ("gearjax.systems", "nowhere:Gears", r"nowhere:Gears cannot be loaded \(ModuleNotFoundError"),
         ("gearjax.systems", "gearjax:NoSuch", r"gearjax:NoSuch cannot be loaded \(AttributeError"),
         ("gearjax.systems", "gearjax:Scene", "must be a class that is a subclass"),
-        ("gearjax.errors", "gearjax:TwoKV", "belongs into the group gearjax.systems, not gearjax.errors"),
+        ("gearjax.errors", "gearjax:TwoKV", "belongs to the group gearjax.systems, not gearjax.errors"),
         ("gearjax.systems", "tests.test_registry:Taken", "is the kind of gearjax.systems.two_kv.TwoKV already"),
     ],
 )

@@ -150,7 +150,11 @@ def test_show_opens_the_report_or_the_figures(written, tmp_path, monkeypatch, ca
 
 
 def test_show_refuses_what_has_no_figures(tmp_path, capsys):
-    for folder, words in ((tmp_path, "has no figures"), (tmp_path / "none", "no folder"), (CONFIG, "no folder")):
+    for folder, words in (
+        (tmp_path, "has no figures"),
+        (tmp_path / "none", "is not a folder"),
+        (CONFIG, "is not a folder"),
+    ):
         with pytest.raises(SystemExit, match="2"):
             main(["show", str(folder)])
         told = capsys.readouterr().err

@@ -354,7 +354,7 @@ def test_parts_that_do_not_go_together_are_refused(rv_text, config_text):
     old = 'kind = "harmonic_stiffness"     # or'
     assert old in rv_text
     begin, end = rv_text.index("[compliance]"), rv_text.index("[inertia]")
-    with pytest.raises(gj.SceneError, match='"dynamic" needs springs in proportion'):
+    with pytest.raises(gj.SceneError, match='"dynamic" needs linear springs'):
         gj.loads(rv_text[:begin] + "[compliance]\n" + line + rv_text[end:])
     begin, end = config_text.index("[compliance]"), config_text.index("[inertia]")
     with pytest.raises(gj.SceneError, match="does not offer"):

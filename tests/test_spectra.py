@@ -130,7 +130,7 @@ WRITTEN = {
 def test_a_run_says_once_what_its_samples_miss(tmp_path, config_text, capsys):
     """Of what turns fastest, or else of the waves of the stiffness in motion."""
     for samples, words in (
-        ("2", "angles per turn of what turns fastest"),
+        ("2", "angles per cycle of the fastest order"),
         ("301", "the stiffness has 247 waves in the record"),
     ):
         text = config_text.replace("samples = 3001", f"samples = {samples}")

@@ -1,5 +1,6 @@
 """Splines on grids: against scipy, by their orders, at the extremes of grids, with gradients."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,10 +9,12 @@ from scipy.interpolate import RectBivariateSpline
 
 from gearjax.geometry.spline import ENDS, GridSpline, surface
 
+surface_once = eqx.filter_jit(surface)  # one program, where each operation would be one
+
 
 def at_points(rows, columns, values, grid, at, ends="not_a_knot"):
     splines = GridSpline(jnp.asarray(rows), ends), GridSpline(jnp.asarray(columns), ends)
-    return surface(*splines, jnp.asarray(values), jnp.asarray(grid), tuple(jnp.asarray(part) for part in at))
+    return surface_once(*splines, jnp.asarray(values), jnp.asarray(grid), tuple(jnp.asarray(part) for part in at))
 
 
 def along(places, values, at, ends="not_a_knot"):

@@ -19,7 +19,7 @@ from tests.test_tolerance_command import CONFIG as WHOLE
 from tests.test_tolerance_command import small
 
 PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
-NOTHING = "nothing of this run was kept; the same command begins again"
+NOTHING = "nothing of this run was saved; run the same command to start again"
 # A process of a script's background inherits that SIGINT is ignored, and so would the commands that are started here.
 HEARS_SIGINT = """
 import os, signal, sys
@@ -102,7 +102,7 @@ def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
     with Running(*line, folder=tmp_path) as running:
         last = running.stopped(lambda: marks.exists() and len(list(marks.iterdir())) > 3)
     found = re.fullmatch(
-        r"gearjax: stopped: (\d+) of 60000 samples are kept in (.*); the same command goes on from there", last
+        r"gearjax: stopped: (\d+) of 60000 samples are saved in (.*); run the same command to continue", last
     )
     assert found
     assert found[2] == str(out)
@@ -111,7 +111,7 @@ def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
     assert [path for path in out.rglob("*") if path.name.endswith((".part", ".new"))] == []
     ended = subprocess.run([sys.executable, "-m", "gearjax", *line], capture_output=True, text=True, cwd=ROOT)
     assert ended.returncode == 0
-    assert f"resuming: {kept} of 60000 samples are there" in ended.stderr
+    assert f"resuming: {kept} of 60000 samples are already computed" in ended.stderr
     whole = [*line[:-1], str(tmp_path / "whole")]
     other = subprocess.run([sys.executable, "-m", "gearjax", *whole], capture_output=True, text=True, cwd=ROOT)
     assert json.loads(ended.stdout)["computed"] == 60_000 - kept

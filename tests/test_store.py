@@ -154,7 +154,7 @@ def test_what_is_damaged_is_told(finished, tmp_path):
     (folder / NAME / "result" / "c" / "4").unlink()
     store = Store(folder, finished.tables, finished.work, "")
     assert store.pending == [(5, 10), (20, 21)]
-    assert "2 of 5 chunks are damaged or missing: 6 samples are worked out again" in store.remarks[0]
+    assert "2 of 5 chunks are damaged or missing: 6 samples are computed again" in store.remarks[0]
     (folder / NAME / name / "zarr.json").write_text("{")
     assert "metadata were damaged" in Store(folder, finished.tables, finished.work, "").remarks[0]
     for content in ("", "{", None):  # whose samples these are, their marks tell too
@@ -246,4 +246,4 @@ def test_the_command_says_what_it_works_out_again(tmp_path, capsys):
     printed = capsys.readouterr()
     again = json.loads(printed.out)
     assert (again["computed"], again["measures"]) == (64, first["measures"])
-    assert "1 of 3 chunks are damaged or missing: 64 samples are worked out again" in printed.err
+    assert "1 of 3 chunks are damaged or missing: 64 samples are computed again" in printed.err

@@ -115,7 +115,7 @@ def test_what_does_not_go_together_is_refused():
         gj.Support(x=1e8, y_damping=10.0)
     with pytest.raises(ParameterError, match="mass"):
         gj.BodyInertia(0.0)
-    with pytest.raises(SceneError, match=r"\[inertia.disc_1\] is for a body that gives way: list \[supports.disc_1\]"):
+    with pytest.raises(SceneError, match=r"\[inertia.disc_1\] is for a body that can move: list \[supports.disc_1\]"):
         gj.Scene(system(), {}, body_inertia={"disc_1": gj.BodyInertia(1.0)})
 
 

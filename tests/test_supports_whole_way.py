@@ -73,7 +73,7 @@ def test_what_is_not_done_with_supports_is_refused():
     with pytest.raises(gj.SceneError, match=r"not positive definite \(smallest eigenvalue -1e-09"):
         pair(compliance=Sharing(shared=6e-9))
     heavy = pair(supports={}, inertia=gj.EquivalentMass(1.0), load=gj.ConstantLoad())
-    with pytest.raises(gj.SceneError, match="springs one by one"):
+    with pytest.raises(gj.SceneError, match="independent springs"):
         gj.simulate(heavy, np.linspace(0, 0.1, 11), 20.0)
 
 

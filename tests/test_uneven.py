@@ -214,5 +214,5 @@ def test_what_does_not_go_together_is_refused():
             return {"wheel": None}
 
     scene = dataclasses.replace(lobed(), system=Carried())
-    with pytest.raises(SceneError, match="turns unevenly, without shafts or cranks"):
+    with pytest.raises(SceneError, match="turns unevenly is only possible without shafts and cranks"):
         gj.simulate(scene, TS, 10.0)

@@ -62,9 +62,9 @@ runs = [gj.synthetic_measurement(unit, torque, key=i, **bench) for i, torque in 
 # %%
 found = gj.identify(scene, runs)
 for each in found.estimates:
-    error = "not told" if each.error is None else f"± {1.96 * each.error:.3g}"
+    error = "not identified" if each.error is None else f"± {1.96 * each.error:.3g}"
     print(f"{each.name:28} {each.value:12.5g} {error} {each.unit}")
-print("\ntold together:")
+print("\nidentified only as a sum:")
 for each in found.visible.combinations:
     print(f"  {each.words} = {each.value:.3f} ± {1.96 * each.error:.3f} {each.unit}")
 print("\nhidden:", *found.hidden, sep="\n  ")

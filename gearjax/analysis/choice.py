@@ -147,13 +147,13 @@ def method_of(
         return Even(stepper.solver, steps)
     if not even:
         raise SceneError(
-            "ts is not evenly spaced, as the exponentially fitted steps need: give "
+            "ts is not evenly spaced, but the exponentially fitted steps need even spacing: give "
             "stepper=FixedStep(step=..., solver=RungeKutta4())"
         )
     if not scene.springs_apart:
         if stepper.windows is not None:
-            words = "windows are for a scene whose output alone moves, on springs of pairs of teeth"
-            raise SceneError(f"{words}: give FixedStep(...) without")
+            words = "windows need a scene in which only the output moves, on springs of pairs of teeth"
+            raise SceneError(f"{words}: give FixedStep(...) without windows")
         return _modes(scene, ts, steps)
     alternates = scene.load is not None and scene.load.alternates  # the march then warns of meaningless gradients
     if scene.system.by_constant_modes and stepper.windows is None and not alternates:
@@ -206,18 +206,19 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
         return ChosenSteps(type(method.solver).__name__, given, step)
     if isinstance(method, Modes):
         if scene.output_alone:
-            reason = "levers of many contacts turn" if scene.springs_apart else "slices of contact lines come and go"
+            changes = "the levers of many contacts change with the angle"
+            reason = changes if scene.springs_apart else "the contacts are slices of contact lines"
             return ChosenSteps("constant modes", reason, step)
         moving = ", ".join(scene.coordinates[1:4]) + (", ..." if len(scene.coordinates) > 4 else "")
-        return ChosenSteps("constant modes", f"more moves than the output: {moving}", step)
-    reason = "the output alone moves, on springs one by one"
+        return ChosenSteps("constant modes", f"further coordinates move: {moving}", step)
+    reason = "only the output moves, on independent springs"
     if method.windows is not None:
-        forgets = f"{reason}; the record is long and what damps it forgets its start"
+        forgets = f"{reason}; the record is long, and damping makes the motion forget its start"
         return ChosenSteps("fitted march in windows", forgets, step, method.windows.number)
     whole = (
-        "undamped" if scene.damping is None else "its load changes" if _load_changes(scene) else "the record is short"
+        "undamped" if scene.damping is None else "the load changes" if _load_changes(scene) else "the record is short"
     )
-    return ChosenSteps("fitted march", f"{reason}; in one go: {whole if stepper is None else 'as given'}", step)
+    return ChosenSteps("fitted march", f"{reason}; without windows: {whole if stepper is None else 'as given'}", step)
 
 
 def _load_changes(scene: Scene) -> bool:

@@ -106,7 +106,8 @@ def simulate(
         and not float(motion.defect) <= allowed(ts.dtype) * float(limits.scale)
     ):
         warnings.warn(
-            f"windows of time are {float(motion.defect):.2g} rad apart where they meet: computed in one go instead",
+            f"neighbouring time windows differ by {float(motion.defect):.2g} rad where they meet: computed again "
+            "without windows",
             stacklevel=2,
         )
         assert isinstance(method, Fitted)

@@ -58,10 +58,10 @@ def harmonic_balance(
         names, shape = problem.scene.coordinates, jnp.shape(guess)
         wanted = shape[:1] if problem.scene.output_alone else (*shape[:1], len(names))
         if not shape or shape != wanted:
-            words = (
-                "(n,), transmission error" if problem.scene.output_alone else f"(n, {len(names)}), {', '.join(names)}"
-            )
-            raise ParameterError("guess", shape, f"is a shape: give {words} over the period")
+            words = "the transmission error over the period, shape (n,)"
+            if not problem.scene.output_alone:
+                words = f"{', '.join(names)} over the period, shape (n, {len(names)})"
+            raise ParameterError("guess", shape, f"is a shape: give {words}")
         guess = jnp.asarray(guess, scene.dtype).reshape(shape[0], -1)
     return _harmonic_balance(problem, harmonics, samples, guess, max_steps)
 

@@ -51,8 +51,8 @@ def few_angles(theta: Float[Array, "... n"], fastest_order: float) -> str | None
     angles = np.asarray(theta)
     needed = math.ceil(FEWEST * fastest_order * float((angles[..., -1] - angles[..., 0]).max()) / (2 * math.pi)) + 1
     return (
-        f"only {fewest:.3g} angles per turn of what turns fastest ({fastest_order:.4g} per turn of the input): "
-        f"peak-to-peak and amplitude may miss extremes, {needed} even angles would do"
+        f"only {fewest:.3g} angles per cycle of the fastest order ({fastest_order:.4g} cycles per turn of the input): "
+        f"peak-to-peak and amplitude may miss extremes; {needed} evenly spaced angles are enough"
     )
 
 

@@ -62,7 +62,7 @@ def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
     require(scene, "natural modes", "compliance", "inertia")
     scene = dataclasses.replace(scene, load=ConstantLoad())
     if is_concrete(torque) and float(np.asarray(torque)) < 0 and not scene.layout.has_back:
-        words = "nothing holds a negative torque: list [backlash] for back flanks"
+        words = "no flank carries a negative torque: list [backlash] for back flanks"
         raise SceneError(f'"natural modes" under {float(np.asarray(torque)):g} N*m: {words}')
     return _natural_modes(scene.physics(*MODELLED), jnp.asarray(torque, scene.dtype))
 

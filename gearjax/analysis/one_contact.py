@@ -107,7 +107,7 @@ def one_contact(
     require(scene, "one contact", "compliance")
     system = scene.system
     if not system.turns_evenly:
-        raise SceneError(f'"one contact" is for outputs that turn evenly, which that of a {system.kind} does not')
+        raise SceneError(f'"one contact" needs an output that turns evenly; that of a {system.kind} does not')
     mesh = 2 * math.pi / system.orders["mesh"]
     period = mesh if period is None else float(period)
     _check(scene, torque, period, mesh, samples, harmonics)
@@ -169,7 +169,7 @@ def _check(scene: Scene, torque: ArrayLike, period: float, mesh: float, samples:
         raise ParameterError("samples", samples, f"must be more than twice the {harmonics} harmonics")
     frequency = getattr(scene.load, "frequency", None)
     if isinstance(frequency, Named) and frequency.name == "mesh" and not math.isclose(period, mesh):
-        raise SceneError('one contact: a load at the frequency "mesh" is for a period of one mesh: give it in Hz')
+        raise SceneError('one contact: a load at the frequency "mesh" needs a period of one mesh: give frequency in Hz')
 
 
 def _check_rest(scene: Scene, place: Array, result: Array, torque: Scalar, period: float) -> None:

@@ -108,7 +108,7 @@ def shooting(
             ((2,), "transmission error") if problem.scene.output_alone else ((2, len(names)), ", ".join(names))
         )
         if jnp.shape(guess) != wanted:
-            raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {wanted}, {words} and the rate of each")
+            raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {words} and their rates, shape {wanted}")
         guess = jnp.asarray(guess, scene.dtype).reshape(2, -1)
     return shoot(problem, steps, guess, settle, max_steps)
 

@@ -102,7 +102,7 @@ class TransmissionError(eqx.Module):
     def engaged(self) -> Int[Array, "... n"]:
         """Number of contacts that carry force, shape (n,)."""
         if self.forces is None:
-            raise SceneError("contacts that carry need a torque: transmission_error(scene, theta, torque=...)")
+            raise SceneError("loaded contacts need a torque: transmission_error(scene, theta, torque=...)")
         return (self.forces > 0).sum(axis=-1)
 
     @property
@@ -258,8 +258,8 @@ def _warn_of_few_candidates(scene: Scene, te: TransmissionError) -> None:
     assert te.forces is not None
     assert ends is not None  # since some of them carry load
     name = scene.system.contact_name(int(jnp.argmax(jnp.where(ends, te.forces[worst], 0.0))))
-    words = f"the outermost candidates carry load at {100 * float(te.crowded.mean()):.3g} % of the angles"
-    words = f"{words} ({name}, input angle {float(te.theta[worst]) / deg:.5g} deg): teeth beside them would too"
+    words = f"the outermost candidate contacts carry load at {100 * float(te.crowded.mean()):.3g} % of the angles"
+    words = f"{words} ({name}, input angle {float(te.theta[worst]) / deg:.5g} deg): further teeth would too"
     warnings.warn(f"{words}, give more system.pairs", FewCandidates, stacklevel=4)
 
 

@@ -102,7 +102,7 @@ def separation_speed(scene: Scene, torque: float | Scalar) -> Scalar:
     """
     if scene.system.turns_evenly:
         raise SceneError(
-            f'"separation_speed" is for outputs that turn unevenly, which that of a {scene.system.kind} does not'
+            f'"separation_speed" needs an output that turns unevenly; that of a {scene.system.kind} does not'
         )
     require(scene, "separation_speed", "inertia")
     if is_concrete(torque) and float(torque) == 0.0:

@@ -70,11 +70,13 @@ def periodic_motion(
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
     problem = Problem.of(scene, torque, period)
     if not is_concrete(problem):
-        raise SceneError("periodic_motion looks at its numbers as it goes: use shooting under jit, vmap and gradients")
+        raise SceneError(
+            "periodic_motion needs known numbers, not traced ones: use shooting under jit, vmap and gradients"
+        )
     state = _linear_start(problem, steps)
     if not bool(jnp.isfinite(state).all()):
         raise SceneError(
-            f"there is no equilibrium to start from: no flank holds torque = {float(problem.torque):g} N*m"
+            f"there is no equilibrium to start from: no flank carries torque = {float(problem.torque):g} N*m"
         )
     for _ in range(-(-settle // ROUND)):
         state, ends = _some(problem, steps, state, max(ROUND, longest + 1))

@@ -67,7 +67,7 @@ class Interference(eqx.Module):
         return (
             f"interference: rigid bodies overlap at {100 * share:.3g} % of the angles, by up to "
             f"{float(self.overlap[worst]) / um:.3g} um ({name}, input angle {float(self.theta[worst]) / deg:.5g} deg): "
-            "no position of the output clears it, and no-load TE and backlash there mean little"
+            "no position of the output avoids it, and no-load TE and backlash there are not meaningful"
         )
 
     def as_json(self, scene: Scene) -> dict[str, Any] | None:

@@ -82,7 +82,7 @@ def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
     if is_concrete(torques) and bool((jnp.diff(torques) <= 0).any()):
         raise ParameterError("torques", torques.tolist(), "must increase")
     if is_concrete(torques) and bool((torques < 0).any()) and not scene.has_back:
-        raise SceneError("torques: negative ones load the back flanks, which need [backlash], not listed here")
+        raise SceneError("torques: negative torques load the back flanks, which this scene lacks: list a [backlash]")
     return Torsion(theta, torques, _positions(scene.physics("backlash", "compliance"), theta, torques))
 
 

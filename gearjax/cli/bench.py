@@ -30,12 +30,12 @@ from gearjax.units import arcmin, deg
 
 MeasuredOption = Annotated[
     list[Path] | None,
-    typer.Option("--measured", metavar="CSV", help="a recording; several of the same unit with --measured again"),
+    typer.Option("--measured", metavar="CSV", help="a recording; repeat --measured for several recordings of one unit"),
 ]
 
 DynamicOption = Annotated[
     bool | None,
-    typer.Option("--dynamic/--static", help="recordings at speed: beside the dynamic TE (needs times and [inertia])"),
+    typer.Option("--dynamic/--static", help="compare with the dynamic TE (needs times and [inertia])"),
 ]
 
 
@@ -43,7 +43,7 @@ DynamicOption = Annotated[
 def compare(
     config: ConfigArgument,
     measured: MeasuredOption = None,
-    shift: Annotated[bool, typer.Option("--shift", help="look for the start angle too")] = False,
+    shift: Annotated[bool, typer.Option("--shift", help="find the start angle of each recording too")] = False,
     dynamic: DynamicOption = None,
     out: OutOption = None,
     json_: JsonOption = False,
@@ -60,7 +60,7 @@ def compare(
     section = _by_option(section, dynamic)
     records = _records(measured, section.measured)
     folder = folder_for(out, json_, config)
-    say(f"computing beside {len(records)} recordings")
+    say(f"computing the curves of {len(records)} recordings")
     beside = beside_each_other(scene, records, shift="find" if shift else "none", analysis=section.analysis)
     for words in beside.notes:
         say(f"note: {words}")
@@ -157,8 +157,8 @@ def _print_comparison(beside: Comparison) -> None:
         console.print(f"lost motion: measured {one:.4f} arcmin, computed {other:.4f} arcmin", soft_wrap=True)
     for record in beside.records:
         table = Table(title=f"{record.name}: largest orders")
-        for column in ("turns with", "order", "measured [arcmin]", "computed", "phase [deg]", "computed"):
-            table.add_column(column, justify="left" if column == "turns with" else "right")
+        for column in ("body or mesh", "order", "measured [arcmin]", "computed", "phase [deg]", "computed"):
+            table.add_column(column, justify="left" if column == "body or mesh" else "right")
         for each in record.orders:
             phases = [f"{np.degrees(phase):.1f}" for phase in (each.phase_measured, each.phase_computed)]
             sizes = [f"{value / arcmin:.4f}" for value in (each.measured, each.computed)]
@@ -168,16 +168,16 @@ def _print_comparison(beside: Comparison) -> None:
 
 def _print_found(result) -> None:
     found, console = result.found, output()
-    table = Table(title=f"Numbers that explain the recordings; {found.fit.sigma:.4g} arcmin are left per row")
+    table = Table(title=f"Identified numbers; standard deviation of the residual {found.fit.sigma:.4g} arcmin")
     for column in ("number", "value", "standard error", "95 % from", "to", "unit"):
         table.add_column(column, justify="left" if column in ("number", "unit") else "right")
     for each in found.estimates:
         interval = each.interval
-        told = ("not told", "", "") if interval is None else tuple(f"{v:.5g}" for v in (each.error, *interval))
+        told = ("not identified", "", "") if interval is None else tuple(f"{v:.5g}" for v in (each.error, *interval))
         table.add_row(each.name, f"{each.value:.5g}", *told, each.unit)
     console.print(table)
     if found.visible.combinations:
-        table = Table(title="Told together")
+        table = Table(title="Identified only as a sum")
         for column in ("sum", "value", "standard error", "unit"):
             table.add_column(column, justify="left" if column in ("sum", "unit") else "right")
         for each in found.visible.combinations:
@@ -189,9 +189,9 @@ def _print_found(result) -> None:
         words = f"{order.name}, {order.amplitude:.4g} arcmin, {np.degrees(order.phase):.1f} deg: {order.body}"
         console.print(f"order that the gear set does not explain: {words}", soft_wrap=True)
     for one, other, value in found.correlations[:8]:
-        console.print(f"go together: {one} and {other} ({value:+.3f})", soft_wrap=True)
+        console.print(f"correlated: {one} and {other} ({value:+.3f})", soft_wrap=True)
     for each in found.suggestions[:3]:
-        console.print(f"would show {' and '.join(each.shows)}: {each.words}", soft_wrap=True)
+        console.print(f"a further recording would show {' and '.join(each.shows)}: {each.words}", soft_wrap=True)
     _print_comparison(result.beside)
     if result.advice is not None:
         _print_advice(console, result.advice)
@@ -202,14 +202,14 @@ def _print_advice(console, advice) -> None:
     gain = advice.gain
     console.print(
         f"reassembly: turn {turns}: {advice.metric.replace('_', '-')} {advice.before / arcmin:.4f} -> "
-        f"{advice.after / arcmin:.4f} arcmin expected; after over before {gain.median:.2f} (5 % {gain.low:.2f}, 95 % "
+        f"{advice.after / arcmin:.4f} arcmin expected; ratio after/before {gain.median:.2f} (5 % {gain.low:.2f}, 95 % "
         f"{gain.high:.2f}), worse than before in {100 * gain.worse:.0f} %",
         soft_wrap=True,
     )
     if advice.second is not None:
         second = advice.second
         console.print(
-            f"with one more recording first ({advice.second_words}): {second.median:.2f} (5 % {second.low:.2f}, 95 % "
-            f"{second.high:.2f}), worse in {100 * second.worse:.0f} %",
+            f"with one more recording first ({advice.second_words}): ratio {second.median:.2f} (5 % {second.low:.2f}, "
+            f"95 % {second.high:.2f}), worse in {100 * second.worse:.0f} %",
             soft_wrap=True,
         )

@@ -73,7 +73,7 @@ def each_on_cluster(
             try:
                 evaluated = future.result()
             except KilledWorker as fault:
-                words = "the workers that took them died: is there memory enough?"
+                words = "the workers that computed them died: is there enough memory?"
                 raise GearjaxError(f"samples {futures[future]}: {words}") from fault
             except Exception as fault:  # whatever a worker raised: a missing package, a lost scheduler
                 raise GearjaxError(f"samples {futures[future]}: {type(fault).__name__}: {fault}") from fault

@@ -167,7 +167,7 @@ def _papers(incomplete: str) -> list[str]:
 
 PaperArgument = Annotated[
     str | None,
-    typer.Argument(metavar="[NAME]", help=f"{', '.join(PAPERS)}; all of them without", autocompletion=_papers),
+    typer.Argument(metavar="[NAME]", help=f"{', '.join(PAPERS)}; if left out, all papers", autocompletion=_papers),
 ]
 
 AllOption = Annotated[bool, typer.Option("--all", help="every paper, as one page in Markdown")]
@@ -297,7 +297,7 @@ def tolerance(
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler: tcp://HOST:8786, or local")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", help="processes of a Dask cluster on this machine")
+        int | None, typer.Option("--workers", metavar="N", help="number of processes of a Dask cluster on this machine")
     ] = None,
     report: ReportOption = False,
 ) -> None:

@@ -13,7 +13,10 @@ from gearjax.config.examples import copy_example, examples
 @app.command()
 def example(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="such as two_kv", autocompletion=lambda: list(examples()))
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="name of an example, such as two_kv", autocompletion=lambda: list(examples())
+        ),
     ] = None,
     out: OutOption = None,
 ) -> None:
@@ -25,4 +28,4 @@ def example(
         raise ParameterError("example", MISSING, f"needs a name: {', '.join(examples())}")
     for file in copy_example(name, Path(name) if out is None else out):
         print(file)
-    say("gearjax run, optimise or tolerance takes one of them")
+    say("use one of these files with gearjax run, optimise or tolerance")

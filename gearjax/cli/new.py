@@ -17,7 +17,7 @@ def _kinds() -> list[str]:
 @app.command()
 def new(
     kind: Annotated[
-        str | None, typer.Argument(metavar="KIND", help="of gear set, such as two_kv", autocompletion=_kinds)
+        str | None, typer.Argument(metavar="KIND", help="kind of gear set, such as two_kv", autocompletion=_kinds)
     ] = None,
 ) -> None:
     """Print a configuration of a kind of gear set, with every key, its unit, its bounds and its meaning.

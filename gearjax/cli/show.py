@@ -21,7 +21,7 @@ def show(
     """Open the report in a folder of results or, if there is none, its figures; without a display, only list them."""
     check_path("DIR", folder)
     if not folder.is_dir():
-        raise GearjaxError(f"{folder}: no folder; gearjax show takes the one that a command has written, out/NAME")
+        raise GearjaxError(f"{folder}: is not a folder; give a folder of results, such as out/NAME")
     report = folder / NAME
     shown = [report] if report.exists() else sorted(path for path in folder.iterdir() if path.suffix in FIGURES)
     if not shown:
@@ -31,7 +31,7 @@ def show(
         if _has_display():
             typer.launch(str(path))
     if not _has_display():
-        say("no display here: open them elsewhere")
+        say("no display here: open these files on another machine")
 
 
 def _has_display() -> bool:

@@ -24,7 +24,7 @@ _listening: list[bool] = []
 
 def nothing_kept() -> str:
     """The message of a command that writes its results only at its end."""
-    return "nothing of this run was kept; the same command begins again"
+    return "nothing of this run was saved; run the same command to start again"
 
 
 def say_when_stopped(words: Callable[[], str]) -> None:

@@ -18,7 +18,7 @@ from gearjax.units import arcmin, um
 
 
 def print_tradeoff(comparison: Tradeoff) -> None:
-    table = Table(title="What each choice costs and buys; one run, one torque")
+    table = Table(title="Error and time of each setting; one run, one torque")
     for column in ("setting", "", "error [arcmin]", "run [ms]", "gradient [ms]", "compile [s]"):
         table.add_column(column, justify="left" if column in ("setting", "") else "right")
     for row in comparison.rows:
@@ -28,10 +28,10 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
     console.print(table)
-    console.print("~: not measured, in proportion to the run of another setting of that scheme", soft_wrap=True)
+    console.print("~: not measured, estimated from another setting of the same scheme", soft_wrap=True)
     if comparison.statics:
-        table = Table(title="Geometry under static torque, against the most exact choice")
-        for column in ("choice", "error [arcmin]", "single forces [%]", "run [ms]", "compile [s]"):
+        table = Table(title="Geometry under static torque, compared with the most exact choice")
+        for column in ("choice", "error [arcmin]", "force error [%]", "run [ms]", "compile [s]"):
             table.add_column(column, justify="left" if column == "choice" else "right")
         for one in comparison.statics:
             off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
@@ -41,7 +41,7 @@ def print_tradeoff(comparison: Tradeoff) -> None:
     if comparison.best is None:
         console.print(f"no setting is within {allowed}", soft_wrap=True)
     else:
-        console.print(f"cheapest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
+        console.print(f"fastest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
 
 
 def print_accuracy(gears: list[GradedGear]) -> None:
@@ -97,7 +97,10 @@ def print_optimisation(optimisation: Optimisation) -> None:
     for direction, rise, flat in zip(around.directions, around.rises, around.flat, strict=True):
         if flat:
             words = ", ".join(f"{path} {share:+.2f}" for path, share in zip(around.paths, direction, strict=True))
-            console.print(f"flat: {around.told(FLAT_STEP)} along ({words}) cost {100 * rise:.1f} %", soft_wrap=True)
+            console.print(
+                f"flat direction: {around.told(FLAT_STEP)} along ({words}) raise the objective by {100 * rise:.1f} %",
+                soft_wrap=True,
+            )
     for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
         console.print(
             f"assembled with errors of up to {around.told(deviation)}: {mean / unit.per_shown:.4f} {unit.shown} "
@@ -133,8 +136,8 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
     console.print(table)
     part = next((case for case in cases if " of " in case.span), None)
     if part is not None:
-        words = f"a record of {part.window:g} s, of the {part.cycle:g} s after which all errors repeat"
-        console.print(f"{part.span}: {words}: extremes may lie beyond", style="dim", soft_wrap=True)
+        words = f"the record has {part.window:g} s of the {part.cycle:g} s after which all errors repeat"
+        console.print(f"{part.span}: {words}: extremes may lie outside the record", style="dim", soft_wrap=True)
     console.print("amplitude: largest absolute value", style="dim", soft_wrap=True)
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
         titles = ", ".join(case.title for case in cases if case.published and case.published.note == note)
@@ -170,7 +173,7 @@ def print_rows(paper: str, rows: list[Row]) -> None:
 
 def print_shifts(shifts: list[PrecisionShift]) -> None:
     """Print quantiles of a tolerance study in both precisions."""
-    table = Table(title="Quantiles of the tolerance study, the same gear sets; in arcmin")
+    table = Table(title="Quantiles of the tolerance study in arcmin, for the same gear sets")
     for column in ("measure", "quantile", "float64", "float32", "shift [%]"):
         table.add_column(column, justify="left" if column == "measure" else "right")
     for shift in shifts:

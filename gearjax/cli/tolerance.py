@@ -64,7 +64,7 @@ def study(
     with contextlib.ExitStack() as stack:
         if folder is not None:
             stack.enter_context(held(folder))
-            say_when_stopped(lambda: f"what {folder} held before is as it was; the same command goes on with it")
+            say_when_stopped(lambda: f"the files in {folder} are unchanged; run the same command to continue")
         work = prepared(section)
         if folder is None:
             kept: Kept | Store = Kept(work)
@@ -74,7 +74,7 @@ def study(
             for words in store.remarks:
                 say(words)
         if kept.samples_done:
-            say(f"resuming: {kept.samples_done} of {work.number} samples are there")
+            say(f"resuming: {kept.samples_done} of {work.number} samples are already computed")
         pending = kept.pending
         computed = sum(end - begin for begin, end in pending)
         with Stopwatch() as watch, _bar(console, work.number, kept.samples_done) as advance:
@@ -93,8 +93,8 @@ def study(
 
 def _stored(store: Store, folder: Path) -> str:
     """The message on what a stopped study has stored."""
-    there = f"{store.samples_done} of {store.work.number} samples are kept in {folder}"
-    return f"{there}; the same command goes on from there"
+    there = f"{store.samples_done} of {store.work.number} samples are saved in {folder}"
+    return f"{there}; run the same command to continue"
 
 
 class Kept:
@@ -172,7 +172,7 @@ def print_tolerance(results: ToleranceResults) -> None:
         console.print(f"not done: {words}", soft_wrap=True)
     for name, missed in results.missed.items():
         console.print(
-            f"{name}: extremes between the samples are {missed / arcmin:+.2g} arcmin off on average", style="dim"
+            f"{name}: extremes between the samples differ by {missed / arcmin:+.2g} arcmin on average", style="dim"
         )
     _print_sensitivity(console, results)
     _print_allocation(console, results)
@@ -202,8 +202,9 @@ def _print_sensitivity(console: Console, results: ToleranceResults) -> None:
             table.add_row(path, *cells)
         console.print(table)
         notes = [one.linear_fails] if one.linear_fails else []
-        notes += ["correlations are left out here"] if one.correlated else []
-        notes += [f"{one.failed} of {one.samples} gear sets failed and count as average ones"] if one.failed else []
+        notes += ["this table ignores correlations"] if one.correlated else []
+        if one.failed:
+            notes += [f"{one.failed} of {one.samples} gear sets failed; the mean of the others replaces their values"]
         for words in notes:
             console.print(words, soft_wrap=True)
 
@@ -220,7 +221,7 @@ def _print_allocation(console: Console, results: ToleranceResults) -> None:
     console.print(table)
     verdict = "proved" if bought.met else "NOT reached"
     console.print(
-        f"cost {bought.cost_before:.4g} to {bought.cost:.4g}; good {_interval(bought.before, 100.0, 2)} % to "
+        f"cost {bought.cost_before:.4g} -> {bought.cost:.4g}; good {_interval(bought.before, 100.0, 2)} % -> "
         f"{_interval(bought.after, 100.0, 2)} %: {verdict}",
         soft_wrap=True,
     )

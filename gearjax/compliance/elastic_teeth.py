@@ -98,7 +98,9 @@ class ElasticTeeth(AbstractToothCompliance):
     def __check_init__(self):
         check_parameters(self)
         if self.neighbours and self.rim is None:
-            raise ParameterError("neighbours", self.neighbours, "teeth move each other through a rim: give it too")
+            raise ParameterError(
+                "neighbours", self.neighbours, "neighbouring teeth deflect each other through the rim: give rim too"
+            )
 
     @property
     def line_contact(self) -> HertzLineContact:

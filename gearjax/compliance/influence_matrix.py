@@ -106,7 +106,7 @@ class InfluenceMatrix(AbstractToothCompliance):
             ("face_points", faces, max(len(table.face) for table in tables)),
         ):
             if given > nodes:
-                words = f"more than the {nodes} nodes of influence_matrix, whose influence would be singular"
+                words = f"must be at most {nodes}, the nodes of influence_matrix: with more, the matrix is singular"
                 raise ParameterError(f"system.{name}", given, words)
 
     @property

@@ -195,7 +195,9 @@ def _within_limits(pair: InvolutePair, load: Any) -> Bool[Array, ""]:
 def _check_counts(teeth: Any, internal: Any) -> None:
     whole = isinstance(teeth, Sequence) and len(teeth) == 2 and not isinstance(teeth, str)
     if not whole or not all(isinstance(z, int | np.integer) and 5 <= z <= 5000 for z in teeth):
-        raise ParameterError("teeth", teeth, "must be two whole numbers from 5 to 5000, those of an internal gear too")
+        raise ParameterError(
+            "teeth", teeth, "must be two whole numbers from 5 to 5000, positive for an internal gear too"
+        )
     if not isinstance(internal, bool):
         raise ParameterError("internal", internal, "must be True or False")
     if internal and teeth[0] >= teeth[1]:
@@ -209,7 +211,9 @@ def _check_numbers(module: Any, pressure_angle: Any, helix_angle: Any, width: An
     _check_number("normal_module", module, 1e-6, 0.1, words)
     words = "is in radians: must be 5 to 45 deg, such as 20 * gj.units.deg"
     _check_number("normal_pressure_angle", pressure_angle, 5 * deg, 45 * deg, words)
-    words = "is in radians: must be within 60 deg either way, such as 15 * gj.units.deg; ISO's formulas go to 45 deg"
+    words = (
+        "is in radians: must be from -60 to 60 deg, such as 15 * gj.units.deg; ISO's formulas are valid up to 45 deg"
+    )
     _check_number("helix_angle", helix_angle, -math.pi / 3, math.pi / 3, words)
     words = "is in metres: must be above 0 and at most 10, such as 40 * gj.units.mm"
     _check_number("face_width", width, 1e-9, 10.0, words)
@@ -243,7 +247,7 @@ def _check_fit(pair: InvolutePair) -> None:
     """Refuse gears that are impossible or do not fit into each other."""
     module, width = float(pair.normal_module), float(pair.face_width)
     if width > 1000 * module:
-        raise ParameterError("face_width", width, f"is in metres: more than 1000 modules of {module / mm:g} mm")
+        raise ParameterError("face_width", width, f"is in metres: must be at most 1000 modules of {module / mm:g} mm")
     for i, (tip, reference) in enumerate(zip(pair.tip_diameters, pair.reference_diameters, strict=True)):
         if not abs(float(tip) - float(reference)) <= 15 * module:
             words = f"is in metres: must be within 15 modules of the reference diameter, {float(reference):.6g} m"

@@ -87,7 +87,7 @@ class ToothSlices(AbstractSliceCompliance):
     def __check_init__(self):
         check_parameters(self)
         if self.couples and self.contact == "hertz":
-            words = 'is for slices apart: leave out coupling_length, or use contact = "constant"'
+            words = 'is for uncoupled slices: leave out coupling_length, or use contact = "constant"'
             raise ParameterError("contact", self.contact, words)
 
     @property

@@ -38,7 +38,7 @@ from gearjax.supports import Support
 from gearjax.tolerance import DISTRIBUTIONS, Empirical
 from gearjax.units import LENGTH
 
-TOGETHER = "# The next ones go together, all or none:"
+TOGETHER = "# Give either all of the next keys or none of them:"
 INSTEAD = "# Instead of the one above:"
 _WIDTH = 118
 _TURNS = 40  # turns of the fastest order in the record of the example run
@@ -124,7 +124,7 @@ def _line(name: str, key: Key, meaning: str, value: str = "", *, active: bool | 
     """The line of a key, with its meaning above it; the line is commented out if the key is optional."""
     value = value or (key.example if key.required else key.default or key.example)
     mark = "" if (key.required if active is None else active) else "#"
-    default = f"; without it {key.default}" if key.default else "" if key.required else "; may be left out"
+    default = f"; default {key.default}" if key.default else "" if key.required else "; may be left out"
     says = both(meaning, key.words)
     return f"{_prose(says + default)}{mark}{name} = {value}\n" if value else _prose(f"{name}: {says}{default}")
 
@@ -200,7 +200,7 @@ def _noted(text: str) -> str:
             try:
                 loads(put_in(text, places))
             except GearjaxError as fault:
-                notes[places[0]] = _prose(f"More must change with it: {fault}")
+                notes[places[0]] = _prose(f"Other sections must change too: {fault}")
     return "".join(f"{notes.get(i, '')}{line}\n" for i, line in enumerate(lines))
 
 
@@ -227,8 +227,8 @@ def _if_it_loads(text: str, section: str) -> str:
 def _errors(text: str, scene: Scene) -> str:
     """A section for each kind of error, on the first body that can have it."""
     sections = "\n" + _prose(
-        "Errors, as many as there are, [errors.NAME] each. The name is free: paths such as errors.NAME.amplitude lead "
-        f"to its numbers. Bodies: {', '.join(scene.system.bodies)}."
+        "Errors: one section [errors.NAME] for each error. Choose any NAME; it stands in paths such as "
+        f"errors.NAME.amplitude. Bodies: {', '.join(scene.system.bodies)}."
     )
     refused: dict[str, list[str]] = {}
     for part in kinds("gearjax.errors"):
@@ -279,7 +279,8 @@ def _supports(text: str, scene: Scene) -> str:
     body = next(iter(offered))
     keys = [key for way in offered[body] for key in (way, f"{way}_damping")]
     inertia = dict.fromkeys(OF_WAY[way] for way in offered[body])
-    section, says = "", [f"Supports, [supports.BODY] each, and the inertia of the same bodies: {', '.join(offered)}."]
+    words = f"Supports, one section [supports.BODY] for each body, and the inertia of the bodies: {', '.join(offered)}."
+    section, says = "", [words]
     for slot, part, names in (("supports", Support, keys), ("inertia", BodyInertia, inertia)):
         known = declared(part)
         section += f"[{slot}.{body}]\n" + "".join(f"{name} = {example(known[name])}\n" for name in names)
@@ -310,7 +311,7 @@ def _run(scene: Scene) -> str:
     published = "".join(f"#{name} = {key.example}\n" for name, key in PUBLISHED_KEYS.items())
     words = {name: key.words for name, key in PUBLISHED_KEYS.items()}
     says = "".join(map(_prose, summary(Published) + told(Published, words, words)))
-    return f"\n{_prose('What gearjax run computes.')}[run]\n{lines}\n{says}#[[published]]\n{published}"
+    return f"\n{_prose('Settings of gearjax run.')}[run]\n{lines}\n{says}#[[published]]\n{published}"
 
 
 def _can(scene: Scene, analysis: str) -> bool:
@@ -332,7 +333,8 @@ def _optimise(scene: Scene) -> str:
     bounds = "{ " + ", ".join(f'"{path}" = ["-90 deg", "90 deg"]' for path in phases) + " }"
     given = {"where": as_toml(phases), "bounds": bounds, "window": f'"{scene.run.duration:.4g} s"'}
     terms = '[{ name = "static_order", torque = "30 N*m", order = "output", weight = 1.0 }]'
-    section = f"\n{_prose('What gearjax optimise searches for: assembly phases, or any other numbers.')}[optimise]\n"
+    about = "Settings of gearjax optimise, which optimises assembly phases or any other numbers."
+    section = f"\n{_prose(about)}[optimise]\n"
     for name, key in OPTIMISE_KEYS.items():
         if name in ("torque", "order"):  # they belong to the objective and are only explained
             section += _prose(f"{name}: {key.words}")
@@ -355,7 +357,7 @@ def _identify(scene: Scene) -> str:
         "priors": f'{{ "{vectors[0]}" = "5 um" }}' if vectors else "",
         "reassemble": f'{{ where = {as_toml(vectors)}, metric = "std" }}' if vectors else "",
     }
-    about = "What gearjax identify reads and looks for; gearjax compare reads the same recordings."
+    about = "Settings of gearjax identify; gearjax compare reads the same recordings."
     lines = "".join(_line(name, key, "", given.get(name, "")) for name, key in IDENTIFY_KEYS.items())
     return f"\n{_prose(about)}[identify]\n{lines}"
 
@@ -365,7 +367,7 @@ def _tolerance(scene: Scene) -> str:
     known, says = numbers(scene), meanings(ToleranceSection)
     sizes = [path for path in known if path.startswith("errors.") and path.endswith("amplitude")]
     measures = '[{ name = "no_load.peak_to_peak", limit = "2 arcmin" }]'
-    section = f"\n{_prose('What gearjax tolerance draws, measures and judges.')}[tolerance]\n"
+    section = f"\n{_prose('Settings of gearjax tolerance.')}[tolerance]\n"
     for name, key in TOLERANCE_KEYS.items():
         value = {"measures": measures}.get(name, key.default)
         section += _line(name, key, says.get(name, ""), value)
@@ -376,7 +378,7 @@ def _tolerance(scene: Scene) -> str:
     for path in sizes:
         section += f'"{path}" = {{ kind = "rayleigh", scale = "1 um" }}\n'
     if sizes:
-        section += _prose("Instead of the last one:") + _distributions(sizes[-1], known[sizes[-1]])
+        section += _prose("Alternatives to the last distribution:") + _distributions(sizes[-1], known[sizes[-1]])
     return section + _studies(sizes, _phases(scene))
 
 
@@ -417,8 +419,9 @@ def _studies(sizes: list[str], phases: list[str]) -> str:
     }
     studies = ""
     for name, (part, keys, given) in sections.items():
-        words = {each: key.words + (f"; without it {key.default}" if key.default else "") for each, key in keys.items()}
-        about = summary(part) if part is not object else ["Which tolerances matter, and what halving each would buy"]
+        words = {each: key.words + (f"; default {key.default}" if key.default else "") for each, key in keys.items()}
+        sensitivity = ["Sensitivity to each tolerance, and the yield with each tolerance halved"]
+        about = summary(part) if part is not object else sensitivity
         says = "".join(map(_prose, about + told(part, keys, words)))
         lines = "".join(f"#{each} = {given.get(each) or key.default or key.example}\n" for each, key in keys.items())
         studies += f"\n{says}#[tolerance.{name}]\n{lines}"

@@ -15,7 +15,7 @@ from gearjax.tolerance.distributions import renamed
 COLUMN_KEYS = {
     "file": Key("the name of a CSV file in quotes", '"measured.csv"', required=True),
     "column": Key("the name of a column in quotes", '"run_out"', required=True),
-    "unit": Key('a unit in quotes, such as "um"; that of SI without', '"um"'),
+    "unit": Key('a unit in quotes, such as "um"; if left out, the SI unit', '"um"'),
 }
 
 
@@ -42,7 +42,7 @@ def read_distribution(key: str, given: dict[str, Any], parameter: Parameter, fol
     fields = {field.name: field for field in dataclasses.fields(kinds[kind]) if "parameter" in field.metadata}
     known_keys(key, table, fields, f' of kind "{kind}"')
     if kind == "uniform_phase" and not parameter.periodic:
-        raise ParameterError(f"{key}.kind", kind, "is for angles of a whole turn")
+        raise ParameterError(f"{key}.kind", kind, "is only for angles with a period of one turn")
     values = {}
     require_keys(key, table, distribution_keys(kinds[kind], parameter))
     for name in table:

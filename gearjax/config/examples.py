@@ -18,7 +18,9 @@ def examples() -> dict[str, Path]:
     package = Path(gearjax.__file__).parent
     places = [folder for folder in (package / INSTALLED, package.parent / "configs") if (folder / "two_kv").is_dir()]
     if not places:
-        raise GearjaxError("this installation has no example configurations: install gearjax anew, or from a clone")
+        raise GearjaxError(
+            "this installation has no example configurations: install gearjax again, or from a clone of its repository"
+        )
     return {folder.name: folder for folder in sorted(places[0].iterdir()) if folder.is_dir()}
 
 
@@ -43,7 +45,7 @@ def copy_example(name: str, folder: Path) -> list[Path]:
     files = sorted(path for path in known[name].iterdir() if path.is_file())
     for file in files:
         if (folder / file.name).exists():
-            raise GearjaxError(f"{folder / file.name}: is there already, and is not written over: give another --out")
+            raise GearjaxError(f"{folder / file.name}: exists already and is not overwritten: give another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for file in files:

@@ -19,19 +19,26 @@ from gearjax.studies.select import members, numbers
 IDENTIFY_KEYS = {
     "measured": Key("recordings of the same unit, a list of CSV files", '["te.csv"]', required=True),
     "where": Key(
-        'what is looked for, a list of errors or paths such as "errors.planet_1"; without, all errors, stiffness'
+        'unknowns, a list of errors or paths such as "errors.planet_1"; if left out, all errors and the stiffness'
     ),
-    "priors": Key("what is known before, a table of standard deviations by path, or of pairs [mean, deviation]"),
+    "priors": Key("prior knowledge, a table by path of standard deviations or pairs [mean, standard deviation]"),
     "offset_spread": Key(
-        "by how much the encoders' offset changes between recordings, an angle", default='"0.02 arcmin"'
+        "standard deviation of the encoders' offset between recordings, an angle", default='"0.02 arcmin"'
     ),
     "analysis": Key(
-        '"static", or "dynamic" for a gear set that runs: the speed is that of the times', default='"static"'
+        '"static", or "dynamic" for recordings at speed; the speed follows from the recorded times', default='"static"'
     ),
-    "orders": Key('"find", or a list of orders in cycles per turn of the input that are free', default='"find"'),
-    "starts": Key("of the search, a whole number; without, 64, or 4 where gaps are not in proportion", "64"),
-    "seed": Key("a whole number from 0", default="0"),
-    "reassemble": Key("what can be turned, a table: where, places (a table of places on a turn), metric, torque"),
+    "orders": Key(
+        '"find", or a list of orders whose amplitude and phase are fitted, in cycles per turn of the input',
+        default='"find"',
+    ),
+    "starts": Key(
+        "number of starting points, a whole number; if left out, 64, or 4 if gaps are not linear in the unknowns", "64"
+    ),
+    "seed": Key("seed of the random starting points, a whole number from 0", default="0"),
+    "reassemble": Key(
+        "bodies that can be turned, a table: where, places (positions per turn, by path), metric, torque"
+    ),
 }
 _REASSEMBLE = ("where", "places", "metric", "torque")
 MOST_STARTS = 100_000

@@ -36,12 +36,12 @@ from gearjax.units import LENGTH
 HEAD = """\
 # Every key of a configuration
 
-Written from what gearjax itself reads; the tests fail where this page differs. `gearjax new KIND` writes a
-configuration of a gear set with all that suits it.
+This page is generated from the source of gearjax; a test fails if it is out of date. `gearjax new KIND` writes a
+configuration of a gear set with every key that suits the gear set.
 
 A configuration is a TOML file. Physical values are strings with their unit, such as `"30 N*m"` or `"10 um"`; ratios
 are numbers or `"5 %"`. A key without a default must be given, unless the table says "may be left out". Bounds are in
-SI units or in those that engineers read.
+SI units or in usual units such as `deg` and `rpm`.
 """
 FILE = "the name of a CSV file in quotes, in place of the values"
 
@@ -83,8 +83,8 @@ def keys_page() -> str:
 def _tolerance() -> list[str]:
     """The sections of the tolerance study: measures, distributions and further studies."""
     about = [
-        "Numbers that vary stand in it by path, each with a distribution; [*] stands for every number of a list.",
-        "Values of distributions have the unit of the number that varies; they are shown for a length.",
+        "The numbers that vary are listed by path, each with a distribution; [*] stands for every number of a list.",
+        "Values of a distribution have the unit of the number that varies; the tables below show them for a length.",
     ]
     sections = [
         _section("[tolerance]", about, _rows(TOLERANCE_KEYS, ToleranceSection)),
@@ -94,7 +94,7 @@ def _tolerance() -> list[str]:
         rows = _rows(distribution_keys(part, Parameter(LENGTH)), part)
         rows += [(name, key.words, key.default) for name, key in COLUMN_KEYS.items()] if part is Empirical else []
         sections.append(_section(f'A distribution, kind = "{part.kind}"', summary(part), rows))
-    about = ["Which tolerances matter, and what halving each would buy."]
+    about = ["Sensitivity to each tolerance, and the yield with each tolerance halved."]
     return [
         *sections,
         _section("[tolerance.sensitivity]", about, _rows(SENSITIVITY_KEYS)),
@@ -134,5 +134,5 @@ def _rows(keys: Mapping[str, Key], part: Any = None) -> list[tuple[str, str, str
 def _section(title: str, paragraphs: Iterable[str], rows: Iterable[tuple[str, str, str]]) -> str:
     about = "".join(f"{plain(paragraph)}\n\n" for paragraph in paragraphs)
     table = "".join(f"| `{name}` | {plain(words)} | {default} |\n" for name, words, default in rows)
-    head = "| key | what it is | default |\n|---|---|---|\n"
+    head = "| key | meaning | default |\n|---|---|---|\n"
     return f"\n### `{title}`\n\n{about}" + (head + table if table else "No keys.\n")

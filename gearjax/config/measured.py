@@ -44,7 +44,7 @@ class _Columns:
         number = row.number(self.place["tooth"])
         if not 0 <= number <= MOST_TEETH or number != round(number):
             raise GearjaxError(
-                f"{row.where}, column {self.place['tooth'] + 1}: is no number of a tooth, counted from 0"
+                f"{row.where}, column {self.place['tooth'] + 1}: must be the number of a tooth, counted from 0"
             )
         return int(number)
 
@@ -92,7 +92,7 @@ def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
         for places, number, value in zip(known, (first, second), at, strict=True):
             places.setdefault(number, value)
         if (tooth, first, second) in found:
-            raise GearjaxError(f"{row.where}: tells of a point that an earlier line told of")
+            raise GearjaxError(f"{row.where}: repeats a point of an earlier line")
         missing = row.cells[columns.place["deviation"]].strip().lower() in ("", "nan")
         found[tooth, first, second] = np.nan if missing else columns.length("deviation", row)
     teeth = sorted({tooth for tooth, _, _ in found})
@@ -126,21 +126,21 @@ def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
     columns, rows = _open(file, ("tooth",), ("cumulative", "single", "flank"), flank)
     told = [name for name in ("cumulative", "single") if name in columns.place]
     if len(told) != 1:
-        raise GearjaxError(f"file: {file}: line 1 must name cumulative [um] or single [um], one of them")
+        raise GearjaxError(f"file: {file}: line 1 must name either cumulative [um] or single [um]")
     found: dict[int, float] = {}
     for row in rows:
         tooth = columns.tooth(row)
         if tooth in found:
-            raise GearjaxError(f"{row.where}: tells of a tooth that an earlier line told of")
+            raise GearjaxError(f"{row.where}: repeats a tooth of an earlier line")
         found[tooth] = columns.length(told[0], row)
     lacking = next((tooth for tooth in range(len(found)) if tooth not in found), None)
     if lacking is not None:
-        raise GearjaxError(f"file: {file}: lacks tooth {lacking}: all of 0 to {max(found)} must be there")
+        raise GearjaxError(f"file: {file}: tooth {lacking} is missing: give all teeth from 0 to {max(found)}")
     values = np.array([found[tooth] for tooth in range(len(found))])
     if told == ["single"]:
         if abs(values.sum()) > 1e-2 * np.abs(values).sum() + 1e-9:
             words = f"the single deviations add up to {values.sum() / units.um:.3g} um around the gear, not to 0"
-            warnings.warn(f"file: {file}: {words}: each is taken less their mean", RepairedData, stacklevel=2)
+            warnings.warn(f"file: {file}: {words}: their mean is subtracted", RepairedData, stacklevel=2)
         values = np.concatenate([np.zeros(1), np.cumsum(values - values.mean())[:-1]])
     return {"deviation": values, "flank": flank}
 
@@ -159,7 +159,7 @@ def _open(
     key = f"file: {file}"
     header, lines = read_rows("file", Path(file))
     if len(header) == 1 and re.search("[;\t]", header[0]):
-        raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
+        raise GearjaxError(f"{key}: line 1: columns must be separated by commas, decimals by points")
     place: dict[str, int] = {}
     size: dict[str, float] = {}
     for number, text in enumerate(header):
@@ -183,7 +183,7 @@ def _open(
         raise ParameterError("flank", flank, nearest(flank, ("both", *FLANKS)))
     if "flank" in place:
         if flank == "both":
-            raise ParameterError("flank", flank, f'must be "driving" or "back": {key} tells them apart')
+            raise ParameterError("flank", flank, f'must be "driving" or "back": {key} has a column flank')
         lines = (row for row in lines if flank == columns.flank(row))
     rows = list(lines)
     if not rows:
@@ -222,7 +222,7 @@ def _filled(key: str, grid: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -
     filled = np.where(missing, np.where(known, ways, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), grid)
     if not known.any(axis=0).all():
         raise GearjaxError(f"{key}: a point, and all others of its row and its column of the grid, are missing")
-    words = f"{missing.sum()} of {grid.size} points are missing: filled in, on lines through the next ones"
+    words = f"{missing.sum()} of {grid.size} points are missing: they are filled in on lines through the next points"
     warnings.warn(f"{key}: {words}", RepairedData, stacklevel=3)
     return filled
 

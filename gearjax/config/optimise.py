@@ -24,15 +24,15 @@ OPTIMISE_KEYS = {
         'a name such as "crank", or cycles per turn of the output, for objectives that end in _order', '"output"'
     ),
     "grid_step": Key("a step for all, or a table of steps by path", '"10 deg"'),
-    "bounds": Key("a table of pairs; numbers that are not angles need them"),
+    "bounds": Key("a table of pairs [lowest, highest]; required for numbers that are not angles"),
     "starts": Key(f"a whole number from 1 to {MOST_STARTS}", default="300"),
-    "window": Key('a time such as "3 s"; that of [run] without', '"3 s"'),
+    "window": Key('a time such as "3 s"; if left out, the duration of [run]', '"3 s"'),
     "seed": Key("a whole number from 0", default="0"),
 }
 TERM_KEYS = {  # keys of one term, if the objective is a list of terms
-    "name": Key('what it measures, such as "static_order"', '"static_order"', required=True),
+    "name": Key('name of the quantity, such as "static_order"', '"static_order"', required=True),
     "torque": OPTIMISE_KEYS["torque"],
-    "weight": Key("a plain number that multiplies it", "1.0", "1.0"),
+    "weight": Key("factor of the term in the objective, a number without unit", "1.0", "1.0"),
     "order": OPTIMISE_KEYS["order"],
 }
 
@@ -107,7 +107,9 @@ def _by_path(table: dict[str, Any], key: str, where: tuple[str, ...], default: A
         raise ParameterError(f"optimise.{key}", section, f"must be a section: [optimise.{key}]")
     for path in section:
         if path not in where:
-            raise ParameterError(f"optimise.{key}.{path}", section[path], f"is not free; {nearest(path, where)}")
+            raise ParameterError(
+                f"optimise.{key}.{path}", section[path], f"is not in optimise.where; {nearest(path, where)}"
+            )
     return section
 
 

@@ -113,7 +113,7 @@ def _chunks(key: str, path: Path, columns: dict[str, Column]) -> Iterator[dict[s
                 }
                 yield {name: column.size * numbers[column.place] for name, column in columns.items()}
     except (pd.errors.ParserError, UnicodeDecodeError, ValueError) as fault:
-        raise GearjaxError(f"{key}: not a table with as many values in each line as names in the first") from fault
+        raise GearjaxError(f"{key}: each line must have as many values as the first line has names") from fault
     except OSError as fault:
         raise GearjaxError(f"{key}: cannot be read ({fault.strerror or fault})") from fault
 
@@ -151,7 +151,8 @@ def _in_order(part: dict[str, np.ndarray], own: _Reader) -> None:
     if "time" in part:
         times = np.concatenate([[own.wrapped.get("time", (part["time"][0], 0.0))[0]], part["time"]])
         if (np.diff(times) < 0).any():
-            raise GearjaxError(f"{own.key}: rows are not in the order of time: sort a file of so many rows before")
+            words = f"rows are not in order of time: sort a file of more than {MOST_KEPT} rows before gearjax reads it"
+            raise GearjaxError(f"{own.key}: {words}")
         own.wrapped["time"] = float(part["time"][-1]), 0.0
 
 
@@ -206,7 +207,7 @@ def _continued(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarr
     for name in ("te", "output angle", "input angle"):
         if name in table:
             stray = _stray(table[name])
-            own.count(f"rows whose {name} is exactly zero among others left out", stray)
+            own.count(f"rows with an isolated zero as {name} left out", stray)
             table = {key: values[~stray] for key, values in table.items()}
     for name in ("input angle", "output angle"):
         if name in table:
@@ -241,9 +242,9 @@ def _unwrapped(name: str, angle: np.ndarray, own: _Reader) -> np.ndarray:
     if wraps:
         usual = np.median(np.abs(steps + turn * falls))
         if usual > FARTHEST * turn:
-            words = f"wraps around and moves {usual / units.deg:.3g} deg from row to row: its turns cannot be counted"
-            raise GearjaxError(f"{own.key}: the {name} {words}, more than {360 * FARTHEST:.3g} deg")
-        own.count(f"turns of the {name} carried on where it wraps around", np.abs(falls))
+            words = f"moves {usual / units.deg:.3g} deg from row to row, more than {360 * FARTHEST:.3g} deg"
+            raise GearjaxError(f"{own.key}: the {name} wraps around and {words}: its turns cannot be counted")
+        own.count(f"jumps of the {name} by whole turns removed", np.abs(falls))
     moved = angle + turn * (turns + np.cumsum(falls))
     own.wrapped[name] = float(angle[-1]), float(turns + falls.sum())
     return moved
@@ -264,7 +265,9 @@ def _record(
             raise GearjaxError(f"{key}: the column {column} holds the same value in every row")
     if "torque" in beside:
         if "torque" in table:
-            raise ParameterError(f"{beside['file']}: torque", beside["torque"], "is a column of the file too")
+            raise ParameterError(
+                f"{beside['file']}: torque", beside["torque"], "is also a column of the CSV file: give only one of them"
+            )
         torque = read_quantity(f"{beside['file']}: torque", beside["torque"], units.TORQUE)
     counts = [beside.get(f"{side}_counts") for side in ("input", "output")]
     resolution = None if counts[1] is None else 2 * np.pi / counts[1]

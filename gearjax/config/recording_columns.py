@@ -63,7 +63,7 @@ def beside_of(path: Path) -> dict[str, Any]:
 def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str, Column]:
     """Find the column of each quantity."""
     if len(header) == 1 and re.search("[;\t]", header[0]):
-        raise GearjaxError(f"{key}: line 1: columns must be parted by commas, decimals by points")
+        raise GearjaxError(f"{key}: line 1: columns must be separated by commas, decimals by points")
     plain = [_plain(text) for text in header]
     found: dict[str, Column] = {}
     for name, told in beside.get("columns", {}).items():
@@ -103,7 +103,7 @@ def _require(key: str, found: dict[str, Column], header: list[str]) -> None:
     """Refuse a table without the columns that are needed; drop ``te`` if both angles are given."""
     has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200]}"
     if "input angle" not in found:
-        words = " (time alone is no angle: speeds are never even)" if "time" in found else ""
+        words = " (time cannot replace it: the speed is never constant)" if "time" in found else ""
         raise GearjaxError(f"{key}: line 1 must name a column input angle{words}; {has}")
     if "output angle" not in found and "te" not in found:
         raise GearjaxError(f"{key}: line 1 must name a column output angle, or te; {has}")
@@ -132,7 +132,8 @@ def _size(where: str, name: str, unit: str | None, beside: dict[str, Any]) -> fl
     if unit in ("counts", "count") and name.endswith("angle"):
         counts = beside.get(f"{name.partition(' ')[0]}_counts")
         if counts is None:
-            words = f"is in counts: give {name.partition(' ')[0]}_counts, per turn, in a TOML file beside it"
+            counts_key = f"{name.partition(' ')[0]}_counts"
+            words = f"is in counts: give {counts_key} (counts per turn) in a TOML file of the same name"
             raise GearjaxError(f"{where} {words}")
         return 2 * np.pi / counts
     try:

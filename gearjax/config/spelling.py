@@ -90,8 +90,8 @@ _USUAL = (
     *("Nm", "kNm", "MNm", "mNm", "Nmm", "Ncm", "kNmm", "Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi", "kgm", "gcm"),
 )
 _TOLD_APART = {
-    "grad": "grad is a degree to some and a gon to others: write deg or gon",
-    "mil": "mil is an angle to some and a thousandth of an inch to others: write thou, um or mrad",
+    "grad": "grad may mean degree or gon: write deg or gon",
+    "mil": "mil may mean an angle or a thousandth of an inch: write thou, um or mrad",
     "c": "c may be a centi or the speed of light: write the unit out",
     "hp": "hp is not one unit but several: use SI",
 }
@@ -137,7 +137,7 @@ def factors(text: str) -> tuple[Factor, ...]:
     """
     rest = text.translate(_SUPERSCRIPTS).replace("**", "^").strip()
     if set(rest) & set("'\"\u2032\u2033"):
-        raise UnknownUnit("strokes may be minutes of arc or feet: write arcmin, arcsec, ft or in")
+        raise UnknownUnit("the signs ' and \" may mean angles or lengths: write arcmin, arcsec, ft or in")
     below, written = False, []
     if rest.startswith(("1/", "1 /", "/")):
         rest, below = rest.split("/", 1)[1].lstrip(), True
@@ -154,7 +154,7 @@ def factors(text: str) -> tuple[Factor, ...]:
         if sign is None:
             raise UnknownUnit(f'unknown unit "{text}"')
         if below and sign[1] != "/":
-            raise UnknownUnit(f'"{text}" leaves open what is divided by: write a / before each unit that divides')
+            raise UnknownUnit(f'"{text}" is ambiguous: write a / before each unit of the denominator')
         below = below or sign[1] == "/"
         rest = rest[sign.end() :]
 

@@ -41,13 +41,13 @@ SENSITIVITY_KEYS = {"samples": Key("a whole number from 16", default="1024")}
 ALLOCATION_KEYS = {
     "measure": Key("name of a measure with a limit", required=True),
     "yield": Key(f"above 0 and at most {MOST_YIELD}", "0.95", required=True),
-    "cost": Key("a cost, or a list of [factor, cost], by path; 1 for each without"),
+    "cost": Key("costs by path, each a number or a list of [factor, cost]; if left out, 1 for each tolerance"),
     "tightest": Key("above 0 and below loosest", default="0.1"),
     "loosest": Key("at most 1000", default="2.0"),
 }
 ASSEMBLY_KEYS = {
-    "measure": Key("name of a measure without motion; the first such without"),
-    "where": Key("a list of phases; all of the errors without"),
+    "measure": Key("name of a measure that is not dynamic; if left out, the first of these measures"),
+    "where": Key("a list of paths of phases; if left out, the phases of all errors"),
     "units": Key("a whole number from 2", default="1000"),
     "starts": Key("a whole number from 1 to 1000", default="8"),
 }
@@ -142,7 +142,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
     distributions = {path: read_distribution(f"tolerance.{path}", given, known[path], folder) for path, given in leaves}
     if not distributions:
         raise GearjaxError(
-            'tolerance: names no number, such as "errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
+            'tolerance: no number varies; add "errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
         )
     measures = _measures(table["measures"])
     try:
@@ -314,13 +314,14 @@ def _allocation(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...
     measure = _limited(f"{key}.measure", table.get("measure", MISSING), measures)
     required = read_plain(f"{key}.yield", table.get("yield", MISSING))
     if not 0 < required <= MOST_YIELD:
-        raise ParameterError(f"{key}.yield", required, f"must be above 0 and at most {MOST_YIELD}, which can be proved")
+        right = f"must be above 0 and at most {MOST_YIELD}: a higher yield cannot be verified"
+        raise ParameterError(f"{key}.yield", required, right)
     tightest = read_plain(f"{key}.tightest", table.get("tightest", 0.1))
     loosest = read_plain(f"{key}.loosest", table.get("loosest", 2.0))
     if not 0 < tightest < loosest <= 1000:
         raise ParameterError(f"{key}.tightest", tightest, "must be above 0 and below loosest, at most 1000")
     if not tolerances.tolerated:
-        raise SceneError(f"{key}: no tolerance can be bought: all numbers that vary are assembly phases")
+        raise SceneError(f"{key}: there is no tolerance to allocate: all numbers that vary are assembly phases")
     given_costs = table.get("cost", dict.fromkeys(tolerances.tolerated, 1.0))
     if not isinstance(given_costs, dict) or not given_costs:
         raise ParameterError(f"{key}.cost", given_costs, "must be a section of costs by path")
@@ -357,7 +358,9 @@ def _assembly(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...])
     names = [measure.name for measure in measures if measure.analysis != "dynamic"]
     measure = table.get("measure", names[0] if names else MISSING)
     if measure not in names:
-        raise ParameterError(f"{key}.measure", measure, f"must be a measure without motion; {nearest(measure, names)}")
+        raise ParameterError(
+            f"{key}.measure", measure, f"must be a measure that is not dynamic; {nearest(measure, names)}"
+        )
     if not isinstance(tolerances.scene.contact, HardContact):
         raise SceneError(f'{key}: needs [contact] kind = "hard"')
     known = numbers(tolerances.scene)

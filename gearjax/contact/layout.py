@@ -44,9 +44,9 @@ class Layout:
             raise ValueError(f"sides are 1 (driving) or -1 (back), or 0 for all, not {sorted(set(self.side))}")
         counts = np.bincount(self.pair)
         if counts.min() != counts.max():
-            raise ValueError(f"pairs have {counts.min()} to {counts.max()} contacts: every pair needs as many")
+            raise ValueError(f"pairs have {counts.min()} to {counts.max()} contacts: every pair needs the same number")
         if self.across < 1 or counts[0] % self.across:
-            raise ValueError(f"{self.across} across the face: must divide the {counts[0]} contacts of a pair")
+            raise ValueError(f"across = {self.across}: must divide the {counts[0]} contacts of a pair")
 
     @classmethod
     @functools.cache  # analyses ask for the layout at each call

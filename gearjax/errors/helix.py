@@ -104,5 +104,5 @@ def _across(body: str, view: BodyView) -> Float[Array, " contact"]:
     """
     place = profile_of(body, view)
     if place.across is None or place.width is None:
-        raise ParameterError("body", body, "has contacts over all of its face, which cannot show this error")
+        raise ParameterError("body", body, "has no contacts at single places across the face, which this error needs")
     return place.across / place.width

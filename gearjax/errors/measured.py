@@ -34,7 +34,7 @@ class AbstractMeasured(AbstractError):
         if self.flank == "both":
             return gap
         if place.side is None:
-            raise ParameterError("flank", self.flank, 'must be "both": the flanks of its contacts are not told apart')
+            raise ParameterError("flank", self.flank, 'must be "both": contacts of this body have no known flank')
         return jnp.where(place.side == FLANKS[self.flank], gap, 0.0)
 
     def tells_of(self, flank: str) -> bool:
@@ -97,15 +97,17 @@ class MeasuredFlank(AbstractMeasured):
             if not places.size:
                 raise ParameterError(key, "no values", "must have one or more")
             if is_concrete(places) and not (np.diff(np.asarray(places, float)) > 0).all():
-                raise ParameterError(key, f"{places.size} values", "must rise from each to the next")
+                raise ParameterError(key, f"{places.size} values", "must increase from each value to the next")
         points = self.roll.size * self.across.size
         if not self.deviation.size or self.deviation.size % points:
-            words = f"must be {self.roll.size} x {self.across.size} = {points} for each tooth, as roll and across"
+            words = f"must be {self.roll.size} x {self.across.size} = {points} values per tooth, for roll and across"
             raise ParameterError("deviation", f"{self.deviation.size} values", words)
         if self.teeth.size not in (0, self.grids):
-            raise ParameterError("teeth", f"{self.teeth.size} values", f"must be {self.grids}, as many as deviation")
+            raise ParameterError(
+                "teeth", f"{self.teeth.size} values", f"must be {self.grids}, one per tooth of deviation"
+            )
         if is_concrete(self.teeth) and len({*np.asarray(self.teeth).tolist()}) < self.teeth.size:
-            raise ParameterError("teeth", f"{self.teeth.size} values", "must tell each tooth once")
+            raise ParameterError("teeth", f"{self.teeth.size} values", "must list each tooth once")
 
     @property
     def grids(self) -> int:
@@ -121,7 +123,7 @@ class MeasuredFlank(AbstractMeasured):
         low, high = (float(end) / mm for end in gear.roll)
         first, last = float(self.roll[0]) / mm, float(self.roll[-1]) / mm
         if first > high or last < low:
-            words = f"must tell of lengths of roll that may touch, {low:.4g} to {high:.4g} mm: is their unit right?"
+            words = f"must include lengths of roll that can touch, {low:.4g} to {high:.4g} mm: is their unit right?"
             raise ParameterError("roll", f"{first:.4g} to {last:.4g} mm", words)
         half, most = 0.5 * float(gear.width) / mm, float(np.max(np.abs(self.across))) / mm
         if most > half * (1 + ON_FACE):
@@ -135,7 +137,7 @@ class MeasuredFlank(AbstractMeasured):
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
         place = profile_of(self.body, view)
         if place.roll is None or place.across is None:
-            raise ParameterError("body", self.body, "does not show where on its flanks its contacts are")
+            raise ParameterError("body", self.body, "has no known places of the contacts on its flanks")
         values, grid = self._of_teeth(view)
         splines = GridSpline(self.roll, self.ends), GridSpline(self.across, self.ends)
         return self.of_flank(place, place.seen(-surface(*splines, values, grid, (place.roll, place.across))))
@@ -146,13 +148,15 @@ class MeasuredFlank(AbstractMeasured):
         if self.grids == 1:
             return grid, jnp.zeros(view.influence.shape, jnp.int32)
         if rim is None or rim.element is None or rim.elements is None:
-            raise ParameterError("deviation", f"{self.grids} teeth", "give one: its teeth are not told apart")
+            raise ParameterError(
+                "deviation", f"{self.grids} teeth", "give one: contacts of this body have no known tooth"
+            )
         if self.teeth.size:
             same = rim.element[:, None].astype(self.teeth.dtype) == self.teeth[None, :]
             number = jnp.where(same.any(axis=1), jnp.argmax(same, axis=1), self.grids)
             return jnp.concatenate([grid, grid.mean(axis=0, keepdims=True)]), number
         if self.grids != rim.elements:
-            words = f"needs those of one tooth, of {rim.elements}, or teeth to tell which they are of"
+            words = f"must be 1 or {rim.elements} teeth; for other numbers of teeth, list them in teeth"
             raise ParameterError("deviation", f"{self.grids} teeth", words)
         return grid, rim.element
 

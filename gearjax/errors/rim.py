@@ -117,9 +117,11 @@ def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, 
     if values.shape == (1,):
         return jnp.broadcast_to(values, (contacts,))
     if rim.elements is None:
-        raise ParameterError(key, f"{values.size} values", "give one value: its teeth are not told apart")
+        raise ParameterError(key, f"{values.size} values", "give one value: contacts of this body have no known tooth")
     if values.shape != (rim.elements,):
-        raise ParameterError(key, f"{values.size} values", f"needs {rim.elements}, one for each, or one for all")
+        raise ParameterError(
+            key, f"{values.size} values", f"must be {rim.elements}, one per tooth or pin, or one for all"
+        )
     if rim.element is not None:
         return values[rim.element]
     # broadcasting, unlike concatenation, fuses with the operations around it

@@ -47,8 +47,8 @@ def misfits(pair: InvolutePair) -> Iterator[Fault]:
 def longer_contact(pair: InvolutePair) -> str:
     """Advice on how to lengthen the path of contact."""
     if float(pair.tight_pressure_angle) <= 0:  # these teeth have backlash at every centre distance
-        return "raise a tip or the profile shifts"
-    return f"raise a tip or go nearer to {_mm(pair.tight_centre_distance)}"
+        return "increase a tip diameter or the profile shifts"
+    return f"increase a tip diameter, or move the centre distance towards {_mm(pair.tight_centre_distance)}"
 
 
 def faults(pair: InvolutePair) -> Iterator[Fault]:

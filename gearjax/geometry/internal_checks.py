@@ -69,7 +69,7 @@ def _path(pair: InternalPair, rounding: float) -> Iterator[Fault]:
     """Faults of the contact: no path of contact, contact below the involute, or tips that cut each other beyond it."""
     begin, end = (float(part) for part in pair.path)
     if begin >= end:
-        words = "the tips leave no path of contact: raise an addendum, or go nearer to the tight centre distance, "
+        words = "the tips leave no path of contact: raise an addendum, or approach the backlash-free centre distance, "
         yield "centre_distance", _mm(pair.centre_distance), words + _mm(pair.tight_centre_distance)
         return
     form = form_roll(pair.external, rounding)

@@ -193,7 +193,9 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
         if bends[gear].min() <= 0 or thinnest < THINNEST + NEAR:
             thinnest = float(tip_thickness(curves, gear, module, addendum).min()) / module
         if not thinnest >= THINNEST:
-            words = f"tips of the {name} are {thinnest:.4g} modules thick, must be {THINNEST:g} or more: lower it"
+            words = (
+                f"tips of the {name} are {thinnest:.4g} modules thick, must be {THINNEST:g} or more: lower the addendum"
+            )
             yield "addendum", f"{addendum:.6g}", words
             return
     if rounded_ratio.min() > 1 + NEAR:
@@ -203,7 +205,7 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
         if not ratio.min() >= 1:
             place = float(t[int(ratio.argmin())]) / units.deg
             words = f"no continuous contact: contact ratio {ratio.min():.4g} at {place:.4g} deg, must be at least 1"
-            yield "addendum", f"{addendum:.6g}", words + ": raise it"
+            yield "addendum", f"{addendum:.6g}", words + ": raise the addendum"
             return
 
 
@@ -214,8 +216,8 @@ def _locks(curves: PitchCurves, t: np.ndarray, leans: np.ndarray) -> Fault | Non
     if largest <= MOST_LEAN * (1 + 1e-6):
         return None
     place = t[worst] / units.deg
-    words = f"locks itself: pressure angle {largest / units.deg:.6g} deg at {place:.4g} deg, must be at most"
-    words = f"{words} {MOST_LEAN / units.deg:g} deg, a tangent that leans by {(MOST_LEAN - alpha) / units.deg:g} deg"
+    words = f"self-locking: pressure angle {largest / units.deg:.6g} deg at {place:.4g} deg, must be at most"
+    words = f"{words} {MOST_LEAN / units.deg:g} deg, a tangent inclined by {(MOST_LEAN - alpha) / units.deg:g} deg"
     ratio = curves.ratio
     if not isinstance(ratio, EllipseRatio):
         return "ratio", "(as given)", words
@@ -246,9 +248,13 @@ def _sharp(curves: PitchCurves, t: np.ndarray, bends: np.ndarray, module: float,
             worst = int(bend.argmax())
             if bend[worst] * height > share:
                 radius = 1 / bend[worst]
-                told = f"undercut: the pitch curve of the {name} bends {words} by a radius of {_mm(radius)} at "
+                told = f"undercut: the pitch curve of the {name} is curved {words} with a radius of {_mm(radius)} at "
                 told = f"{told}{t[worst] / units.deg:.4g} deg, must be at least {_mm(height / share)}: give more teeth"
-                return "addendum", f"{addendum:.6g}", f"{told}, or at most {_floored(radius * share / module, 4)}"
+                return (
+                    "addendum",
+                    f"{addendum:.6g}",
+                    f"{told}, or an addendum of at most {_floored(radius * share / module, 4)}",
+                )
     return None
 
 

@@ -44,7 +44,7 @@ def suggestions(
     """
     if not len(told.hidden) and not len(fit.others):
         return []
-    progress("trying which further recording would show more")
+    progress("searching for further recordings that would determine more")
     found = []
     before = set(hidden_in_words(model.unknowns, told.hidden))
     for words, record in _tried(model, told, records):
@@ -56,8 +56,10 @@ def suggestions(
         if len(hidden) < len(told.hidden):
             shows.append(f"{len(told.hidden) - len(hidden)} of {len(told.hidden)} hidden directions")
         if apart:
-            some = "which of" if apart == len(fit.others) else f"that {apart} are wrong of"
-            shows.append(f"{some} {1 + len(fit.others)} solutions{' is right' if apart == len(fit.others) else ''}")
+            every, number = apart == len(fit.others), 1 + len(fit.others)
+            shows.append(
+                f"which of {number} solutions is right" if every else f"that {apart} of {number} solutions are wrong"
+            )
         if shows:
             found.append((len(hidden), -apart, len(after - before), Suggestion(words, len(hidden), tuple(shows))))
     found.sort(key=lambda each: each[:3])
@@ -74,17 +76,17 @@ def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[
     tried = []
     if model.loaded and largest:
         light = LIGHT * min(abs(torque) for torque in torques if torque) * np.sign(largest)
-        tried.append((f"the same under a light torque of {light:.3g} N m", light, {}))
+        tried.append((f"the same recording under a light torque of {light:.3g} N m", light, {}))
         if not any(torque * largest < 0 for torque in torques):
-            tried.append((f"the same under a torque that drives, {-largest:.4g} N m", -largest, {}))
+            tried.append((f"the same recording under a driving torque, {-largest:.4g} N m", -largest, {}))
         if len(set(torques)) == 1:
-            tried.append((f"the same under another torque, {0.3 * largest:.4g} N m", 0.3 * largest, {}))
+            tried.append((f"the same recording under another torque, {0.3 * largest:.4g} N m", 0.3 * largest, {}))
     hidden = told.is_hidden(len(model.unknowns.each))
     tells = largest if model.loaded else 0.0
     for path, (along, across) in model.unknowns.vectors.items():
         if hidden[along] or hidden[across]:
             body = path.partition(".")[2]
-            tried.append((f"the same after turning {body} by 90 deg in its seat", tells, {path: TURN}))
+            tried.append((f"the same recording after turning {body} by 90 deg in its seat", tells, {path: TURN}))
     return [
         (words, Measurement(theta, te=flat, torque=np.full(theta.shape, torque), turned=turned))
         for words, torque, turned in tried

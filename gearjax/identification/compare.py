@@ -214,7 +214,7 @@ def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
     cycle = scene.system.cycle
     kind = scene.system.kind
     if not scene.system.turns_evenly:
-        raise SceneError(f"a start angle is for outputs that turn evenly, which that of a {kind} does not")
+        raise SceneError(f"a start angle needs an output that turns evenly; that of a {kind} does not")
     size = max(ANGLES_PER_CURVE, int(20 * scene.system.fastest_order * cycle / (2 * np.pi)))
     if size > MOST_ANGLES:
         raise SceneError(f"a start angle needs {size} angles of a {kind}'s cycle, more than {MOST_ANGLES}")

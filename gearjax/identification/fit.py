@@ -145,7 +145,9 @@ def fitted(
     known = Known(precision[0], precision[1] * sigma**2)
     ends, sums = descend(lambda v: problem.normal(v, weight), ends, known, positive, weight.sum())
     if not np.isfinite(sums.cost).any():
-        raise GearjaxError("the model is not finite at any start: give numbers of the scene nearer to the unit")
+        raise GearjaxError(
+            "the model is not finite at any start: give the scene numbers nearer to the measured gear set"
+        )
     order = np.argsort(sums.cost)
     ends, cost, matrix = ends[order], sums.cost[order], sums.matrix[order]
     good = cost - cost[0] < AS_GOOD * sigma**2

@@ -136,7 +136,7 @@ class Identification:
                 for name, value in other.items()
                 if abs(value - shown[name]) > 1e-3 * max(abs(value), 1e-3)
             ]
-            words.append(f"as good a fit is elsewhere: {', '.join(moved[:12])}")
+            words.append(f"another solution fits equally well: {', '.join(moved[:12])}")
         return words
 
     def curves(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

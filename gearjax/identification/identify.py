@@ -153,7 +153,7 @@ def _free_orders(orders: Any, records: Sequence[Measurement]) -> dict[float, str
             words = f"from {SHORTEST_WAVE / span:.3g} (half a wave in a recording) to {np.pi / step:.3g}"
             raise ParameterError("orders", order, f"must be {words} (two rows per wave), cycles per turn of the input")
         if any(abs(order - other) * span < 0.3 for other in free):
-            raise ParameterError("orders", order, "cannot be told from another one of them")
+            raise ParameterError("orders", order, "is too close to another of the given orders")
         free[order] = f"order {order:.6g}"
     return free
 
@@ -165,22 +165,22 @@ def _thinned(records: list[Measurement], notes: list[str], moves: bool) -> list[
         return records
     size = -(-rows // MOST_ROWS)
     if moves:
-        notes.append(f"{rows} rows: one in {size} is taken")
+        notes.append(f"{rows} rows: one row in {size} is used")
         return [record.every(size) for record in records]
-    notes.append(f"{rows} rows: each {size} that follow each other are averaged")
+    notes.append(f"{rows} rows: each {size} successive rows are averaged")
     return [record.averaged_by(size) for record in records]
 
 
 def _check_suited(scene: Scene, records: list[Measurement], notes: list[str]) -> None:
     """Refuse a scene that lacks a part that the recordings need."""
     if any(record.is_loaded for record in records) and scene.compliance is None:
-        raise SceneError("recordings under torque need a [compliance]: list one, with about its stiffness")
+        raise SceneError("recordings under torque need a [compliance]: list one, with an approximate stiffness")
     for record in records:
         if record.back.any() and not scene.has_back and not scene.layout.sides_turn:
             words = f"{record.name} loads the back flanks, which this scene lacks: list a [backlash]"
             raise SceneError(words)
         if record.is_loaded and (record.loads == 0).any():  # in motion, `check_running` has refused it already
-            notes.append(f"{record.name}: rows without torque among others are compared with the no-load TE")
+            notes.append(f"{record.name}: its rows without torque are compared with the no-load TE")
 
 
 def _drifts(records: Sequence[Measurement]) -> bool:
@@ -229,7 +229,9 @@ def _by_reference(scene: Scene, wanted: _Wanted, notes: list[str]) -> tuple[Scen
         other = _found(scene, wanted)
         if other[1].cost < found[1].cost - AS_GOOD * found[1].sigma ** 2:
             return scene, other
-    notes.append("errors are counted as they are: [reference] is left out, as a recording knows no zero at its start")
+    notes.append(
+        "errors count from the ideal geometry: [reference] is left out, as a recording does not start at TE = 0"
+    )
     return absolute, found
 
 
@@ -301,8 +303,8 @@ def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
     other = _found(scene, still)[1]
     if other.cost < MUCH_BETTER * fit.cost and other.sigma < fit.sigma:
         raise GearjaxError(
-            f"the torque's sign looks turned round: with the other one what is left falls from {fit.sigma:.3g} to "
-            f"{other.sigma:.3g} arcmin (positive resists the output; sign = -1 of the torque beside the file)"
+            f"the torque seems to have the wrong sign: with the other sign the residual falls from {fit.sigma:.3g} to "
+            f"{other.sigma:.3g} arcmin (a positive torque resists the output; give sign = -1 in the TOML file)"
         )
 
 
@@ -318,7 +320,7 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
         if not left or left[0].significance < SIGNIFICANT * max(1.0, hangs):
             break
         known.append(left[0])
-        wanted.progress(f"set free: {left[0].name} ({left[0].amplitude:.3g} arcmin)")
+        wanted.progress(f"order added to the fit: {left[0].name} ({left[0].amplitude:.3g} arcmin)")
         ends = np.concatenate([fit.values[None], fit.others])
         starts = np.concatenate([ends, np.zeros((len(ends), 2))], axis=1)
         fit = _fit(model, scene, wanted.records, [each.order for each in known], wanted.options, starts)
@@ -364,21 +366,23 @@ def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], n
     size = len(model.unknowns.each)
     outlying = int((fit.weight < OUTLYING).sum())
     if outlying > 2e-3 * fit.weight.size:
-        notes.append(f"{outlying} of {fit.weight.size} rows lie far off and count less")
+        notes.append(f"{outlying} of {fit.weight.size} rows are outliers and have less weight")
     noise = noise_of(fit.problem.rows)
     if fit.sigma > POOR * noise and told.blocks > 1:
         notes.append(
-            f"what is left ({fit.sigma:.3g} arcmin) is more than the noise from row to row ({noise:.3g} arcmin): "
-            f"something is not modelled; standard errors are of blocks of {told.blocks} rows"
+            f"the residual ({fit.sigma:.3g} arcmin) is larger than the noise from row to row ({noise:.3g} arcmin): "
+            f"an effect is not modelled; standard errors come from blocks of {told.blocks} rows"
         )
     for unknown, value in zip(model.unknowns.each, fit.values[:size], strict=True):
         if unknown.kind == "reciprocal" and value < 0.02:
-            notes.append(f"{unknown.name}: nothing bends under the torque: is the torque right?")
+            notes.append(f"{unknown.name}: the recordings show no deflection under torque: is the torque right?")
         if unknown.path == "backlash.initial" and value < 0:
-            notes.append("backlash.initial is below zero: flanks jam, or the recordings' offsets differ by more")
+            notes.append(
+                "backlash.initial is below zero: flanks jam, or the recordings' offsets differ by more than it"
+            )
     if len(fit.others):
         notes.append(
-            f"{len(fit.others)} other solution(s) explain the recordings as well: intervals are of one of them"
+            f"{len(fit.others)} other solution(s) explain the recordings equally well: intervals are for one of them"
         )
     if len(records) == 1 and "compliance.mean" in model.unknowns.names:
-        notes.append("one recording alone hardly tells stiffness from the encoders' offset")
+        notes.append("one recording alone hardly separates the stiffness from the encoders' offset")

@@ -14,12 +14,12 @@ from gearjax.units import deg
 
 RATIO_TOLERANCE = 2e-3  # relative deviation of the output's slope from that of the gear set
 FACTORS = {  # factors of a wrong slope, and the likely cause
-    180 / np.pi: "the input angle seems to be in radians, or the output angle in degrees, against its header",
-    np.pi / 180: "the input angle seems to be in degrees, or the output angle in radians, against its header",
-    360.0: "one of the angles seems to be in turns, against its header",
-    1 / 360.0: "one of the angles seems to be in turns, against its header",
-    60.0: "one of the angles seems to be in arcmin, against its header",
-    1 / 60.0: "one of the angles seems to be in arcmin, against its header",
+    180 / np.pi: "the input angle seems to be in radians, or the output angle in degrees, unlike its header says",
+    np.pi / 180: "the input angle seems to be in degrees, or the output angle in radians, unlike its header says",
+    360.0: "one of the angles seems to be in turns, unlike its header says",
+    1 / 360.0: "one of the angles seems to be in turns, unlike its header says",
+    60.0: "one of the angles seems to be in arcmin, unlike its header says",
+    1 / 60.0: "one of the angles seems to be in arcmin, unlike its header says",
 }
 SHORTEST = 3  # rows
 FLIPS = 0.05  # share of the rows with a change of sign, above which a torque may be noise
@@ -63,7 +63,9 @@ class Measurement:
         if theta.size < SHORTEST:
             raise ParameterError("theta", theta.size, f"is a number of rows: at least {SHORTEST} are needed")
         if (self.output is None) == (self.te is None):
-            raise ParameterError("output", "both or none", "give the output angle, or the transmission error (te)")
+            raise ParameterError(
+                "output", "both or none", "give either the output angle or the transmission error (te)"
+            )
         for key in ("output", "te", "time"):
             if getattr(self, key) is not None:
                 _row(self, key, theta.size)
@@ -123,7 +125,7 @@ class Measurement:
             raise GearjaxError(f"{self.name}: turns both ways: give one recording for each direction")
         if self.output is not None:
             _check_ratio(self, scene)
-        words = [f"{self.name}: its torque is taken for none, as it is noise about zero"] if self.is_noise else []
+        words = [f"{self.name}: its torque is taken as zero, because it is noise about zero"] if self.is_noise else []
         return [*self.told(), *words, *_check_span(self, scene)]
 
     def averaged_by(self, size: int) -> "Measurement":
@@ -196,7 +198,7 @@ def _check_ratio(measured: Measurement, scene: Scene) -> None:
     if abs(abs(slope) / order**2 - 1) < 0.02:
         raise GearjaxError(f"{words}: input angle and output angle look exchanged")
     if abs(slope + 1) < RATIO_TOLERANCE:
-        raise GearjaxError(f"{words[:-7]}: it turns the other way, give it the other sign (sign = -1 beside the file)")
+        raise GearjaxError(f"{words[:-7]}: it turns in the opposite direction, give sign = -1 in the TOML file")
     raise GearjaxError(
         f"{words}: the recording fits a ratio of {order / slope:.6g} turns of the input per turn of the output, this "
         f"gear set has {order:.6g}: other tooth numbers, or another body is the input"
@@ -223,18 +225,18 @@ def _check_span(measured: Measurement, scene: Scene) -> list[str]:
     for name, order in bodies.items():
         if order * step >= np.pi:
             raise GearjaxError(
-                f"{measured.name}: aliased, {2 * np.pi / step:.3g} rows per turn of the input, of which the {name} has "
-                f"{order:.4g} turns: at least {2 * order:.3g} rows are needed"
+                f"{measured.name}: aliased, {2 * np.pi / step:.3g} rows per turn of the input, in which the {name} "
+                f"makes {order:.4g} turns: at least {2 * order:.3g} rows are needed"
             )
     if max(orders.values(), default=0.0) * step >= np.pi:
         name = max(orders, key=lambda each: orders[each])
-        told.append(f"{measured.name}: fewer than two rows per {name}: its waves fold into lower orders")
+        told.append(f"{measured.name}: fewer than two rows per period of order {name}: it is aliased to lower orders")
     slow = min(bodies, key=lambda name: bodies[name]) if bodies else "input"
     turns = float(np.ptp(theta)) * bodies.get(slow, 1.0) / (2 * np.pi)
     if turns < 0.98:
         told.append(
-            f"{measured.name}: covers {turns:.2g} turns of the {slow}: errors that turn slowly are hard to tell from "
-            "the encoders' offset"
+            f"{measured.name}: covers {turns:.2g} turns of the {slow}: errors of slow bodies are hard to separate "
+            "from the encoders' offset"
         )
     gap = float(np.abs(np.diff(theta)).max())
     if gap > 20 * step:
@@ -249,7 +251,7 @@ def a_measurement(name: str, value: Any) -> None:
             words = "must be a Measurement, or a list of them: gj.read_measurement(path) reads one"
             raise ParameterError(name, str(record) if not np.ndim(record) else np.shape(record), words)
     if not several(value):
-        raise ParameterError(name, value, "has no recording in it")
+        raise ParameterError(name, value, "must contain a recording")
 
 
 def several(records: Any) -> list[Any]:

@@ -78,10 +78,10 @@ class Course(NamedTuple):
         steps = (duration + run_in) / step
         steps = max(steps, min(FINER * steps, FINE))
         if steps > MOST_STEPS:
-            words = f"and {run_in:.3g} s before it, until its start is forgotten ([damping])" if decay > 0 else ""
+            words = f" and {run_in:.3g} s before it, until its start is forgotten ([damping])" if decay > 0 else ""
             raise SceneError(
-                f"{record.name}: lasts {duration:.3g} s {words}, of which the motion takes {steps:.2g} steps, more "
-                f'than {MOST_STEPS:.2g}: give a part of it, or analysis = "static" for what turns slowly'
+                f"{record.name}: its {duration:.3g} s{words} need {steps:.2g} steps of motion, more than "
+                f'{MOST_STEPS:.2g}: give a part of it, or analysis = "static" for errors of slow bodies'
             )
         coarse = 1 << max(3, int(np.log2(steps / PER_SAMPLE)) - 2)  # few numbers of steps, so few programs
         samples = 1 + coarse * math.ceil(steps / PER_SAMPLE / coarse)
@@ -109,8 +109,8 @@ def moving_error(scene: Scene, record: Measurement, theta: np.ndarray | None = N
     numbers = (jnp.asarray(part) for part in (course.spacing, place, share))
     begun = int(np.searchsorted(ts, float((at.theta / course.speed).min())))
     apart = float(np.mean(~np.any(np.asarray(motion.forces)[begun:] > 0, axis=1)))
-    words = f"{record.name}: its teeth lose contact in {100 * apart:.2g} % of the time: from other starts the motion"
-    return np.asarray(_between(motion, *numbers)), [f"{words} may be another one"] if apart else []
+    words = f"{record.name}: its teeth lose contact in {100 * apart:.2g} % of the time: from another start the motion"
+    return np.asarray(_between(motion, *numbers)), [f"{words} may differ"] if apart else []
 
 
 def _places(course: Course, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

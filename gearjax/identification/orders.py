@@ -57,7 +57,9 @@ def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[floa
             add(times * order, name if times == 1 else f"{times} x {name}", body)
     for times in range(1, PER_OUTPUT_TURN + 1):
         add(
-            times * output, f"{times} per turn of the output", "no body of the gear set: the rig, or a slip of its zero"
+            times * output,
+            f"{times} per turn of the output",
+            "no body of the gear set: the test rig, or a shift of its zero",
         )
     return found
 

@@ -71,12 +71,14 @@ class Posterior:
         for i, name in enumerate(self.names):
             away, wider = abs(self.mean[i] - mean[i]) / spread[i], self.std[i] / spread[i]
             if away > TOLD_BY or not 1 / WIDER < wider < WIDER:
-                words.append(f"{name}: {wider:.2f} times as wide, its mean {away:.2f} standard errors away")
+                words.append(
+                    f"{name}: {wider:.2f} times the width of least squares, mean shifted by {away:.2f} standard errors"
+                )
         return words
 
 
 @arguments.checked(
-    found=arguments.an(Identification, "must be what gj.identify returns"),
+    found=arguments.an(Identification, "must be a result of gj.identify(...)"),
     chains=arguments.whole(1),
     draws=arguments.whole(2),
     warm_up=arguments.whole(10),
@@ -117,7 +119,7 @@ def posterior(
     """
     if isinstance(found.model, MovingModel):
         raise GearjaxError(
-            "posterior: draws of recordings in motion would take hours: the intervals of gj.identify are what there is"
+            "posterior: draws of recordings in motion would take hours: use the intervals of gj.identify"
         )
     try:
         import blackjax

@@ -92,7 +92,7 @@ class Reassembly:
 
 def _steps(name: str, value: Any) -> None:
     if not isinstance(value, Mapping):
-        raise ParameterError(name, value, 'must be by error: {"errors.planet_1": 50} for 50 places on a turn')
+        raise ParameterError(name, value, 'must be by error: {"errors.planet_1": 50} for 50 positions per turn')
     for path, places in value.items():
         arguments.whole(1)(f"{name} of {path}", places)
 
@@ -103,7 +103,7 @@ def _metric(name: str, value: Any) -> None:
 
 
 @arguments.checked(
-    found=arguments.an(Identification, "must be what gj.identify returns"),
+    found=arguments.an(Identification, "must be a result of gj.identify(...)"),
     steps=_steps,
     metric=_metric,
     draws=arguments.whole(2),
@@ -152,16 +152,16 @@ def reassemble(
     paths = list(vectors) if where is None else [where] if isinstance(where, str) else list(where)
     for path in [*paths, *(steps or {})]:
         if path not in vectors:
-            raise ParameterError("where", path, f"is no eccentricity that was found; {nearest(path, vectors)}")
+            raise ParameterError("where", path, f"is not an identified eccentricity; {nearest(path, vectors)}")
     for path in steps or {}:
         if path not in paths:
-            raise ParameterError("steps", path, f"is not turned; {nearest(path, paths)}")
+            raise ParameterError("steps", path, f"is not among the errors in where; {nearest(path, paths)}")
     if not paths:
-        raise ParameterError("where", (), f"names no eccentricity that was found; {nearest('', vectors)}")
+        raise ParameterError("where", (), f"names no identified eccentricity; {nearest('', vectors)}")
     if torque < 0 and not (found.scene.has_back or found.scene.layout.sides_turn):
         raise ParameterError("torque", torque, "loads the back flanks, which this scene lacks")
     if torque and not found.model.loaded:
-        raise ParameterError("torque", torque, "needs recordings under torque: stiffness was not found")
+        raise ParameterError("torque", torque, "needs recordings under torque: the stiffness was not identified")
     progress(f"turning {', '.join(path.partition('.')[2] for path in paths)}")
     turning = _Turning(found, paths, steps or {}, metric, torque)
     drawn = found.draws(draws, key)

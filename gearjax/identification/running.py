@@ -52,10 +52,10 @@ def speed_of(record: Measurement) -> float:
         where = int(np.argmax(steps < 0))
         raise GearjaxError(f"{record.name}: time goes back after row {where}: sort the rows by time")
     if np.ptp(record.time) == 0:
-        raise GearjaxError(f"{record.name}: time is {record.time[0]:.6g} s in every row, which tells no speed")
+        raise GearjaxError(f"{record.name}: time is {record.time[0]:.6g} s in every row, so the speed is unknown")
     speed = robust_slope(record.time, record.theta)
     if speed == 0 or not np.isfinite(speed):
-        raise GearjaxError(f"{record.name}: the input stands still in most rows: cut them off for the dynamic TE")
+        raise GearjaxError(f"{record.name}: the input stands still in most rows: remove them for the dynamic TE")
     return speed
 
 
@@ -71,15 +71,17 @@ def check_running(scene: Scene, records: Sequence[Measurement]) -> list[str]:
         raise SceneError('recordings in motion need float64: switch "jax_enable_x64" on before the scene is loaded')
     loaded = [record for record in records if record.is_loaded]
     if not loaded:
-        raise GearjaxError("the dynamic TE is that of recordings under torque: there is none")
+        raise GearjaxError("the dynamic TE needs a recording under torque: there is none")
     told = []
     for record in loaded:
         told += _check(scene, record)
-    told += [f"{each.name}: without torque, beside the no-load TE" for each in records if not each.is_loaded]
+    told += [
+        f"{each.name}: compared with the no-load TE, as it is without torque" for each in records if not each.is_loaded
+    ]
     if scene.load is not None and not isinstance(scene.load, ConstantLoad):
-        told.append("[load] is left out: the torque is the recorded one")
+        told.append("[load] is not used: the torque is that of the recording")
     if scene.damping is None or float(scene.damping.ratio) == 0:
-        told.append("without [damping] the vibration of the start never dies out: what was before the recording counts")
+        told.append("without [damping] vibrations never die out: the motion depends on the time before the recording")
     return told
 
 
@@ -91,7 +93,7 @@ def _check(scene: Scene, record: Measurement) -> list[str]:
     if loads.min() * loads.max() <= 0:
         words = "its torque is zero in some rows, or changes its sign: give one recording for each torque"
         raise GearjaxError(f"{record.name}: {words}")
-    told = [f"{record.name}: the input turns at {abs(speed) / rpm:.5g} rpm, by its times"]
+    told = [f"{record.name}: the input turns at {abs(speed) / rpm:.5g} rpm, from its times"]
     ratio = abs(speed) / float(scene.system.input_speed)
     if not 1 / ANOTHER_UNIT < ratio < ANOTHER_UNIT:
         given = float(scene.system.input_speed) / rpm
@@ -100,7 +102,7 @@ def _check(scene: Scene, record: Measurement) -> list[str]:
     for what, share in (("input speed", _unevenness(record, speed)), ("torque", varies)):
         words = f"{record.name}: its {what} varies by {100 * share:.2g} %"
         if share > TOO_UNEVEN:
-            raise GearjaxError(f"{words}: the motion is computed at one, give a part where it is steady")
+            raise GearjaxError(f"{words}: the motion is computed for one value, give a part where it is steady")
         if share > UNEVEN:
             told.append(f"{words}: the motion is computed at its mean")
     return told

@@ -196,7 +196,7 @@ def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, 
         if not isinstance(path, str):
             raise ParameterError("where", path, 'must be paths such as "errors.planet_1" or "compliance.mean"')
         if not loaded and path.partition(".")[0] in ("compliance", "supports", "shafts"):
-            raise ParameterError("where", path, "needs a recording under torque: without, nothing bends")
+            raise ParameterError("where", path, "needs a recording under torque: without torque nothing deflects")
         each += _of(scene, path, known)
     names = [unknown.name for unknown in each]
     for name in names:
@@ -237,7 +237,7 @@ def _number(scene: Scene, path: str, parameter: Parameter) -> Unknown:
     unit, per_unit = parameter.shown_in
     if parameter.dimension in (units.STIFFNESS, units.LINE_STIFFNESS, units.TORSION):
         if value <= 0:
-            raise ParameterError("where", path, "is zero in the scene: give about what it is")
+            raise ParameterError("where", path, "is zero in the scene: give an approximate value")
         return Unknown(path, "reciprocal", path, value, unit, per_unit)
     if parameter.dimension is units.LENGTH:
         small = abs(value) <= 1e-3
@@ -272,7 +272,7 @@ def priors_of(unknowns: Unknowns, priors: Mapping[str, Any]) -> tuple[np.ndarray
     for name, given in priors.items():
         name = name.removesuffix("[*]")
         if name not in names:
-            raise ParameterError(f"priors of {name}", given, f"is not looked for; {nearest(name, names)}")
+            raise ParameterError(f"priors of {name}", given, f"is not among the unknowns; {nearest(name, names)}")
         prior = _prior(f"priors of {name}", given)
         for i in names[name]:
             unknown = unknowns.each[i]

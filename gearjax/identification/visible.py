@@ -200,7 +200,7 @@ def hidden_in_words(unknowns: Unknowns, hidden: np.ndarray) -> list[str]:
             words.append(f"nothing in the recordings depends on {names[0]}")
             continue
         changes = ", ".join(_change(unknowns.names[i], row[i]) for i in taking)
-        words.append(f"the recordings do not change with {changes} together")
+        words.append(f"the recordings do not change with {changes} together, for any d")
     return words
 
 

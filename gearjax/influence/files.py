@@ -91,11 +91,13 @@ def read_influence(path: str | Path, gear: InvoluteGear) -> InfluenceTable:
     _check_header(path, header)
     definition = {"gear": header["gear"], "made": header["made"]}
     if hash_of(definition) != header["sha256"]:
-        raise GearjaxError(f"{place(path)}: sha256 is not that of gear and made, {hash_of(definition)[:12]}...")
+        raise GearjaxError(
+            f"{place(path)}: sha256 does not match gear and made; right is {hash_of(definition)[:12]}..."
+        )
     if definition["gear"] != gear_definition(gear):
         theirs, ours = definition["gear"], gear_definition(gear)
         key = next(key for key in (*ours, *theirs) if theirs.get(key) != ours.get(key))
-        raise GearjaxError(f"{place(path)}: made for another gear, {key} {theirs.get(key)} and not {ours.get(key)}")
+        raise GearjaxError(f"{place(path)}: made for another gear, with {key} = {theirs.get(key)}, not {ours.get(key)}")
     try:
         return InfluenceTable(*arrays, made_for=gear_hash(gear))
     except GearjaxError as fault:

@@ -56,7 +56,7 @@ def outline(gear: InvoluteGear, radii: np.ndarray, *, rim: float, fillet: float,
     slack = ROUNDED * tip
     if heights[0] < -slack or heights[-1] > room + slack or (np.diff(heights) <= 0).any():
         raise GearjaxError(
-            f"radii from {radii[0]:.6g} to {radii[-1]:.6g} m: they go from the end of the fillet ({end:.6g} m) "
+            f"radii from {radii[0]:.6g} to {radii[-1]:.6g} m: must go from the end of the fillet ({end:.6g} m) "
             f"towards the tip ({tip:.6g} m)"
         )
     below = heights[0] - graded(heights[0], heights[1] - heights[0], slack)[::-1]

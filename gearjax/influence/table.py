@@ -65,7 +65,7 @@ class InfluenceTable(eqx.Module):
         if self.made_for != gear_hash(gear):
             raise GearjaxError(
                 f"influence table: made for another gear (hash {self.made_for[:12]}) than this one of {gear.teeth} "
-                f"teeth (hash {gear_hash(gear)[:12]}); make it anew by tooth_influence"
+                f"teeth (hash {gear_hash(gear)[:12]}); compute it again with tooth_influence"
             )
 
 

@@ -201,11 +201,13 @@ def _check_lengths(
         if not (np.isfinite(value) and value > 0):
             raise ParameterError(f"tooth_influence.{name}", value, "has to be above 0")
     if not 0 <= poissons_ratio < 0.5:
-        raise ParameterError("tooth_influence.poissons_ratio", poissons_ratio, "from 0 to below 0.5")
+        raise ParameterError("tooth_influence.poissons_ratio", poissons_ratio, "must be from 0 to below 0.5")
     if not 0 <= fillet < np.inf:
         raise ParameterError("tooth_influence.fillet", fillet, "has to be 0 or above")
     if not 0 <= meeting[0] < meeting[1] <= face_width * (1 + 1e-12):
-        raise ParameterError("tooth_influence.meeting", meeting, f"from and to, between 0 and {face_width:.6g} m")
+        raise ParameterError(
+            "tooth_influence.meeting", meeting, f"must be start and end between 0 and {face_width:.6g} m"
+        )
 
 
 def _check_numbers(elements: _Elements, distances: int) -> None:
@@ -213,9 +215,9 @@ def _check_numbers(elements: _Elements, distances: int) -> None:
     least = _Elements(profile=3, layers=1, thickness=1, space=1, teeth=1)
     for name, given, needed in zip(elements._fields, elements, least, strict=True):
         if given < needed:
-            raise ParameterError(f"tooth_influence.{name}", given, f"at least {needed}")
+            raise ParameterError(f"tooth_influence.{name}", given, f"must be at least {needed}")
     if elements.teeth % 2 == 0:
-        raise ParameterError("tooth_influence.teeth", elements.teeth, "an odd number: the middle one is loaded")
+        raise ParameterError("tooth_influence.teeth", elements.teeth, "must be odd: the middle tooth is loaded")
     if not 0 <= distances <= elements.teeth // 2:
-        right = f"from 0 to {elements.teeth // 2}, with {elements.teeth} teeth"
+        right = f"must be from 0 to {elements.teeth // 2}, with {elements.teeth} teeth"
         raise ParameterError("tooth_influence.distances", distances, right)

@@ -2,18 +2,23 @@
 
 import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gearjax.files import write_file
 from gearjax.typing import ArrayLike
-from gearjax.units import arcmin
+from gearjax.units import arcmin, deg
 
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+"""Colours of Okabe and Ito (2008), which colour-blind readers tell apart, and a grey."""
+STYLES = ("-", "--", ":", "-.")
+MOST_DEGREES = 3600.0  # longer records show turns of the input
 MOST_POINTS = 20_000  # largest number of points drawn per curve
 _kept: ContextVar[dict[str, Figure] | None] = ContextVar("_kept", default=None)
 
@@ -38,6 +43,36 @@ def draw_curve(ax: Axes, time: ArrayLike, angle: ArrayLike, label: str, **style)
     """Draw an angle [rad] over time [s], in arcmin."""
     time, angle = thin(time, angle)
     ax.plot(time, angle / arcmin, label=label, linewidth=style.pop("linewidth", 1.0), **style)
+
+
+def styles_of(names: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Colour and line style of each case: one of them means one case in all panels of a figure."""
+    return {
+        name: {"color": COLOURS[place % len(COLOURS)], "linestyle": STYLES[place // len(COLOURS) % len(STYLES)]}
+        for place, name in enumerate(dict.fromkeys(names))
+    }
+
+
+def add_input_angle(ax: Axes, speed: float) -> None:
+    """Add an axis of the input angle above a time axis.
+
+    Args:
+        ax: axes over time [s].
+        speed: speed of the input [rad/s].
+    """
+    last = speed * ax.get_xlim()[1] / deg
+    unit, words = (deg, "input angle [deg]") if last <= MOST_DEGREES else (360 * deg, "turns of the input [-]")
+    per_second = speed / unit
+
+    def angle_at(time: npt.ArrayLike) -> npt.ArrayLike:
+        return np.asarray(time) * per_second
+
+    def time_of(angle: npt.ArrayLike) -> npt.ArrayLike:
+        return np.asarray(angle) / per_second
+
+    above = ax.secondary_xaxis("top", functions=(angle_at, time_of))
+    above.set_xlabel(words, fontsize="small")
+    above.tick_params(labelsize="small")
 
 
 def finish(ax: Axes, title: str, x: str = "time [s]", y: str = "transmission error [arcmin]") -> None:

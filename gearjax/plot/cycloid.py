@@ -47,8 +47,11 @@ def stage_figure(system: RVCycloidal, theta: float, forces: ArrayLike | None = N
         arrows = towards / np.linalg.norm(towards, axis=1, keepdims=True) * size[:, None]
         if carrying.any():
             ax.quiver(*pins[carrying].T, *arrows.T, angles="xy", scale_units="xy", scale=1, color="tab:red", width=4e-3)
-        ax.plot(*centre, "+", color="tab:blue")
-        ax.plot(*pitch_point, "x", color="tab:red", markersize=5)
+        ax.plot(*centre, "+", color="tab:blue", label="axis of the disc")
+        ax.plot(*pitch_point, "x", color="tab:red", markersize=5, label="pitch point")
+        if forces is not None:
+            ax.plot([], [], color="tab:red", marker=r"$\rightarrow$", linestyle="none", label="force of a pin")
+        ax.legend(loc="lower right", fontsize="small")
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
         words = f", longest arrow {largest:.0f} N" if forces is not None else ""
         ax.set_title(f"disc {index + 1}, crank at {np.degrees(crank) % 360:.1f} deg{words}", fontsize="medium")

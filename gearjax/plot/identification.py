@@ -90,9 +90,10 @@ def estimates_figure(found: Identification) -> Figure:
         values = np.array([each.value for each in members])
         spread = np.array([0.0 if each.error is None else 1.96 * each.error for each in members])
         ax.axhline(0.0, color="0.6", linewidth=0.8)
-        ax.errorbar(place[told], values[told], spread[told], fmt="o", capsize=3, color=COMPUTED, label="told, 95 %")
+        label = "identified, 95 % interval"
+        ax.errorbar(place[told], values[told], spread[told], fmt="o", capsize=3, color=COMPUTED, label=label)
         if not told.all():
-            ax.plot(place[~told], values[~told], "o", color=COMPUTED, fillstyle="none", label="not told by itself")
+            ax.plot(place[~told], values[~told], "o", color=COMPUTED, fillstyle="none", label="not identified")
         ax.set_xticks(place, [each.name.removeprefix("errors.") for each in members])
         ax.tick_params(axis="x", labelrotation=60, labelsize="x-small")
         finish(ax, "", "", f"value [{unit or members[0].unit or '-'}]")
@@ -100,7 +101,7 @@ def estimates_figure(found: Identification) -> Figure:
         f"{each.name} {each.value:.4g}{'' if each.error is None else f' ± {1.96 * each.error:.2g}'} {each.unit}"
         for each in others
     ]
-    axes[0].set_title("\n".join(["Numbers found", *words]), fontsize="small")
+    axes[0].set_title("\n".join(["Identified numbers", *words]), fontsize="small")
     return figure
 
 
@@ -115,7 +116,7 @@ def residual_figure(found: Identification) -> Figure:
     known = candidates(found.scene, theta, np.zeros(theta.size, int))
     orders = np.array(sorted(known))
     output = found.scene.system.orders.get("output", 1.0)
-    for curve, label, colour in ((measured, "measured", MEASURED), (measured - computed, "left", LEFT)):
+    for curve, label, colour in ((measured, "measured", MEASURED), (measured - computed, "residual", LEFT)):
         amplitude, _ = waves(theta, curve, list(orders))
         ax.vlines(orders / output, 1e-6, np.maximum(amplitude / arcmin, 1e-6), color=colour, linewidth=1.4)
         ax.plot(orders / output, amplitude / arcmin, ".", color=colour, label=label, markersize=4)

@@ -82,7 +82,7 @@ def pair_figure(scene: Scene, theta: float, forces: ArrayLike) -> Figure:
         bars.set(xlim=teeth.get_xlim(), ylim=(0.0, 1.25 * max(float(zone.loads.max()) for zone in zones) or 1.0))
         crank = system.orders["crank"] * theta + 2 * np.pi * number / len(zones)
         gear = f"gear_{number + 1} in the ring, crank at {np.degrees(crank) % 360:.1f} deg, {flanks}"
-        drawn = f"gaps before the load {factor:g} times as large, forces on the ring, longest arrow {largest:.3g} N"
+        drawn = f"unloaded gaps enlarged {factor:g} times, forces on the ring, longest arrow {largest:.3g} N"
         teeth.set_title(f"{gear}: {drawn}", fontsize="medium")
     return figure
 
@@ -172,7 +172,7 @@ def _draw_teeth(ax: Axes, system: InvoluteRV, zone: Zone, factor: float, largest
     facing = laid_out(zone.place[0])
     carries = zone.force > 0
     ax.plot(*np.stack([touching, facing], axis=1).reshape(2, 2, -1), color="0.5", linewidth=0.8)
-    kinds = (carries, "tab:red", "candidate that carries"), (~carries, "white", "one that does not")
+    kinds = (carries, "tab:red", "loaded candidate contact"), (~carries, "white", "unloaded candidate contact")
     for chosen, face, words in kinds:
         ax.plot(*touching[:, chosen], "o", markersize=4, markerfacecolor=face, color="tab:red", label=words, zorder=4)
     turn = zone.normal * np.exp(-1j * np.angle(zone.place[0]))  # real part outwards, imaginary along the circumference

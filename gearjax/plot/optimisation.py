@@ -27,6 +27,13 @@ def before_after_figure(optimisation: Optimisation) -> Figure:
     return figure
 
 
+def _above(ax: Axes) -> None:
+    """Put the title on the left above the axes and the legend beside it, where no curve is."""
+    ax.set_title(ax.get_title(), loc="left", fontsize="medium")
+    ax.set_title("")
+    ax.legend(fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.1)
+
+
 def _curves(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> None:
     run = required_run(optimisation.scene)
     time = run.times
@@ -40,7 +47,7 @@ def _curves(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> Non
         room = 0.08 * np.ptp(settled)
         ax.set_ylim(settled.min() - room, settled.max() + room)
     finish(ax, case.title, y="backlash [arcmin]" if case.analysis == "backlash" else "TE [arcmin]")
-    ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
+    _above(ax)
 
 
 def _spectra(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> None:
@@ -62,7 +69,7 @@ def _spectra(ax: Axes, optimisation: Optimisation, cases: dict[str, Case]) -> No
         ax.set_yscale("log")
         ax.set_ylim(1e-5 * drawn, 3 * drawn)
     finish(ax, f"{cases['before'].title}: spectrum", x="order [cycles per turn of the output]", y="amplitude [arcmin]")
-    ax.legend(fontsize="small", loc="upper right", ncols=2, framealpha=0.8)
+    _above(ax)
 
 
 def search_figure(optimisation: Optimisation) -> Figure:
@@ -114,7 +121,7 @@ def _history(ax: Axes, optimisation: Optimisation) -> None:
     _reference_lines(ax, optimisation)
     finish(
         ax,
-        "Objective on the way: smoothed, then polished",
+        "Objective during the search: smoothed, then refined",
         x="evaluations of objective and gradient per start [-]",
         y=f"objective [{optimisation.unit.shown}]",
     )
@@ -136,7 +143,7 @@ def _directions(ax: Axes, optimisation: Optimisation) -> None:
     finish(
         ax,
         "Directions of curvature",
-        x=f"cost of {around.told(FLAT_STEP)} along the direction",
+        x=f"rise of the objective by {around.told(FLAT_STEP)} along the direction",
         y="share of each number [-]",
     )
     ax.legend(fontsize="small", loc="best", framealpha=0.8)
@@ -150,12 +157,12 @@ def _deviations(ax: Axes, optimisation: Optimisation) -> None:
     for index, deviation in enumerate(around.deviations):
         single = around.single[index].max(axis=1)
         heights = np.array([*single, around.mean[index], around.worst[index]]) / unit.per_shown
-        ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"off by {around.told(deviation)}")
+        ax.bar(place + (index + 0.5) * width - 0.4, heights, width, label=f"error of {around.told(deviation)}")
     ax.axhline(around.objective / unit.per_shown, color="black", linewidth=0.9, label="as optimised")
     if (grid := optimisation.grid) is not None:
         ax.axhline(grid.objective / unit.per_shown, label="best of the grid", linewidth=0.9, color=COLOURS["grid"])
     ax.set_xticks(place, [*names, "all: mean", "all: worst"], rotation=20, ha="right", fontsize="small")
-    finish(ax, "What assembly errors cost", x="which number is off", y=f"objective [{unit.shown}]")
+    finish(ax, "Effect of assembly errors", x="number with an error", y=f"objective [{unit.shown}]")
     ax.set_ylim(0.0, 1.4 * ax.get_ylim()[1])  # room for the legend
     ax.legend(fontsize="small", loc="upper left", framealpha=0.8)
 

@@ -55,7 +55,7 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     turn = np.degrees(float(theta[0])) % 360
     lines.set_title(f"contact lines, pinion at {turn:.1f} deg", fontsize="medium")
     mean = float(forces.sum(axis=1).mean()) / float(system.face_width) * PER_MM
-    told = f"highest of {len(theta)} angles, {load.max():.3g} N/mm; all together {mean:.3g} N per mm of face"
+    told = f"maximum of {len(theta)} angles, {load.max():.3g} N/mm; mean total {mean:.3g} N per mm of face"
     highest.set_title(told, fontsize="medium")
     for axes in (lines, highest):
         axes.add_patch(Rectangle((ends[0], -half), ends[1] - ends[0], 2 * half, fill=False, edgecolor="0.4"))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from gearjax.analysis import Motion, TransmissionError
 from gearjax.coordinates import unit_of
 from gearjax.errors import AbstractMeasured
-from gearjax.plot.axes import draw_curve, finish, new_figure, save_figure, thin
+from gearjax.plot.axes import add_input_angle, draw_curve, finish, new_figure, save_figure, styles_of, thin
 from gearjax.plot.cycloid import stage_figure
 from gearjax.plot.involute import pair_figure
 from gearjax.plot.measured import measured_figure
@@ -23,6 +23,7 @@ from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
+MOST_NAMES = 9  # contacts of an image that are named beside it
 
 
 def error_figure(scene: Scene, cases: list[Case]) -> Figure:
@@ -38,11 +39,12 @@ def error_figure(scene: Scene, cases: list[Case]) -> Figure:
     groups = [(title, members) for title, members in groups if members]
     figure, axes = new_figure(len(groups))
     run = required_run(scene)
-    time = run.times
+    time, styles = run.times, styles_of(case.title for case in cases)
     for ax, (title, members) in zip(axes, groups, strict=True):
         for case in members:
-            draw_curve(ax, time, case.record, case.title)
+            draw_curve(ax, time, case.record, case.title, **styles[case.title])
         finish(ax, title, y="backlash [arcmin]" if title == "Backlash" else "transmission error [arcmin]")
+        add_input_angle(ax, float(scene.system.input_speed))
     return figure
 
 
@@ -63,7 +65,7 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         assert isinstance(case.result, (TransmissionError, Motion))
         forces = np.asarray(case.result.forces)
         if forces.shape[1] > MOST_LINES:
-            _waterfall(ax, time, forces, case.title)
+            _waterfall(ax, time, forces, case.title, scene.system)
             continue
         for contact in range(forces.shape[1]):
             layout = case.result.layout
@@ -74,6 +76,7 @@ def force_figure(scene: Scene, cases: list[Case]) -> Figure | None:
                 *thin(time, forces[:, contact]), label=f"pair {pair}{', back flank' if back else ''}", linewidth=1.0
             )
         finish(ax, case.title, y="contact force [N]")
+    add_input_angle(axes[0], float(scene.system.input_speed))
     return figure
 
 
@@ -90,7 +93,7 @@ def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     rows = []
     for case, result in shown:
         curves = list(zip(result.coordinates[1:], np.asarray(result.moved).T, strict=True))
-        for unit, label, size in (("m", "displacement [um]", um), ("rad", "turn [arcmin]", arcmin)):
+        for unit, label, size in (("m", "displacement [um]", um), ("rad", "rotation [arcmin]", arcmin)):
             own = [(name, moved / size) for name, moved in curves if unit_of(name) == unit]
             rows += [(case, label, own)] if own else []
     if not rows:
@@ -99,17 +102,19 @@ def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     for ax, (case, label, curves) in zip(axes, rows, strict=True):
         for name, moved in curves:
             ax.plot(*thin(required_run(scene).times, moved), label=name, linewidth=1.0)
-        finish(ax, f"What moves besides the output, {case.title}", y=label)
+        finish(ax, f"Motion of bodies other than the output, {case.title}", y=label)
     return figure
 
 
-def _waterfall(ax: Axes, time: np.ndarray, forces: np.ndarray, title: str) -> None:
+def _waterfall(ax: Axes, time: np.ndarray, forces: np.ndarray, title: str, system: AbstractSystem) -> None:
     """Draw the forces of many contacts over time as an image, with one image row for each contact."""
     time, forces = thin(time, forces)
     shown = np.ma.masked_less_equal(forces.T, 0.0)
     drawn = ax.pcolormesh(time, np.arange(1, forces.shape[1] + 1), shown, shading="nearest", cmap="viridis")
     ax.figure.colorbar(drawn, ax=ax, label="contact force [N]")
     finish(ax, title, y="contact")
+    named = np.unique(np.linspace(0, forces.shape[1] - 1, MOST_NAMES).round().astype(int))
+    ax.set_yticks(named + 1, [system.contact_name(int(contact)) for contact in named], fontsize="x-small")
 
 
 def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
@@ -126,7 +131,7 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     if not groups:
         return None
     figure, axes = new_figure(len(groups), height=3.6)
-    run, orders = required_run(scene), scene.system.orders
+    run, orders, styles = required_run(scene), scene.system.orders, styles_of(case.title for case in cases)
     theta = run.times * float(scene.system.input_speed)
     turn = 2 * np.pi / orders["output"]
     name = "crank" if "crank" in orders else "mesh"
@@ -137,7 +142,7 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         if not spectra:
             continue
         for case, lines in spectra:
-            ax.semilogy(lines.order, lines.amplitude / arcmin, label=case.title, linewidth=1.0)
+            ax.semilogy(lines.order, lines.amplitude / arcmin, label=case.title, linewidth=1.0, **styles[case.title])
         limit = 2.2 * orders["mesh"] if dynamic else 8 * orders.get("crank", scene.system.fastest_order)
         ax.set_xlim(0, min(limit / orders["output"], highest))
         top = ax.get_ylim()[1]
@@ -211,5 +216,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
             continue
         for gear_set, (name, figure) in OF_GEAR_SETS.items():
             if isinstance(scene.system, gear_set):
-                figures[name] = figure(scene, result)
+                drawn = figure(scene, result)
+                drawn.suptitle(case.title)
+                figures[name] = drawn
     return [save_figure(figure, folder / name) for name, figure in figures.items() if figure is not None]

@@ -12,12 +12,12 @@ from matplotlib.patches import Circle, Polygon
 from gearjax.checks import SceneError
 from gearjax.contact import Request
 from gearjax.errors import Eccentricity
+from gearjax.plot.axes import COLOURS
 from gearjax.scene import Scene
 from gearjax.sketch import Point, Sketch
 from gearjax.systems.base import pose_of
 from gearjax.units import deg, um
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LONGEST, SHORTEST = 0.3, 0.08  # lengths of the arrows of run-outs
 ZERO = 0.34  # length of the line at phase zero
 LINE = 0.3  # half the length of a line of action
@@ -39,7 +39,7 @@ def schematic_figure(scene: Scene) -> Figure:
     """
     sketch = scene.system.sketch()
     if sketch is None:
-        raise SceneError(f"a {scene.system.kind} gives no sketch: let its class have a method sketch")
+        raise SceneError(f"a {scene.system.kind} gives no sketch: add a method sketch to its class")
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     ax = figure.subplots()
     colours = {body.name: COLOURS[index % len(COLOURS)] for index, body in enumerate(sketch.bodies)}
@@ -110,8 +110,8 @@ def _drawn_output(ax: Axes, sketch: Sketch) -> list[Line2D]:
     place, radius, sense = sketch.output
     handles = []
     for share, way, colour, words in (
-        (0.95, sense, AHEAD, "sense of the output; TE > 0: further ahead"),
-        (0.7, -sense, TORQUE, "torque > 0 on the output: resists"),
+        (0.95, sense, AHEAD, "direction of the output; TE > 0: output ahead"),
+        (0.7, -sense, TORQUE, "torque > 0 on the output: resists its rotation"),
     ):
         _turning_arrow(ax, place, share * radius, -0.5 * np.pi, way, colour, width=1.8)
         handles.append(Line2D([], [], color=colour, linewidth=1.8, label=words))
@@ -165,7 +165,7 @@ def _drawn_run_outs(ax: Axes, scene: Scene, sketch: Sketch, colours: dict[str, s
         if body.zero is not None and amplitude > 0:
             size = max(LONGEST * amplitude / largest, SHORTEST)
             _arrow(ax, body.axis, _beyond(body.axis, body.zero + body.sense * phase, size), colour, width=2.2)
-    dashed = Line2D([], [], linestyle="--", color="0.4", label="phase zero of a body, and sense of phases")
+    dashed = Line2D([], [], linestyle="--", color="0.4", label="phase zero of a body, direction of growing phase")
     return [dashed, *handles]
 
 

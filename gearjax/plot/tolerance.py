@@ -102,6 +102,14 @@ def sensitivity_figure(results: ToleranceResults) -> Figure:
         longest = max(1.0, float((one.total + one.total_error).max()) * 1.05)
         over = float(one.linear.max())
         ax.set_xlim(min(0.0, float(one.first.min()) - 0.02), min(max(longest, over * 1.05), 2 * longest))
+        cut = ax.get_xlim()[1]
+        for step, kind in enumerate(WIDTHS):
+            values = getattr(one, kind)[order]
+            for place in np.flatnonzero(values > cut):
+                words = f"{values[place]:.3g} \N{RIGHTWARDS ARROW}"
+                height = places[place] + (1.5 - step) * 0.2
+                box = {"facecolor": "white", "edgecolor": WIDTHS[kind], "pad": 1.0}
+                ax.text(cut, height, words, ha="right", va="center", fontsize="x-small", bbox=box)
         ax.set_yticks(places, [one.paths[i] for i in order], fontsize="small")
         title = f"{one.name}: share of the variance"
         finish(ax, title + (f"\n{one.linear_fails}" if one.linear_fails else ""), x="share [-]", y="")
@@ -126,7 +134,7 @@ def assembly_figure(assembly: MatchedAssembly) -> Figure:
             axes[0].axvline(limit / arcmin, color="tab:red", linewidth=1.2)
             axes[1].axvline(limit / arcmin, color="tab:red", linewidth=1.2, label=words)
     axes[2].scatter(assembly.random / arcmin, assembly.matched / arcmin, s=5, color="tab:green", alpha=0.6)
-    axes[2].plot([0, top], [0, top], color="0.55", linewidth=0.9, label="as at random")
+    axes[2].plot([0, top], [0, top], color="0.55", linewidth=0.9, label="matched = at random")
     name = f"{assembly.measure.name} [arcmin]"
     finish(axes[0], f"{len(assembly.random)} units, the same parts", x=name, y="units")
     finish(axes[1], "Share of units within a limit", x=name, y="share [%]")
@@ -151,7 +159,7 @@ def allocation_figure(results: ToleranceResults) -> Figure:
         spread = [[100 * (estimate.value - estimate.low)], [100 * (estimate.high - estimate.value)]]
         axes[1].errorbar([cost], [100 * estimate.value], yerr=spread, fmt="o", capsize=4, label=label)
     axes[1].axhline(100 * bought.required, color="tab:red", linewidth=1.0, label="required")
-    finish(axes[1], f"{bought.measure}: what it costs", x="cost", y="yield [%]")
+    finish(axes[1], f"{bought.measure}: yield and cost", x="cost", y="yield [%]")
     axes[1].margins(x=0.2, y=0.2)
     return figure
 

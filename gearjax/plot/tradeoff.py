@@ -43,7 +43,7 @@ def tradeoff_figure(comparison: Tradeoff) -> Figure:
                     rotation_mode="anchor",
                 )
         ax.axhline(comparison.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
-        title = "one run" if kind == "run" else "gradient of the standard deviation, one of a scheme measured"
+        title = "one run" if kind == "run" else "gradient of the standard deviation, measured once per scheme"
         finish(ax, f"Error against time: {title}", x="time [ms]", y="largest error of a metric [arcmin]")
         ax.margins(x=0.15, y=0.18)
     return figure

@@ -31,7 +31,7 @@ def waterfall_figure(waterfall: Waterfall, modes: NaturalModes | None = None) ->
     ):
         ax.plot(speed, np.where(lost, np.nan, values), linewidth=1.2)
         if lost.any():
-            ax.plot(speed[lost], values[lost], "x", markersize=4, color="tab:red", label="not stable, or not found")
+            ax.plot(speed[lost], values[lost], "x", markersize=4, color="tab:red", label="unstable, or no solution")
         finish(ax, "", x="input speed [rpm]", y=y)
     height.set_title(f"Motions that repeat with order {float(waterfall.orders[0]):g}")
     amplitude = np.where(lost[:, None], np.nan, np.asarray(waterfall.amplitudes)) / arcmin
@@ -45,5 +45,10 @@ def waterfall_figure(waterfall: Waterfall, modes: NaturalModes | None = None) ->
     for natural in () if modes is None else np.asarray(modes.frequencies):
         if 0 < natural <= frequency.max():
             map_.axhline(natural, color="0.4", linewidth=0.8, linestyle="--")
-    finish(map_, "Amplitudes of its multiples", x="input speed [rpm]", y="frequency [Hz]")
+    finish(
+        map_,
+        f"Amplitudes of multiples of order {float(waterfall.orders[0]):g}",
+        x="input speed [rpm]",
+        y="frequency [Hz]",
+    )
     return figure

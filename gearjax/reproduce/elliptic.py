@@ -47,17 +47,26 @@ CONSTANT = 1.0007 * mm  # constant that the mean of Table 2 needs
 
 AT_75 = "with the printed centre distance of 150 mm, at which the pitch curves do not close"
 NO_MEAN = (
-    "run-outs of 50 um, as the paper tells none; the mean of a ratio error over a turn is zero, as both wheels are "
-    "back: 0.0155 is 1 mm / 64.667 mm, a constant in the simplified formula"
+    "run-outs of 50 um, as the paper states none; the mean of a ratio error over a turn is zero, as both wheels return "
+    "to their start: 0.0155 is 1 mm / 64.667 mm, a constant in the simplified formula"
 )
 ARTEFACT = (
-    "simplified formula (21) with a constant of 1 mm beside the run-outs, which makes the mean, and run-outs fitted to "
-    "these ten numbers: others fit as well"
+    "simplified formula (21) with a constant of 1 mm added to the run-outs, which causes the mean, and with run-outs "
+    "fitted to these ten numbers: other run-outs fit equally well"
 )
-RACK = "from the flank that a rack cuts, a module along the normal to both sides; (4) mirrors the line below the curve"
-FROZEN = "of its largest value, run-outs of 50 um: it leaves out that lever and pressure angle change with the angle"
-MISPRINTS = "of the place that it stands for; corrected it is the construction to 1e-12"
-SIMPLE = "of the swing of the exact transmission error, both counted from the start: its pitch radii stand still"
+RACK = (
+    "largest distance from the flank that a rack cuts, up to a module along its normal on both sides; below the pitch "
+    "curve, eq. (4) mirrors the normal"
+)
+FROZEN = (
+    "run-outs of 50 um; % of the largest exact ratio error; the construction neglects that lever arm and pressure "
+    "angle change with the angle"
+)
+MISPRINTS = "distance from the corrected equation, which agrees with the construction to 1e-12"
+SIMPLE = (
+    "% of the peak-to-peak of the exact transmission error; both errors are counted from the start; eq. (25) keeps the "
+    "pitch radii constant"
+)
 
 
 def scene(eccentricity: float, driver: float = RUN_OUT, driven: float = RUN_OUT) -> Scene:
@@ -128,7 +137,7 @@ def _closure() -> list[Row]:
     own = float(curves(ECCENTRICITY, None).centre_distance)
     parameter = 0.5 * own * (1 - ECCENTRICITY**2)
     long, teeth = float(curves(ECCENTRICITY).perimeter) / mm, math.pi * TEETH * MODULE / mm
-    told = f"with the printed one the pitch curve is {long:.6g} mm long, its 47 teeth {teeth:.6g} mm"
+    told = f"with the printed centre distance the pitch curve is {long:.6g} mm long, its 47 teeth {teeth:.6g} mm"
     return [
         Row("Table 1, centre distance that closes", "150", own / mm, "mm", 0.01, why=told),
         Row("Table 1, pitch curve, p", "64.667", parameter / mm, "mm", 1e-3),
@@ -171,7 +180,14 @@ def _contact_ratios() -> list[Row]:
     for name, value in (("least", ratio.min()), ("largest", ratio.max())):
         item = f"Contact ratio by the tips, e = {ECCENTRICITY:g}, {name}"
         report.append(
-            Row(item, "", float(value), "-", 0.0, why="of the closed gears, tooth by tooth; (13) is 0.0003 off")
+            Row(
+                item,
+                "",
+                float(value),
+                "-",
+                0.0,
+                why="computed for the closed gears, tooth by tooth; eq. (13) differs by 0.0003",
+            )
         )
     return report
 
@@ -189,7 +205,7 @@ def _ratio_errors() -> list[Row]:
             item = f"Table 2, e = {eccentricity:g}, {name}"
             report.append(Row(item, text, numbers[name], "-", 1e-5, why=NO_MEAN))
             report.append(Row(f"{item}, with the artefact", text, fitted[name], "-", 1e-4, inferred=True, why=ARTEFACT))
-    missing = "run-outs, phases and the radius that makes an angle a length are not printed"
+    missing = "run-outs, phases and the radius that converts the angle to a length are not printed"
     report.append(Row("Figure 13, largest transmission error", "2.201", math.nan, "um", 0.0, why=missing))
     return report
 
@@ -247,7 +263,7 @@ def save_elliptic_figures(rows: list[Row], folder: Path) -> list[Path]:
         axes[4].plot(turn / deg, error(eccentricity), label=label, linewidth=1.0)
     between = np.linspace(0.0, 0.7071, 30)
     axes[1].plot(between, [_most_slant(eccentricity) / deg for eccentricity in between])
-    axes[1].axhline(MOST_LEAN / deg, color="0.5", linestyle="--", label="locks itself above")
+    axes[1].axhline(MOST_LEAN / deg, color="0.5", linestyle="--", label="self-locking above")
     for amplitude in (20 * um, 40 * um, 60 * um, 80 * um):
         axes[5].plot(turn / deg, error(ECCENTRICITY, amplitude), label=f"{amplitude / um:g} um", linewidth=1.0)
     angle = "input angle [deg]"

@@ -37,22 +37,23 @@ AMPLITUDES = {  # Tables 4 and 6: amplitudes of each simulation at these frequen
 }
 TABLES = {"50.8": ("Table 4", "Table 5"), "2104": ("Table 6", "Table 7")}
 
-READ = "printed frequencies are places in a spectrum of the paper; limit 0.6 %"
+READ = "the printed frequencies were read off a spectrum in the paper; limit 0.6 %"
 STILL = (
-    "static: run-outs turn far below every natural frequency; limit 2 %, as 15.2 would be 15 over the cosine of the "
-    "base helix angle"
+    "static TE, as the run-outs turn far below every natural frequency; limit 2 %, as 15.2 may be 15 divided by the "
+    "cosine of the base helix angle"
 )
-CURVE = "the modification of the pinion is a curve without numbers, so this is a pair without; "
-TWICE = "the paper's loaded TE acts beside a stiffness that changes, by which the deflection at mesh order counts twice"
+CURVE = "the modification of the pinion is a curve without numbers, so this pair has none; "
+TWICE = "the paper uses both its loaded TE and a varying stiffness, so the deflection at mesh order counts twice"
 MISSING = {
     1: "the measured pitch errors and deviations are curves without numbers",
     3: "the phases of the run-outs against the pitch errors of eq. (33) are not printed: 16 to 57 um (wheel) and 13 to "
-    "44 um (pinion) can come of it",
+    "44 um (pinion) are possible",
 }
-MOVING = "the modification of the pinion, which decides it, is a curve without numbers"
+MOVING = "the modification of the pinion, which determines this value, is a curve without numbers"
 BANDS = (
-    "the paper prints where sidebands are, not how high. Run-outs alone make none, to first order: its series (eq. 28) "
-    "makes 1 to 1.5 um of them, as the stiffness changes under run-outs that its deflection leaves out"
+    "the paper prints the frequencies of the sidebands, not their heights. To first order, run-outs alone cause no "
+    "sidebands. The series of the paper (eq. 28) gives 1 to 1.5 um, as its stiffness varies under run-outs that its "
+    "deflection neglects"
 )
 
 

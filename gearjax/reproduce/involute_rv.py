@@ -41,18 +41,18 @@ UNLOADED = (13, 20, 21)
 TABLE_2 = {14: "115.1", 15: "270.4", 16: "338.9", 17: "362.9", 18: "276.3", 19: "183", 20: "8.3"}  # N
 
 FITTED = (
-    f"two fitted numbers, where tooth {FIRST} stands (phase {PHASE}) and the depth of the fixed rim ({RIM / mm:g} mm), "
-    "against six loads of a known sum; the paper prints neither"
+    f"two numbers, the place of tooth {FIRST} (phase {PHASE}) and the depth of the fixed rim ({RIM / mm:g} mm), are "
+    "fitted to six loads of a known sum; the paper prints neither number"
 )
 ANSYS = (
-    "the same forces; limit 3 N, where the paper's own two methods differ by up to 2 N; ANSYS' loads add up to "
+    "the same loads of ours; limit 3 N, as the paper's own two methods differ by up to 2 N; ANSYS' loads add up to "
     "1557.4 N, not to T / r_b1"
 )
 FOUNDATION = "eqs. (9) and (10), nothing fitted to these loads: the teeth stand on a half-plane"
 LARGEST = {15: (0.224, 3.58), 16: (0.199, 3.84), 18: (0.198, 3.69), 19: (0.058, 0.91)}  # Table 7: N, % of the largest
 AT_POINTS = (
-    "points with errors above 50 % in the paper, at the edge of contact; the limit is what the paper's own two methods "
-    "differ by there, so that zero may count as reproduced"
+    "points at the edge of contact, with errors above 50 % in the paper; the limit is the difference between the "
+    "paper's own two methods there, so that even zero may count as reproduced"
 )
 
 
@@ -190,7 +190,7 @@ def _table_2() -> list[Row]:
 
 def _table_5(fitted: Case) -> list[Row]:
     loads, forces = fitted.loads, fitted.carried.forces
-    why = "T / r_b1, eq. (5), whatever is fitted"
+    why = "T / r_b1, eq. (5), independent of the fitted numbers"
     report = [Row("Table 5, sum of the loads", "1554.9", float(loads.sum()), "N", 0.05, why=why)]
     ours, theirs = ({tooth: pair[column] for tooth, pair in TEETH.items()} for column in (0, 1))
     for tooth, load in ours.items():
@@ -199,7 +199,7 @@ def _table_5(fitted: Case) -> list[Row]:
         report.append(_row(f"Table 5, unloaded, tooth {tooth}", "0", _of(loads, tooth), "N", 1e-9, "printed as --"))
     for tooth, load in theirs.items():
         report.append(_row(f"Table 5, ANSYS, tooth {tooth}", load, _of(loads, tooth), "N", 3.0, ANSYS))
-    why = "the 556 are those of ANSYS; at least 8 of them do not touch in the paper's own method"
+    why = "the 556 points are those of ANSYS; at least 8 of them do not touch in the paper's own method"
     touching = float((forces > 0).sum())
     return [*report, Row("Text, points in contact", "556", touching, "-", 8.0, why=why)]
 
@@ -229,7 +229,7 @@ def _owed(fitted: Case, other: Case, aside: list[np.ndarray]) -> list[Row]:
 def _programme(fitted: Case) -> list[Row]:
     carried = by_programme(fitted.influence, fitted.points.gap, total_load())
     largest = float(np.abs(carried.forces - fitted.carried.forces).max())
-    why = "largest difference of the force at a point, of all 1274, by HiGHS and by the solver of this package"
+    why = "largest difference between the forces by HiGHS and by the solver of this package, at all 1274 points"
     return [Row("Eqs. (3) and (4), linear programme against ours", "", largest, "N", 0.0, why=why)]
 
 
@@ -249,7 +249,7 @@ def _tables_7_and_8(fitted: Case) -> list[Row]:
             item = f"{table}, tooth {point.tooth} at {point.face[column]:g} mm and {point.radius[column]} mm"
             own.append(_row(item, point.force[column], computed, "N", limit, AT_POINTS))
             missed.append(own[-1].deviation)
-        told = f"of 27 points; {sum(row.status == 'not reproduced' for row in own)} of them beyond their limits"
+        told = f"over 27 points; {sum(row.status == 'not reproduced' for row in own)} of them are beyond their limits"
         off = float(np.sqrt(np.mean(np.square(missed))))
         report += [*own, Row(f"{table}, rms of the forces", "", off, "N", 0.0, why=told)]
     return report

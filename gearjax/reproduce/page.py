@@ -13,9 +13,9 @@ HEAD = """\
 Written by `gearjax reproduce --all`; the tests fail where this page differs from what gearjax computes.
 
 - **reproduced**: within a limit that the precision of the printed value, or of its reading, allows;
-- **inferred**: it rests on constants that the paper does not give, fitted to such values; the note says which;
-- **not reproduced**: further off, or the paper does not give what the value needs; the note says why;
-- **not published**: a value of ours that tells something about the others.
+- **inferred**: it rests on constants that the paper does not give, fitted to published values; the note says which;
+- **not reproduced**: it is outside the limit, or the paper lacks data that it needs; the note says why;
+- **not published**: a value of ours that explains others.
 
 """
 ROUNDING = 1e-6  # smaller values, in whatever unit, are rounding errors, which differ from machine to machine

@@ -167,8 +167,8 @@ def _table_2() -> list[Row]:
     exact = float(coefficients(disc)["throw"]) / float(disc.rolling_radius) * mm
     computed = float(printed_throw_coefficient(disc))
     why = (
-        f"-|k_n| in rad/mm, not over the reference like the others; the exact derivative of eqs. 5 and 6 by the throw "
-        f"is {exact:.4g} rad/mm, not 2 k_n = {2 * computed:.4g}; the backlash is even in it"
+        f"-|k_n| in rad/mm, not divided by the reference like the other indices; the exact derivative of eqs. 5 and 6 "
+        f"by the throw is {exact:.4g} rad/mm, not 2 k_n = {2 * computed:.4g}; the backlash is an even function of it"
     )
     return [*report, Row("Table 2, sensitivity index of throw", "-0.00024", computed, "-", 5.1e-6, why=why)]
 
@@ -243,7 +243,7 @@ def _deformations() -> list[Row]:
         largest = own.deformation(force)
         for index, published in enumerate(values):
             computed = own.lever[1 + index] * largest / mm
-            why = f"eqs. 36 and 38 of the published {force:g} N: not a test of the equilibrium"
+            why = f"by eqs. 36 and 38 from the published {force:g} N: not a test of the equilibrium"
             item = f"{table}, pin {index + 1}"
             row = Row(item, f"{published * 1e-4:.4f}", float(computed), "mm", 5.1e-5, why=f"{why}; {INFERRED}")
             report.append(_inferred_if_close(row))
@@ -295,6 +295,6 @@ def _adams() -> list[Row]:
             none,
             "mm",
             0.0,
-            why="no split of 1.4559 arcmin that was tried gives it by eq. 27",
+            why="none of the splits of 1.4559 arcmin that were tried gives this value by eq. 27",
         ),
     ]

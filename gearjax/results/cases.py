@@ -118,8 +118,8 @@ def _missed_waves(scene: Scene, run: Run) -> str | None:
     if "dynamic" not in run.analyses or run.samples - 1 >= FEWEST_PER_WAVE * waves:
         return None
     return (
-        f"the stiffness has {waves:.0f} waves in the record of {run.samples} samples, which curves, load sharing and "
-        f"spectrum of the motion miss: raise run.samples to {math.ceil(2 * FEWEST_PER_WAVE * waves) + 1}"
+        f"the stiffness has {waves:.0f} waves in the record of {run.samples} samples; curves, load sharing and "
+        f"spectrum of the motion do not show them: raise run.samples to {math.ceil(2 * FEWEST_PER_WAVE * waves) + 1}"
     )
 
 
@@ -258,7 +258,10 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
         if isinstance(case.result, TransmissionError | Motion) and case.result.moved is not None:
             moving = case.result.coordinates[1:]
             units = [unit_of(coordinate) for coordinate in moving]
-            label = {"units": ", ".join(sorted(set(units))), "long_name": f"what else moves, {case.title}"}
+            label = {
+                "units": ", ".join(sorted(set(units))),
+                "long_name": f"motion of bodies other than the output, {case.title}",
+            }
             variables[f"{name}_moved"] = (("time", "coordinate"), np.asarray(case.result.moved), label)
             coordinates["coordinate"] = ("coordinate", list(moving), {})
             coordinates["coordinate_unit"] = ("coordinate", units, {})

@@ -102,7 +102,7 @@ def joint_model(scene: Scene, torque: float) -> Joint:
     require(scene, "a joint model", "compliance")
     system = scene.system
     if not system.turns_evenly:
-        raise SceneError(f"a joint model is for outputs that turn evenly, which that of a {system.kind} does not")
+        raise SceneError(f"a joint model needs an output that turns evenly; that of a {system.kind} does not")
     cycle = system.cycle
     size = 1 << max(8, int(np.ceil(np.log2(PER_TURN * system.fastest_order * cycle / (2 * np.pi)))))
     if size > MOST_ANGLES:

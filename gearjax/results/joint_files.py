@@ -1,6 +1,6 @@
 """Texts of the files that model a reducer for other programs. They need numpy, or numpy and MuJoCo, but no gearjax."""
 
-TE_FILE = '''"""Transmission error of a reducer, by orders: SI and radians. Needs numpy alone; written by gearjax."""
+TE_FILE = '''"""Transmission error of a reducer, by orders: SI and radians. Needs only numpy; written by gearjax."""
 
 import numpy as np
 
@@ -21,24 +21,24 @@ def curves(theta):
 def te(theta, torque):
     """Transmission error at an input angle [rad] under a load torque [N m], on straight lines between TORQUES.
 
-    Beyond the largest torques the last lines go on. Without torque it is that of the driving flanks.
+    Beyond the largest torques the last lines are extended. At zero torque the driving flanks touch.
     """
     return between(curves(theta), torque)
 
 
 def slope(theta, torque):
-    """Change of the transmission error per input angle, under a torque that stays [-]."""
+    """Change of the transmission error per input angle, under a constant torque [-]."""
     angle = np.multiply.outer(np.asarray(theta, float), ORDERS)
     rates = (np.cos(angle) * ORDERS) @ SINE.T - (np.sin(angle) * ORDERS) @ COSINE.T
     return between(rates, torque)
 
 
 def between(known, torque):
-    """Values under a torque, of those under TORQUES, shape (..., torque)."""
+    """Values under a torque, interpolated from values under TORQUES, shape (..., torque)."""
     torque = np.asarray(torque, float)
     first = np.clip(np.searchsorted(TORQUES, torque) - 1, 0, len(TORQUES) - 2)
     side = TORQUES > 0
-    if not side.all():  # through the play nothing is carried: lines end at its edges
+    if not side.all():  # inside the backlash no flank carries: the lines end at its edges
         last_back, first_drive = np.flatnonzero(~side)[-1], np.flatnonzero(side)[0]
         first = np.where((torque >= 0) & (first < first_drive), first_drive, first)
         first = np.where((torque < 0) & (first >= last_back), last_back - 1, first)
@@ -52,7 +52,7 @@ def between(known, torque):
 def torque_of(theta, position):
     """Load torque that holds the output at a position from its ideal one [rad], at one input angle [rad].
 
-    Inside of the play it is zero.
+    Inside the backlash the torque is zero.
     """
     known = curves(theta)[::-1]  # positions fall as the torque grows
     loads = TORQUES[::-1]
@@ -84,8 +84,8 @@ MUJOCO_FILE = '''"""Forces of a reducer between two joints of a MuJoCo model; wr
     model = mujoco.MjModel.from_xml_path("joint.xml")
     joint_mujoco.install(model)          # joints "motor" and "output"
 
-The output turns 1 / RATIO as far as the motor; its flanks carry what te_model.py tells, with its play. What the output
-takes the motor gives, by virtual work.
+The output turns 1 / RATIO as far as the motor. te_model.py gives the torque that the flanks carry, with backlash. The
+torque on the motor follows from virtual work.
 """
 
 import mujoco

@@ -64,7 +64,8 @@ class Needs:
     def words(self, stored: bool) -> str:
         """The needs in words, as they are reported."""
         disk = f", {size_words(self.disk)} on disk" if stored else ""
-        return f"needs about {size_words(sum(self.memory.values()))} of memory{disk} and roughly {_time(self.seconds)}"
+        memory = size_words(sum(self.memory.values()))
+        return f"the study needs about {memory} of memory{disk} and roughly {_time(self.seconds)}"
 
 
 def needs(section: ToleranceSection, devices: int) -> Needs:

@@ -100,7 +100,7 @@ def _teeth(system: GearOutlines, body: str, backlash: float, tolerance: float) -
             break
         number = 2 * number - 1
         if number * len(fine) * len(fine[0]) > MOST_POINTS:
-            words = f"needs more than {MOST_POINTS} points: give a longer one"
+            words = f"needs more than {MOST_POINTS} points: give a larger tolerance"
             raise ParameterError("tolerance", f"{tolerance:g} m", words)
     pieces = [piece[:, ::2] for piece in fine]
     points = outline(pieces)
@@ -129,7 +129,7 @@ def _pieces(disc: Cycloid, tolerance: float, arcs: bool) -> tuple[np.ndarray, np
         if not long.any():
             break
         if 2 * disc.teeth * (len(bulges) + long.sum()) > MOST_POINTS:
-            words = f"needs more than {MOST_POINTS} points: give a longer one, or .dxf, whose arcs are fewer"
+            words = f"needs more than {MOST_POINTS} points: give a larger tolerance, or .dxf, which needs fewer arcs"
             raise ParameterError("tolerance", f"{tolerance:g} m", words)
         middles = 0.5 * (phases[:-1] + phases[1:])[long]
         phases = np.sort(np.concatenate([phases, middles]))

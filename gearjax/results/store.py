@@ -92,7 +92,7 @@ class Store:
             samples = sum(chunks[index][1] - chunks[index][0] for index in self.damaged)
             lines.append(
                 f"{self.path}: {len(self.damaged)} of {len(chunks)} chunks are damaged or missing: "
-                f"{samples} samples are worked out again"
+                f"{samples} samples are computed again"
             )
         return lines
 

@@ -105,7 +105,9 @@ def compensate(
     if objective not in OBJECTIVES:
         raise ParameterError("objective", objective, nearest(objective, OBJECTIVES))
     if objective == "peak_to_peak" and maximum_backlash is None:
-        raise ParameterError("maximum_backlash", None, "peak_to_peak needs one: without, ever more backlash pays")
+        raise ParameterError(
+            "maximum_backlash", None, "must be given for peak_to_peak: without it, more backlash is always better"
+        )
     require(scene, "compensation", "backlash", "compliance")
     free = pick(scene, where, bounds)
     free.require_bounds()
@@ -234,7 +236,7 @@ def _with_ends(task: _Task, begins: list[np.ndarray], objective: str, limits: Li
     for column in np.flatnonzero(sum(moves) == 0):
         ends = [np.where(np.arange(len(low)) == column, end, begins[0]) for end in (low, high)]
         if all(np.array_equal(at(end)[0], sizes[0]) for end in ends):
-            words = f"{objective} does not depend on it, nor what is required"
+            words = f"neither {objective} nor any requirement depends on it"
             raise ParameterError("where", task.free.paths[column], words)
         begins = [*begins, *ends]
     return begins

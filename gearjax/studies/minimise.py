@@ -29,7 +29,7 @@ from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 CODES = {
     0: "converged",
-    1: "its steps ran out while it still fell",
+    1: "the steps ran out while the objective still fell",
     2: "not finite: dropped",
     3: "nothing better than its start was found",
 }

@@ -136,7 +136,7 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
     periods, limits, searchable = [], [], []
     for path in paths:
         if path not in known:
-            raise ParameterError("where", path, f"no number of this scene; {nearest(path, known)}")
+            raise ParameterError("where", path, f"is no number of this scene; {nearest(path, known)}")
         if paths.count(path) > 1:
             raise ParameterError("where", path, "is listed twice")
         parameter = known[path]

@@ -103,7 +103,7 @@ class Term(eqx.Module):
         widest = float(np.diff(np.asarray(theta, dtype=float)).max(initial=0.0))
         if order * widest > np.pi:
             highest = np.pi / widest / scene.system.orders["output"]
-            words = f"the input angles are too few for it: at most {highest:.6g} cycles per turn of the output"
+            words = f"there are too few input angles: they resolve at most {highest:.6g} cycles per turn of the output"
             raise ParameterError("order", self.order, words)
 
     def curve(self, scene: Scene) -> tuple[Callable[[Any, Any], Scalar], Any]:

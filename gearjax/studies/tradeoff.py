@@ -150,7 +150,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
     longest, usual = _resolving(scene, run)
     truth_step = FixedStep(TRUE_STEP * longest, solver=RungeKutta4())
     yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
-    progress(f"truth: Runge-Kutta, steps of {TRUE_STEP * longest:.2g} s")
+    progress(f"reference: Runge-Kutta, steps of {TRUE_STEP * longest:.2g} s")
     truth, seconds, _ = _run(yardstick, repeats=0)
     tried, rows = settings(scene, run, longest, usual), []
     for setting in tried:
@@ -230,11 +230,13 @@ def _yardstick(
     for _ in range(MOST_HALVINGS):
         truth = metrics(FixedStep(step, solver=RungeKutta4()))
         unsure = _apart(coarse, truth) / 3
-        progress(f"yardstick: Runge-Kutta, steps of {step:.2g} s: within {unsure / arcmin:.2g} arcmin")
+        progress(f"reference: Runge-Kutta, steps of {step:.2g} s: within {unsure / arcmin:.2g} arcmin")
         if unsure <= UNSURE * error:
             return truth, unsure
         coarse, step = truth, step / 2
-    raise SceneError(f"accuracy: {error / arcmin:.2g} arcmin cannot be told: Runge-Kutta's own steps differ by more")
+    raise SceneError(
+        f"accuracy: {error / arcmin:.2g} arcmin cannot be verified: the error of Runge-Kutta itself is larger"
+    )
 
 
 def _apart(one: Metrics, other: Metrics) -> float:

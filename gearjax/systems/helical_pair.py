@@ -115,7 +115,7 @@ class HelicalPair(AbstractSystem):
         pair = self.pair
         if not is_concrete(pair):
             if self.pairs is None:
-                raise ParameterError("pairs", MISSING, "must be given where the geometry is traced")
+                raise ParameterError("pairs", MISSING, "must be given if the geometry is traced")
             return
         with jax.ensure_compile_time_eval():
             for key, shown, words in faults(pair):

@@ -51,7 +51,7 @@ class OneContact(AbstractSystem):
 
     @property
     def told_of_forces(self) -> str | None:
-        return "forces are those of all contacts together: one contact stands for them"
+        return "forces are sums over all contacts: one contact represents them"
 
     def contact_name(self, contact: int) -> str:
         return f"the contact that stands for all {('driving', 'back')[contact]} flanks"
@@ -61,7 +61,7 @@ class OneContact(AbstractSystem):
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
         if request.bodies:
-            raise ParameterError("body", request.bodies[0], "is on no body: one contact has none")
+            raise ParameterError("body", request.bodies[0], "does not exist: a one_contact scene has no bodies")
         side = jnp.asarray(np.asarray(self.layout(request).side), theta.dtype)
         phase = jnp.reshape(self.orders["mesh"] * theta, (1,))
         gap = jnp.concatenate([waves.at(phase) for waves in self.gaps[: len(side)]])

@@ -167,8 +167,8 @@ class RVCycloidal(AbstractSystem):
         if self.exact:
             return None
         return (
-            "forces of single pins are to first order in modification and errors, which moves them by 3 to 18 % of the "
-            'largest one: clearance = "exact" follows the true geometry'
+            "forces of single pins are to first order in modification and errors, which changes them by 3 to 18 % of "
+            'the largest force: clearance = "exact" uses the exact geometry'
         )
 
     def contact_name(self, contact: int) -> str:

@@ -74,8 +74,8 @@ class TwoKV(AbstractSystem):
             raise ParameterError(
                 "working_pressure_angle",
                 f"{float(angles[1]) / units.deg:.6g} deg",
-                "the centre distance cannot give it: a cos(working) = module (ring_teeth - planet_teeth) cos(cutting) "
-                f"/ 2 with a at or above its standard value needs {float(angles[0]) / units.deg:.6g} deg to 90 deg",
+                f"must be from {float(angles[0]) / units.deg:.6g} deg to 90 deg: the centre distance a must be at "
+                "least its standard value, with a cos(working) = module (ring_teeth - planet_teeth) cos(cutting) / 2",
             )
 
     @property

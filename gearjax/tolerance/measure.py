@@ -56,7 +56,7 @@ class Measure:
         words, _, torque = name.partition("@")
         analysis, _, metric = words.partition(".")
         if torque and rest.get("torque") is not None:
-            raise ParameterError("torque", rest["torque"], f'"{name}" gives one already')
+            raise ParameterError("torque", rest["torque"], f'"{name}" gives a torque already')
         if torque:
             try:
                 rest["torque"] = float(torque.removesuffix("Nm"))

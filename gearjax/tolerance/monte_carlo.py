@@ -190,7 +190,9 @@ class Work:
 
     def _of_functions(self, sample: Any, measure: Any, seed: Any, theta: ArrayLike | None, extremes: str):
         if self.sampler != "monte_carlo":
-            raise ParameterError("sampler", self.sampler, "needs Tolerances: a function of a key draws by itself")
+            raise ParameterError(
+                "sampler", self.sampler, "needs Tolerances: a function of a random key draws the samples itself"
+            )
         if not callable(sample):
             raise ParameterError(
                 "sample", sample, "must be Tolerances(gj.load(path), {...}), or a function of a random key"
@@ -200,7 +202,7 @@ class Work:
             given, draw = listed(measure), cast(Callable[[Array], Any], sample)
             example = draw(jax.random.fold_in(key, 0))
             if not isinstance(example, Scene):
-                words = f"is of a scene, and sample returns a {type(example).__name__}: give a function of that"
+                words = f"is for a scene, but sample returns a {type(example).__name__}: give a function of it"
                 raise ParameterError("measure", given[0].name, words)
             measures = SceneMeasures(given, example, theta, extremes)
             self.measures, self.names = measures.measures, measures.names

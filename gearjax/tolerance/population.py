@@ -43,7 +43,7 @@ def _check_distributions(given: Any) -> None:
         if type(spread).__module__.startswith("scipy"):
             words = "is of scipy: give a distribution of gearjax, or gj.Empirical(values) of numbers drawn from it"
             raise ParameterError(str(path), type(spread).__name__, words)
-        words = "must be a distribution such as gj.Normal(mean, std); numbers that do not vary stand in the scene"
+        words = "must be a distribution such as gj.Normal(mean, std); numbers that do not vary belong in the scene"
         raise ParameterError(str(path), spread, words)
 
 

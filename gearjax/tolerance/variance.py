@@ -64,7 +64,7 @@ class Sensitivities:
         worst = int(np.argmax(apart))
         if apart[worst] > OFF:
             return (
-                f"linear shares mislead: {self.paths[worst]} {self.linear[worst]:.2f}, its total index is "
+                f"linear shares are misleading: {self.paths[worst]} has {self.linear[worst]:.2f}, its total index is "
                 f"{self.total[worst]:.2f}"
             )
         if abs(whole - 1) > MISSED:
