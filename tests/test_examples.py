@@ -33,7 +33,7 @@ def test_the_command_says_what_it_copied_and_keeps_what_is_there(tmp_path, capsy
     assert "two_kv/wang_2020.toml" in told
     assert (tmp_path / "two_kv" / "measured_turned_150.toml").exists()  # beside its table, not a configuration
     assert "two_kv/measured_turned_150.toml" not in told
-    assert "is there already" in told_by(capsys, "example", "two_kv", code=2).err
+    assert "exists already" in told_by(capsys, "example", "two_kv", code=2).err
     assert "two_kv" in told_by(capsys, "example", code=2).err
     assert "elliptic_pair/dong_2020.toml" in told_by(capsys, "example", "elliptic_pair").out
     assert "two_kv" in told_by(capsys, "example", "two_vk", code=2).err

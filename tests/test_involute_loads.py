@@ -303,7 +303,10 @@ def test_nodes_that_are_not_where_contacts_are_are_refused(made, changes, words)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("changes", "words"), [({"profile_points": 6}, "5 nodes"), ({"face_points": 3}, "2 nodes")])
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"profile_points": 6}, "at most 5, the nodes"), ({"face_points": 3}, "at most 2, the nodes")],
+)
 def test_more_candidates_than_nodes_are_refused(made, changes, words):
     own = system(**({"profile_points": 4} | changes))
     with pytest.raises(gj.GearjaxError, match=f"{next(iter(changes))} = {next(iter(changes.values()))}.*{words}"):

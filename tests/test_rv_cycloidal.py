@@ -335,7 +335,7 @@ def test_pressure_is_that_of_hertz():
 
 MISTAKES = {
     'kind = "positions"\nbody = "disc_1"\noutward = ["1 um", "2 um"]\naround = []': r"errors.extra.outward.*one value",
-    'kind = "positions"\nbody = "pin_ring"\noutward = ["1 um", "2 um"]\naround = []': r"errors.extra.outward.*needs 40",
+    'kind = "positions"\nbody = "pin_ring"\noutward = ["1 um", "2 um"]\naround = []': r"extra.outward.*must be 40",
     'kind = "sizes"\nbody = "throw"\nlarger = ["1 um"]': r"errors.extra.body = \"throw\": has no rim",
     'kind = "eccentricity"\nbody = "disc_3"\namplitude = "1 um"\nphase = "0 deg"': r"errors.extra.body.*disc_1",
 }

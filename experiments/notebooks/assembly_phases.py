@@ -13,8 +13,9 @@
 # %% [markdown]
 # # Assembly phases by gradients, beside the 10-degree grid
 #
-# The run-outs of a 2K-V reducer are what they are; how the wheels are turned against each other is free. Which phases
-# make the TE least? The paper tries a grid of 10 degrees, gradients go on between its points. Some ten seconds.
+# The eccentricities of a 2K-V reducer are fixed once its parts are made. The angles at which its wheels are assembled,
+# their phases, can be chosen. Which phases make the amplitude of the TE (its largest absolute value) smallest? The
+# paper tries a grid of 10 degrees; gradients also search between its points. This page runs for some ten seconds.
 
 # %%
 from pathlib import Path
@@ -40,7 +41,7 @@ planets = ["errors.planet_1.phase", "errors.planet_2.phase"]
 
 # %% [markdown]
 # ## Two phases: a map can be drawn
-# 36 x 36 assemblies as one batch, and where 20 searches by gradients end.
+# The map shows 36 x 36 assemblies, computed as one batch, and the end points of 20 searches by gradients.
 
 # %%
 grid = gj.grid_search("no_load_amplitude", scene, where=planets, step=10 * deg, theta=theta)
@@ -73,8 +74,8 @@ figure.savefig(OUT / "assembly_phases.svg")
 
 # %% [markdown]
 # ## Four phases
-# The grid has 1.7 million points now (`gearjax optimise configs/two_kv/wang_2020_phases.toml` looks at all of them);
-# a search by gradients hardly minds.
+# With four phases the grid has 1.7 million points (`gearjax optimise configs/two_kv/wang_2020_phases.toml` searches all
+# of them). A search by gradients is hardly affected.
 
 # %%
 every = [f"errors.{name}.phase" for name in scene.errors]
@@ -86,7 +87,8 @@ print(f"{100 * close:.0f} % of the starts end within 1 % of the best")
 
 # %% [markdown]
 # ## How exactly must it be assembled?
-# Some directions cost nothing: all that turns together. Across the others an error of some degrees counts.
+# The TE does not change along some directions, such as planet 1, planet 2 and revolution turned together. Along the
+# other directions, an assembly error of a few degrees matters.
 
 # %%
 around = gj.local_sensitivity("no_load_amplitude", scene, where=every, theta=theta, at=found.best)
@@ -111,5 +113,5 @@ for spread in (1.0, 5.0, 10.0):
     )
 
 # %% [markdown]
-# What to change next: another objective (`"no_load_peak_to_peak"`, `"static_std"` with `torque=`), the torque that
-# the joint sees, amplitudes that were measured.
+# What to change next: another objective (`"no_load_peak_to_peak"`, `"static_std"` with `torque=`), the torque of the
+# robot joint, measured amplitudes of the eccentricities.

@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Elliptic pair: a ratio that changes, and what errors make of it
 #
-# Two ellipses that roll on each other turn the driven gear faster and slower within each turn. What do run-out and a
-# wrong centre distance do to that, and how fast may the pair turn before its inertia lifts the teeth off? Some twenty
-# seconds.
+# Two ellipses that roll on each other turn the driven gear faster and slower within each turn. How do run-out and a
+# wrong centre distance change this motion? And how fast may the pair turn before the inertia of the output separates
+# the teeth? This page runs for some twenty seconds.
 
 # %%
 from pathlib import Path
@@ -42,8 +42,8 @@ turn = jnp.linspace(0.0, 2 * jnp.pi, 361)
 
 # %% [markdown]
 # ## The ratio that is wanted, and its error
-# The slope of the ideal output is the ratio; run-outs and centre distance add a TE to the output, and its slope to the
-# ratio.
+# The ratio is the derivative of the ideal output angle with respect to the input angle. Run-out and a wrong centre
+# distance add a TE to the output angle. The derivative of the TE is the error of the ratio.
 
 # %%
 ratio = jax.vmap(jax.grad(lambda angle: type(pair.system).output(pair.system, angle)))(turn)
@@ -61,7 +61,8 @@ figure.savefig(OUT / "elliptic_pair.svg")
 
 # %% [markdown]
 # ## Which error matters?
-# The gradient of the peak-to-peak, and the phase at which the run-out of the driven gear does the least.
+# The code computes the gradient of the peak-to-peak TE with respect to both eccentricities. Then it finds the phase of
+# the driven gear's eccentricity at which the peak-to-peak TE is smallest.
 
 # %%
 names = [name for name, each in pair.errors.items() if isinstance(each, gj.Eccentricity)]
@@ -81,7 +82,8 @@ print(f"{names[-1]} turned to {float(found.best[0]) / deg % 360:.0f} deg: {best:
 
 # %% [markdown]
 # ## How fast before teeth lift off?
-# The output speeds up and slows down twice a turn; above a speed its inertia is stronger than the load.
+# The output speeds up and slows down within each turn. Above a certain input speed, the load torque is too small to
+# decelerate the output, and the teeth separate.
 
 # %%
 for torque in (5.0, 10.0, 20.0):

@@ -13,9 +13,9 @@
 # %% [markdown]
 # # First transmission error, and what its curve says
 #
-# A 2K-V reducer with four eccentric bodies (an eccentricity is half of the run-out that a dial gauge shows): how far
-# does its output stray from the ideal ratio, without load and under torque? Ten lines compute it; the rest of the page
-# reads the curve. Some ten seconds, most of them to compile.
+# The 2K-V reducer of this page has four eccentric bodies (an eccentricity is half of the run-out that a dial gauge
+# shows). How far is its output from the position that the ideal ratio gives, without load and under torque? Ten lines
+# compute this transmission error (TE); the rest explains its curve. The page takes some ten seconds, mostly to compile.
 
 # %%
 import dataclasses
@@ -47,11 +47,11 @@ for torque, te in loaded.items():
 
 # %% [markdown]
 # ## The gear set
-# Its bodies at input angle zero, as the package draws every gear set (a run writes it as `schematic.png`). A dashed
-# line on each body shows where phase zero points, an arc the sense in which phases count, a thick arrow the
-# eccentricity. The sun turns the crank, which carries both planet wheels around in the fixed ring; they turn slowly the
-# other way, and with them the output. A positive transmission error is an output that is further ahead than the ideal
-# ratio says.
+# The drawing shows the bodies at input angle zero. gearjax draws every gear set in this way (a run writes the drawing
+# as `schematic.png`). A dashed line on each body shows the direction of phase zero, an arc the sense in which phases
+# count, and a thick arrow the eccentricity. The sun turns the crank, which carries both planet wheels around in the
+# fixed ring. The planet wheels turn slowly in the opposite sense, and the output turns with them. A positive
+# transmission error means that the output is ahead of its ideal position.
 
 # %%
 drawing = schematic_figure(scene)
@@ -60,8 +60,9 @@ drawing
 
 # %% [markdown]
 # ## The curve
-# A torque on the output pushes it down (it lags), and the more torque, the smoother: one pair of teeth carries where
-# the run-outs put it ahead, both where they are near each other. Kinks are where the other pair comes in.
+# A torque on the output makes the output lag, so the curve moves down. The larger the torque, the smoother the curve.
+# One pair of teeth carries the load alone if the eccentricities put it well ahead of the other pair; both pairs carry
+# if they are nearly level. The curve has a kink where the other pair comes into contact.
 
 # %%
 turns = theta / (2 * jnp.pi)
@@ -77,12 +78,12 @@ figure.savefig(OUT / "first_te.svg")
 
 # %% [markdown]
 # ## Which body makes which wave
-# Each run-out turns with its body. `scene.system.orders` tells how often that is per turn of the input; without load
-# the largest waves are theirs.
+# Each eccentricity turns with its body. `scene.system.orders` gives the number of turns of each body per turn of the
+# input. Without load, the eccentricities cause the largest waves of the TE.
 
 # %%
 count = 8192
-theta = jnp.arange(count) * (scene.system.cycle / count)  # whole cycles: lines are lines
+theta = jnp.arange(count) * (scene.system.cycle / count)  # whole cycles: each line of the spectrum is one order
 te = gj.transmission_error(scene, theta).te
 amplitudes = 2 / count * np.abs(np.fft.rfft(te))
 orders = np.arange(amplitudes.size) * (2 * np.pi / scene.system.cycle)
@@ -93,8 +94,8 @@ for line in np.argsort(-amplitudes[1:])[:4] + 1:
 
 # %% [markdown]
 # ## What would a better bearing seat buy?
-# The gradient answers for all errors at once: how much peak-to-peak one micrometre less of each
-# eccentricity saves. Nothing for a wheel that does not set the extremes here; a larger change may still count.
+# One gradient answers for all eccentricities at once: how much the peak-to-peak TE falls per micrometre less of each.
+# It is zero for a wheel that does not affect the extremes here; a larger change may still have an effect.
 
 
 # %%
@@ -109,8 +110,8 @@ for name, slope in zip(scene.errors, np.asarray(jax.grad(peak_to_peak)(amplitude
 
 # %% [markdown]
 # ## A reducer with other tooth numbers
-# A planet wheel of 60 in a ring of 62 teeth: the same difference, so that the working pressure angle stays. Errors turn
-# at other orders, and repeat after another input angle.
+# Here a planet wheel with 60 teeth rolls in a ring with 62 teeth. The difference of the tooth numbers is the same, so
+# the working pressure angle does not change. The errors turn at other orders and repeat after another input angle.
 
 # %%
 other = dataclasses.replace(scene, system=dataclasses.replace(scene.system, planet_teeth=60, ring_teeth=62))

@@ -13,30 +13,32 @@
 # %% [markdown]
 # # The exponentially fitted scheme: derived, its order, its windows
 #
-# A gear's output on its teeth is an oscillator whose spring comes and goes. Between two changes of contact it is
-# linear, so that a step can be *exact* for a stiffness that is held over it. That is the scheme behind
-# `gj.simulate`: one force per step, errors only where contacts change and where what drives it changes. A minute.
+# The output of a gear set rests on its teeth: it is an oscillator whose springs act only during contact. Between two
+# changes of contact it is linear, so a time step can be *exact* if the stiffness is held constant over the step. This
+# is the scheme behind `gj.simulate`. It computes the forces once per step; errors arise only where contacts change and
+# where the excitation changes. This page runs for a minute.
 #
 # ## Derivation
 # With a stiffness $k$ and a damper $c$ on a mass $m$, the position $x$ obeys $\ddot x + d\,\dot x + w\,x = F$ with
-# $d = c/m$, $w = k/m$ and the force per mass $F$. Under a constant $F$ the distance from rest, $y = x - F/w$, is
+# $d = c/m$, $w = k/m$ and the force per mass $F$. Under a constant $F$ the distance from the rest position,
+# $y = x - F/w$, is
 #
 # $$y(t) = e^{-d t/2}\,(A \cos \omega t + B \sin \omega t), \qquad \omega^2 = w - d^2/4 .$$
 #
-# Take three places that are a step $h$ apart, $y_-, y, y_+$, and $u = d h/2$, $s = \omega h$. The sum
-# $e^{u} y_+ + e^{-u} y_-$ has no $B$ left: it is $2 \cos s \; y$. Therefore
+# Take three positions, $y_-, y, y_+$, one time step $h$ apart, and let $u = d h/2$, $s = \omega h$. In the sum
+# $e^{u} y_+ + e^{-u} y_-$ the terms with $B$ cancel: it is $2 \cos s \; y$. Therefore
 #
 # $$y_+ - y = e^{-2u}\,(y - y_-) - \left(1 + e^{-2u} - 2 e^{-u} \cos s\right) y .$$
 #
-# With $z = w h^2$, so that $s^2 = z - u^2$, and $1 + e^{-2u} = 2 e^{-u} \cosh u$, and $-y\,z = h^2 (F - w x)$:
+# Let $z = w h^2$. Then $s^2 = z - u^2$ and $-y\,z = h^2 (F - w x)$. With $1 + e^{-2u} = 2 e^{-u} \cosh u$ this gives
 #
 # $$x_+ - x = e^{-2u}\,(x - x_-) + 2 e^{-u}\, D\; h^2 (F - w x),$$
 #
 # $$D(z, u) = \frac{\cosh u - \cos\sqrt{z - u^2}}{z}.$$
 #
-# $D$ is an entire function of $z$: it is $1/2$ at $z = u = 0$, where the formula is Verlet's, and needs no square root
-# and no case for strong damping, as a power series shows (the few lines below take the root, for brevity). It is
-# Gautschi's scheme (1961) with the damping in it. Where $F$ and $w$ change smoothly it is of second order.
+# $D$ is an entire function of $z$, as its power series shows. Therefore it needs no square root and no case for strong
+# damping (the few lines below take the root, for brevity). At $z = u = 0$ it is $1/2$, and the formula is Verlet's.
+# The scheme is Gautschi's (1961) with damping included. If $F$ and $w$ change smoothly, it is of second order.
 
 # %%
 import dataclasses
@@ -61,8 +63,9 @@ OUT.mkdir(parents=True, exist_ok=True)
 
 # %% [markdown]
 # ## Exact on an oscillator
-# The formula in three lines, against the solution that is known, with steps up to two rad of the oscillation. (Two
-# equal roots, at a damping ratio of 1, are told apart by 1e-6 of themselves: the solution is known to that only.)
+# The formula takes three lines. It is compared with the known solution, for steps of up to two rad of the oscillation.
+# (At a damping ratio of 1 the two roots are equal. The code separates them by 1e-6 of their value, so the known
+# solution is accurate to that only.)
 
 
 # %%
@@ -75,7 +78,7 @@ w, force = 4.0e6, 3.0  # omega = 2000 rad/s
 for ratio in (0.0, 0.1, 1.0, 3.0):
     d = 2 * ratio * np.sqrt(w)
     roots = np.roots([1.0, d, w]).astype(complex)
-    roots[1] += 1e-6 * roots[0] if ratio == 1.0 else 0.0  # two equal roots, told apart
+    roots[1] += 1e-6 * roots[0] if ratio == 1.0 else 0.0  # two equal roots, separated
     share = np.linalg.solve([[1, 1], roots], [-force / w, 0.0])  # from rest at zero
 
     def exact(t, share=share, roots=roots):
@@ -92,10 +95,10 @@ for ratio in (0.0, 0.1, 1.0, 3.0):
 
 # %% [markdown]
 # ## Its order on a gear set
-# A 2K-V reducer under a steady torque, and under one that changes its sign (a sine of 20 Hz), so that teeth cross the
-# backlash and hit the other flank; the yardstick is Runge-Kutta with 0.2 us. Under the steady torque the orders are
-# those of the books. At an impact a force has a kink, and jumps where a damper engages at once: there neither scheme
-# has an order, errors fall irregularly with the step, and four forces a step buy little.
+# The 2K-V reducer runs under a steady torque, and under a torque that changes its sign (a sine of 20 Hz), so that teeth
+# cross the backlash and hit the other flank. The reference is Runge-Kutta with steps of 0.2 us. Under the steady torque
+# both schemes have their textbook orders. At an impact the force has a kink, and it jumps if a damper engages at once.
+# There neither scheme has an order: errors fall irregularly with the step, and four forces per step gain little.
 
 # %%
 steady = gj.load(examples()["two_kv"] / "wang_2020.toml")
@@ -123,10 +126,10 @@ figure.savefig(OUT / "fitted_scheme.svg")
 
 # %% [markdown]
 # ## Windows
-# Steps follow one another, but a damped gear set soon forgets where it began. A record can be cut into windows that run
-# side by side, each begun at rest on its teeth some time earlier. What is left of the wrong beginning falls as
-# $e^{-\zeta \omega t}$ over the warm-up time $t$. gearjax looks where windows meet: if they do not agree it says so and
-# computes the record in one go.
+# Time steps must be computed one after the other, but a damped gear set soon forgets its initial state. A record can
+# therefore be cut into windows that run in parallel. Each window starts some time earlier, from rest on the teeth. Over
+# this warm-up time $t$, the error of the initial state falls as $e^{-\zeta \omega t}$. gearjax compares the windows
+# where they meet. If they do not agree, it gives a warning and computes the record in one go.
 
 # %%
 whole = gj.simulate(steady, ts, 100.0, stepper=gj.FixedStep(5e-6)).te
@@ -149,8 +152,8 @@ figure.savefig(OUT / "fitted_scheme_windows.svg")
 
 # %% [markdown]
 # ## What its derivatives are
-# Gradients are those of the steps themselves, in both modes, and so exact for the numbers that the steps give: against
-# central differences.
+# In forward and in reverse mode, gradients are the derivatives of the time steps themselves. They are therefore exact
+# for the numbers that the steps give. Here they are compared with central differences.
 
 
 # %%
@@ -167,5 +170,5 @@ differences = (spread(mean + change) - spread(mean - change)) / (2 * change)
 print(f"d std / d k: forward {forward:.6e}, reverse {reverse:.6e}, differences {differences:.6e} rad m/N")
 
 # %% [markdown]
-# What to change next: `gj.DampingRatio(0.1, acting="always")`, whose dampers do not engage at once; the damping ratio,
-# and with it the warm-up; bodies on supports, whose many coordinates `gj.ExponentialParabola` steps in the same way.
+# What to change next: `gj.DampingRatio(0.1, acting="always")`, whose dampers do not engage suddenly; the damping ratio,
+# which changes the warm-up; bodies on supports, whose many coordinates `gj.ExponentialParabola` steps in the same way.

@@ -14,8 +14,9 @@
 # # From measurement to reassembly
 #
 # A reducer was measured on a test bench: input and output angle under two torques and in both directions. Which errors
-# explain its transmission error, what do the recordings not tell, and how should it be assembled anew? It takes about
-# a minute. The recordings are made up here; `gj.read_measurement` reads your own (CSV with names and units).
+# explain its transmission error? Which errors can the recordings not determine? And how should the reducer be
+# reassembled? This page runs for about a minute. Its recordings are synthetic; `gj.read_measurement` reads your own
+# (CSV with names and units).
 
 # %%
 from pathlib import Path
@@ -36,12 +37,12 @@ from gearjax.units import arcmin, deg, um
 plt.style.use("gearjax.plot.gearjax")
 OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
-scene = gj.load(examples()["two_kv"] / "measured.toml")  # geometry, and what is looked for
+scene = gj.load(examples()["two_kv"] / "measured.toml")  # geometry, and the unknown errors
 
 # %% [markdown]
 # ## The unit on the bench
-# Its errors are known here, and to nobody in the rest of the page. The bench adds an order of its own: a coupling that
-# turns three times per turn of the output.
+# The errors of the unit are known here; the identification does not use them. The bench adds an order that the gear set
+# does not have: a coupling that turns three times per turn of the output.
 
 # %%
 rng = np.random.default_rng(2)
@@ -84,8 +85,9 @@ figure
 
 # %% [markdown]
 # ## Reassemble now, or measure once more?
-# Both planet wheels can be turned in their seats. What the three recordings hide makes the advice a gamble; the
-# report says so, and what a recording after turning one of them would do.
+# Both planet wheels can be turned in their seats. The three recordings leave some errors undetermined, so the advice is
+# uncertain. `gj.reassemble` reports this uncertainty, and how one more recording, after turning one of the wheels,
+# would change it.
 
 # %%
 planets = ["errors.planet_1", "errors.planet_2"]
@@ -104,14 +106,14 @@ figure.savefig(OUT / "from_measurement_to_reassembly_3.svg")
 figure
 
 # %%
-advice = gj.reassemble(settled, planets, steps=dict.fromkeys(planets, 50))  # a tooth at a time
+advice = gj.reassemble(settled, planets, steps=dict.fromkeys(planets, 50))  # in steps of one tooth
 for path, angle in advice.turns.items():
     print(f"turn {path.partition('.')[2]} by {angle / deg:.1f} deg")
 print(f"promised: {advice.gain.low:.2f} to {advice.gain.high:.2f} of the standard deviation")
 
 # %% [markdown]
 # ## Did it help?
-# Only here can that be looked up: the true unit, turned as advised.
+# This can be checked only with a synthetic unit, whose true errors are known. The unit is turned as advised.
 
 # %%
 theta = np.linspace(0.0, scene.system.cycle, 4001)
@@ -124,6 +126,6 @@ before, after = (float(gj.transmission_error(each, theta).std / arcmin) for each
 print(f"standard deviation without load: {before:.3f} -> {after:.3f} arcmin, {after / before:.2f}")
 
 # %% [markdown]
-# What to change next: your own files in `runs`, a lighter torque, `priors={"errors.revolution": 3e-6}` from the
-# drawing, `gj.posterior(settled)` as a check of the intervals, `gj.export_joint(settled.scene, "joint", torque=150.0)`
-# for a robot's simulation.
+# What to change next: your own files in `runs`, a smaller torque, `priors={"errors.revolution": 3e-6}` from the
+# drawing, `gj.posterior(settled)` to check the intervals, `gj.export_joint(settled.scene, "joint", torque=150.0)` for
+# the simulation of a robot.

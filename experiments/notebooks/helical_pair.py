@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Helical pair: from micro-geometry to vibration
 #
-# Teeth give way under load, so that the next pair comes in too early. Reliefs and crowning make room for that, for one
-# torque; for a range of torques they are a compromise, which gradients find. And what the micro-geometry is worth shows
-# in the vibration over the speed. About a minute.
+# Teeth deflect under load, so the next pair comes into contact too early. Reliefs and crowning compensate for this at
+# one torque. For a range of torques they are a compromise, which gradients find. The vibration over the speed then
+# shows how much the micro-geometry improves. This page runs for about a minute.
 
 # %%
 import dataclasses
@@ -37,12 +37,12 @@ plt.style.use("gearjax.plot.gearjax")
 OUT = Path("out") / "notebooks"
 OUT.mkdir(parents=True, exist_ok=True)
 scene = gj.load(examples()["helical"] / "guo_2018_optimise.toml")  # without any modification
-mesh = jnp.linspace(0.0, 2 * jnp.pi / scene.system.pinion_teeth, 33)  # a mesh period of the pinion
+mesh = jnp.linspace(0.0, 2 * jnp.pi / scene.system.pinion_teeth, 33)  # one mesh period, as an angle of the pinion
 torques = (400.0, 600.0, 830.0)
 
 # %% [markdown]
 # ## Without modifications
-# The TE under load swings with the stiffness of the mesh, in proportion to the torque.
+# The TE under load varies with the mesh stiffness, in proportion to the torque.
 
 # %%
 for torque in torques:
@@ -51,7 +51,7 @@ for torque in torques:
 
 # %% [markdown]
 # ## Relief and crowning for a range of torques
-# The sum of peak-to-peak under three torques, descended from four starts.
+# The objective is the sum of the peak-to-peak TE under three torques. It is minimised by gradients from four starts.
 
 # %%
 paths = ["errors.tip.amount[0]", "errors.root.amount[0]", "errors.crowning.amount[0]"]
@@ -81,8 +81,9 @@ figure.savefig(OUT / "helical_pair.svg")
 
 # %% [markdown]
 # ## The vibration over the speed
-# Both gears free to turn, every slice of the contact lines with a spring and a damper of its own: the motion that
-# repeats with the mesh, at 50 speeds in one batch. Where a harmonic of the mesh meets the natural frequency it rings.
+# Both gears are free to turn, and every slice of the contact lines has its own spring and damper. One batch computes
+# the motion that repeats with the mesh, at 50 speeds. There is a resonance where a harmonic of the mesh frequency meets
+# the natural frequency.
 
 # %%
 parts = {"inertia": gj.MomentOfInertia(0.0587), "damping": gj.DampingRatio(0.07)}
@@ -105,6 +106,6 @@ figure.savefig(OUT / "helical_pair_3.svg")
 figure
 
 # %% [markdown]
-# What to change next: `youngs_modulus` and bores in the configuration, flanks that a measuring machine wrote
-# (`gj.MeasuredFlank`, `guo_2018_measured.toml`), bodies on bearings (`[supports.pinion]`), tolerances of the amounts
-# (`guo_2018_tolerance.toml`).
+# What to change next: `youngs_modulus` and bores in the configuration, flanks from a measuring machine
+# (`gj.MeasuredFlank`, `guo_2018_measured.toml`), bodies on bearings (`[supports.pinion]`), tolerances of the amounts of
+# relief and crowning (`guo_2018_tolerance.toml`).

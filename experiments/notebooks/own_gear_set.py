@@ -13,13 +13,13 @@
 # %% [markdown]
 # # A gear set of one's own, from a sketch of its contact to its transmission error
 #
-# gearjax knows a gear set by its contacts alone: where they are, how the output moves them, how errors of bodies open
-# them. Two spur wheels with run-out take one class of some 40 lines, and have every analysis after it: TE, backlash,
-# forces, motion, gradients, batches, tolerances, identification. Some ten seconds.
+# gearjax describes a gear set by its contacts alone: where they are, how the output moves them, how errors of bodies
+# open them. Two spur gears with run-out need one class of some 40 lines. Every analysis then works for them: TE,
+# backlash, forces, motion, gradients, batches, tolerances, identification. This page runs for some ten seconds.
 #
-# The sketch: the teeth touch along the line of action, which leans by the pressure angle. A driving flank is on one
-# side, a back flank on the other. If the output turns by q, a contact closes by `lever * q`; an error `e` of a wheel
-# that has turned by an angle counts with `e sin(angle + phase + pressure angle)` along that line.
+# The sketch: the teeth touch along the line of action, which is inclined by the pressure angle. The driving flank is on
+# one side, the back flank on the other. If the output turns by `q`, a contact closes by `lever * q`. An eccentricity
+# `e` of a gear that has turned by `angle` contributes `e sin(angle + phase + pressure angle)` along the line of action.
 
 # %%
 import math
@@ -87,7 +87,7 @@ class TwoSpurWheels(gj.AbstractSystem):
 
 # %% [markdown]
 # ## It is a configuration now
-# Fields are keys, with the units, bounds and messages that were declared.
+# The fields of the class are now keys of a configuration, with the units, bounds and error messages that were declared.
 
 # %%
 scene = gj.loads("""
@@ -127,7 +127,7 @@ te = gj.transmission_error(scene, theta)
 
 # %% [markdown]
 # ## Against the sketch, by hand
-# Both run-outs along the line of action, over the base radius.
+# The TE by hand is the sum of both eccentricities along the line of action, divided by the base radius of the wheel.
 
 # %%
 lean = math.radians(20)
@@ -137,7 +137,7 @@ assert np.abs(te.te - by_hand / 0.03).max() < 1e-14
 
 # %% [markdown]
 # ## And it has all the rest
-# The motion under a load, and which run-out matters more.
+# Two examples: the motion under a load, and the influence of each run-out on the peak-to-peak TE.
 
 # %%
 motion = gj.simulate(scene, jnp.linspace(0.0, 3.1, 6001), 20.0, settle=0.05)
@@ -165,6 +165,6 @@ for name, slope in zip(scene.errors, slopes, strict=True):
 figure.savefig(OUT / "own_gear_set.svg")
 
 # %% [markdown]
-# What to change next: several pairs (`Layout.of_flanks(2, ...)`), levers that turn (return them from `pose`), bodies
-# on supports. Test it against its own equations, written out apart, as above. For the command `gearjax`, put the
-# class into a package and list it as an entry point in the group `gearjax.systems`.
+# What to change next: several pairs (`Layout.of_flanks(2, ...)`), levers that change with the angle (return them from
+# `pose`), bodies on supports. Test your class against equations that you write down independently, as above. To use the
+# class with the command `gearjax`, put it into a package and list it as an entry point in the group `gearjax.systems`.

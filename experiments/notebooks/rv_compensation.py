@@ -13,10 +13,10 @@
 # %% [markdown]
 # # RV reducer: compensation that holds under random errors
 #
-# Under load the output of an RV reducer lags. Modifications of the discs can take some of the lag away (Hu, Li, Zhu and
-# Cui 2020), but every micrometre of it costs backlash, and errors of manufacturing eat what is left. Which
-# modifications make the lag small for the design, and which still leave clearance in many reducers as they are made?
-# Under two minutes.
+# Under load the output of an RV reducer lags. Modifications of the discs can reduce this lag (Hu, Li, Zhu and Cui
+# 2020), but every micrometre of compensation reduces the backlash, and manufacturing errors reduce it further. Which
+# modifications make the lag of the ideal design small? And which modifications still leave backlash in many
+# manufactured reducers? This page runs for under two minutes.
 
 # %%
 import dataclasses
@@ -44,7 +44,8 @@ crank = jnp.arange(41) * (2 * jnp.pi / 41)
 
 # %% [markdown]
 # ## Reducers as they are made
-# Waves in the places of the pins, run-out and pitch errors of both discs, a throw that is too long or too short.
+# Their random errors are waves in the pin positions, run-out and pitch errors of both discs, and a throw of the crank
+# that is too long or too short.
 
 # %%
 rng = np.random.default_rng(0)
@@ -71,8 +72,8 @@ reducers = [drawn(0.5) for _ in range(32)]
 
 # %% [markdown]
 # ## For the design alone, and for all of them
-# The mean lag is made small by gradients, with at least 0.1 arcmin of backlash and 10 um of clearance at the tips. The
-# results are judged by the hard contact law, between the angles too.
+# Gradients minimise the mean lag. At least 0.1 arcmin of backlash and 10 um of clearance at the tips are required. The
+# results are computed with the hard contact law, and the backlash between the input angles too.
 
 
 # %%
@@ -99,9 +100,10 @@ for words, found in (("the design", alone), (f"{len(reducers)} reducers", togeth
 
 # %% [markdown]
 # ## What the errors leave of it
-# Both compensations, given to 32 reducers that neither has seen: how much backlash is left in the worst place of each?
-# Below nothing it jams. What the design promises is lost on every one of them. And the 32 of the search are too few to
-# keep all others clear: more of them leave less to chance.
+# Both compensations are applied to 32 new reducers, which neither search has used. How much backlash is left in each
+# reducer at its worst angle? A reducer with a backlash below zero jams. The compensation for the design alone keeps its
+# required backlash in none of them. The 32 reducers of the search are too few to keep all other reducers free: a larger
+# number leaves less to chance.
 
 # %%
 system = dataclasses.replace(scene.system, **{path.split(".")[1]: value for path, value in alone.values.items()})
@@ -125,5 +127,5 @@ axes.legend()
 figure.savefig(OUT / "rv_compensation.svg")
 
 # %% [markdown]
-# What to change next: the size of the errors in `drawn`; `TORQUE`; more reducers, as
-# `experiments/rv_compensation.py` has them; `gearjax tolerance` for the share that a limit leaves.
+# What to change next: the size of the errors in `drawn`; `TORQUE`; more reducers, as in
+# `experiments/rv_compensation.py`; `gearjax tolerance` for the share of reducers within a limit.

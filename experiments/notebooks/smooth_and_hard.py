@@ -13,8 +13,9 @@
 # %% [markdown]
 # # Smoothed contact: descend smooth, judge hard
 #
-# Teeth touch or they do not: forces have kinks, and where a pair comes into contact a gradient jumps. gearjax can
-# smooth the contact over a width. What does that do to the TE, and what to its gradient? Under a minute.
+# Teeth touch or they do not: forces have kinks, and a gradient jumps where a pair comes into contact. gearjax can
+# smooth the contact over a width. "Descend smooth, judge hard" means: search with the smooth contact law, report with
+# the hard one. How does the width change the TE and its gradient? This page runs for under a minute.
 
 # %%
 import dataclasses
@@ -46,8 +47,8 @@ def peak_to_peak(phase, contact):
 
 # %% [markdown]
 # ## The objective over one phase
-# Hard contact has kinks: there the highest point of the curve moves from one angle to another. A width rounds what
-# comes from contacts, and moves the value by no more than the width itself.
+# With hard contact the curve has kinks: there the highest point of the TE moves from one input angle to another. A
+# smoothing width rounds kinks that come from contacts. It changes the value by no more than the width itself.
 
 # %%
 phases = jnp.linspace(0.0, 2 * jnp.pi, 91)
@@ -70,8 +71,8 @@ figure.savefig(OUT / "smooth_and_hard.svg")
 
 # %% [markdown]
 # ## Are the gradients right?
-# At rest: against central differences at random phases. Those of hard contact are right wherever there is one; only
-# at the kinks, which nobody hits by chance, there is none.
+# First at rest, compared with central differences at random phases. With hard contact the gradient is exact wherever it
+# exists. It does not exist at the kinks, but a random phase practically never lies at a kink.
 
 # %%
 places = jax.random.uniform(jax.random.key(1), (64,), maxval=2 * jnp.pi)
@@ -84,11 +85,12 @@ for name, law in laws.items():
 
 # %% [markdown]
 # ## In motion
-# A heavy arm shakes on the teeth. A damper that engages at once makes the force jump, and the steps of an integration
-# do not see how that moves the times of later contacts: the derivative of single samples misses it, the more the more
-# often contacts come and go. Over a width they do see it. (The DiffMJX paper, arXiv 2506.14186, shows the like for
-# contacts of robots.) Below, the error of the derivative of all samples by the stiffness, against central differences,
-# over the stiffness of the teeth: by the fitted steps, and by Runge-Kutta's of the same length.
+# A heavy arm vibrates on the teeth. A damper that engages at once makes the force jump. The time steps do not include
+# how this jump changes the times of later contacts, so the derivative of single samples has an error. The error grows
+# with the number of contacts that open and close. A smoothing width makes the derivative include this effect. (The
+# DiffMJX paper, arXiv 2506.14186, shows the same for contacts of robots.) The figure shows the error of the derivative
+# of all samples with respect to the stiffness, against central differences, over the stiffness of the teeth. It
+# compares the steps of the fitted scheme with Runge-Kutta steps of the same length.
 
 # %%
 arm = dataclasses.replace(
@@ -125,12 +127,13 @@ axes.legend(title="contact over", ncols=2)
 figure.savefig(OUT / "smooth_and_hard_2.svg")
 
 # %% [markdown]
-# Where no contact opens or closes, of soft and of the stiffest teeth here, all are right. Between them the derivative
-# of hard contact is off by up to a fifth, whichever the steps, and the wider the contact the less.
+# With soft teeth, and with the stiffest teeth here, no contact opens or closes, and all derivatives are right. Between
+# them the derivative with hard contact has an error of up to a fifth, with either kind of steps. A wider
+# contact reduces this error.
 #
 # ## Why then judge hard?
-# Because a width gives way where a tooth does not. An optimum found with 8 um looks different from what a reducer
-# does; searched with a width, its number is told with hard contact.
+# A smoothed contact gives way where a tooth does not. An optimum that is computed with a width of 8 um differs
+# from the behaviour of the reducer. After a search with a width, the TE is therefore reported with hard contact.
 
 # %%
 paths = ["errors.planet_1.phase", "errors.planet_2.phase"]
@@ -143,5 +146,5 @@ for name in ("hard", "8 um"):
     print(f"{name:7}: promises {found.objective / arcmin:.4f} arcmin, hard contact makes it {judged / arcmin:.4f}")
 
 # %% [markdown]
-# What to change next: `gj.SoftplusContact`, whose force reaches further; the width of a scene's `[contact]`; a torque
-# that alternates, under which disturbances grow and gradients with them (`gj.growth_rate` says how fast).
+# What to change next: `gj.SoftplusContact`, whose force reaches further; the width in the `[contact]` section of a
+# scene; an alternating torque, under which disturbances and gradients grow (`gj.growth_rate` gives the rate).

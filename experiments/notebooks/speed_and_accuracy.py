@@ -13,9 +13,10 @@
 # %% [markdown]
 # # Speed against accuracy, and what breaks at the extremes
 #
-# A motion can be computed in steps of any length, in windows side by side, in float32, or not at all, where the static
-# TE will do. What does each choice cost, and how far off is it? And what does gearjax do at extreme stiffness, mass and
-# damping? One to two minutes. `gearjax tradeoff CONFIG` answers the first question for a scene of yours.
+# A motion can be computed in time steps of any length, in parallel windows, or in float32. If the static TE is good
+# enough, the motion need not be computed at all. How much time does each choice take, and how large is its error? And
+# how does gearjax behave at extreme stiffness, mass and damping? This page runs for one to two minutes.
+# `gearjax tradeoff CONFIG` answers the first question for a scene of yours.
 
 # %%
 import dataclasses
@@ -56,9 +57,10 @@ def measured(stepper, scene=scene, ts=ts):
 
 # %% [markdown]
 # ## Steps, schemes, windows
-# The yardstick is Runge-Kutta with steps of 0.5 us. Each choice has its place by its time and by the largest error of
-# its samples. Down and to the left is better. Runge-Kutta has half the error of the fitted scheme at the same step, and
-# takes some twenty times as long: three times its step costs less and errs less. Windows use the cores side by side.
+# The reference is Runge-Kutta with steps of 0.5 us. The figure shows the computing time of each choice and the largest
+# error of its samples; lower and further left is better. At the same step, Runge-Kutta has half the error of the fitted
+# scheme and takes some twenty times as long. The fitted scheme with three times as many steps takes less time than
+# that, and has a smaller error. Windows use the cores in parallel.
 
 # %%
 truth, _ = measured(gj.FixedStep(0.5e-6, solver=gj.RungeKutta4()))
@@ -84,8 +86,8 @@ figure.savefig(OUT / "speed_and_accuracy.svg")
 
 # %% [markdown]
 # ## float32
-# Half of the memory, and on processors twice the speed in large batches (on an accelerator 1.2 times). Rounding adds to
-# the error of the steps.
+# float32 needs half of the memory. In large batches it is twice as fast on processors, and 1.2 times as fast on an
+# accelerator. Rounding adds to the error of the steps.
 
 # %%
 with jax.enable_x64(False):
@@ -96,9 +98,10 @@ print(f"float32 against float64 at the same step: {np.abs(rough - fine).max() / 
 
 # %% [markdown]
 # ## At the extremes
-# Stiffness, mass and damping over many powers of ten, the step left to gearjax: `gj.chosen_steps` says what it takes. A
-# step that is too long for a pair is refused before it blows up. Over many periods of the oscillation the mean is that
-# of the static TE: every record stays within a hundredth of its size.
+# Stiffness, mass and damping vary over many powers of ten. gearjax chooses the step, and `gj.chosen_steps` reports it.
+# gearjax refuses a step that is too long for a pair of teeth, before the motion grows without limit. Over many periods
+# of the oscillation, the mean of the motion is the mean of the static TE: in every record the two differ by less than a
+# hundredth of the largest static TE.
 
 # %%
 few = jnp.linspace(0.0, 0.1, 201)
@@ -122,5 +125,5 @@ except gj.SceneError as fault:
     print("refused:", fault)
 
 # %% [markdown]
-# What to change next: `TORQUE`, down to where teeth lift off; `gj.AdaptiveStep(rtol=1e-9, atol=1e-12)` as another
-# yardstick; the scene, to a reducer of your own.
+# What to change next: `TORQUE`, down to where teeth separate; `gj.AdaptiveStep(rtol=1e-9, atol=1e-12)` as another
+# reference; the scene, for example a reducer of your own.

@@ -13,8 +13,8 @@
 # %% [markdown]
 # # A tolerance study: from the drawing to the yield, and what to tighten
 #
-# A drawing gives tolerances, not errors. How many of 20,000 reducers will have less than 2 arcmin without load, and
-# which tolerance pays? Some ten seconds.
+# A drawing gives tolerances, not errors. How many of 20,000 reducers have a peak-to-peak TE of less than 2 arcmin
+# without load? And which tolerance is it best to tighten? This page runs for some ten seconds.
 
 # %%
 from pathlib import Path
@@ -39,8 +39,8 @@ measure, limit = "no_load.peak_to_peak", 2 * arcmin
 
 # %% [markdown]
 # ## The population
-# The size of each run-out is Rayleigh distributed, as that of a vector with normal components; how the wheels happen
-# to be turned is any angle.
+# The amplitude of each eccentricity has a Rayleigh distribution, like the length of a vector with two normally
+# distributed components. Its phase has a uniform distribution, because the wheels are assembled at any angle.
 
 # %%
 bodies = list(scene.errors)
@@ -69,7 +69,7 @@ figure.savefig(OUT / "tolerance_study.svg")
 
 # %% [markdown]
 # ## Which tolerance pays?
-# Each run-out in turn with half of its scatter, the same random numbers otherwise.
+# The scatter of one eccentricity after the other is halved. All else is computed with the same random numbers.
 
 # %%
 for body in bodies:
@@ -77,7 +77,7 @@ for body in bodies:
     print(f"{body:14} halved: {better.share_within(measure, limit).value:.1%} within the limit")
 
 # %% [markdown]
-# What to change next: sizes by grade (`gj.Iso1328RunOut(grade=6, module=2.5e-3, diameter=0.125)`), measures under
-# torque (`"static.std@100Nm"`), the cheapest tolerances for which a yield of 95 % is demonstrated, and phases chosen
-# for each unit from its measured run-outs: `gearjax tolerance configs/two_kv/wang_2020_tolerance.toml` does all of
+# What to change next: sizes by accuracy grade (`gj.Iso1328RunOut(grade=6, module=2.5e-3, diameter=0.125)`); metrics
+# under torque (`"static.std@100Nm"`); the cheapest tolerances with a demonstrated yield of 95 %; phases that are chosen
+# for each unit from its measured run-outs. `gearjax tolerance configs/two_kv/wang_2020_tolerance.toml` does all of
 # these.

@@ -378,7 +378,8 @@ def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], n
             notes.append(f"{unknown.name}: the recordings show no deflection under torque: is the torque right?")
         if unknown.path == "backlash.initial" and value < 0:
             notes.append(
-                "backlash.initial is below zero: flanks jam, or the recordings' offsets differ by more than it"
+                "backlash.initial is below zero: flanks jam, or the offsets of the recordings differ by more "
+                "than the backlash"
             )
     if len(fit.others):
         notes.append(

@@ -14,12 +14,12 @@ from gearjax.units import deg
 
 RATIO_TOLERANCE = 2e-3  # relative deviation of the output's slope from that of the gear set
 FACTORS = {  # factors of a wrong slope, and the likely cause
-    180 / np.pi: "the input angle seems to be in radians, or the output angle in degrees, unlike its header says",
-    np.pi / 180: "the input angle seems to be in degrees, or the output angle in radians, unlike its header says",
-    360.0: "one of the angles seems to be in turns, unlike its header says",
-    1 / 360.0: "one of the angles seems to be in turns, unlike its header says",
-    60.0: "one of the angles seems to be in arcmin, unlike its header says",
-    1 / 60.0: "one of the angles seems to be in arcmin, unlike its header says",
+    180 / np.pi: "the input angle seems to be in radians, or the output angle in degrees, contrary to its header",
+    np.pi / 180: "the input angle seems to be in degrees, or the output angle in radians, contrary to its header",
+    360.0: "one of the angles seems to be in turns, contrary to its header",
+    1 / 360.0: "one of the angles seems to be in turns, contrary to its header",
+    60.0: "one of the angles seems to be in arcmin, contrary to its header",
+    1 / 60.0: "one of the angles seems to be in arcmin, contrary to its header",
 }
 SHORTEST = 3  # rows
 FLIPS = 0.05  # share of the rows with a change of sign, above which a torque may be noise

@@ -236,7 +236,7 @@ def _with_ends(task: _Task, begins: list[np.ndarray], objective: str, limits: Li
     for column in np.flatnonzero(sum(moves) == 0):
         ends = [np.where(np.arange(len(low)) == column, end, begins[0]) for end in (low, high)]
         if all(np.array_equal(at(end)[0], sizes[0]) for end in ends):
-            words = f"neither {objective} nor any requirement depends on it"
+            words = f"{objective} does not depend on it, nor does any requirement"
             raise ParameterError("where", task.free.paths[column], words)
         begins = [*begins, *ends]
     return begins
