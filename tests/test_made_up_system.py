@@ -13,7 +13,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import gearjax as gj
-from gearjax import plot, results, units
+from gearjax import plot, registry, results, units
 from gearjax.contact import BodyView, Layout, Pose, Request
 from gearjax.parameters import check_parameters, count, length, number
 from gearjax.systems import AbstractSystem
@@ -100,8 +100,10 @@ torques = ["20 N*m"]
 
 
 @pytest.fixture
-def spur() -> gj.Scene:
-    """The pair, read from a configuration once it is registered."""
+def spur(monkeypatch) -> gj.Scene:
+    """The pair, read from a configuration while it is registered."""
+    known = {group: dict(kinds) for group, kinds in registry._kinds.items()}
+    monkeypatch.setattr(registry, "_kinds", known)  # other tests, of this process too, know nothing of it
     gj.register(SpurPair)
     return gj.loads(CONFIG)
 
