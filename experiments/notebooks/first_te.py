@@ -46,19 +46,6 @@ for torque, te in loaded.items():
     print(f"{torque:5.0f} N m: peak-to-peak {te.peak_to_peak / arcmin:.3f} arcmin, mean {te.mean / arcmin:.3f} arcmin")
 
 # %% [markdown]
-# ## The gear set
-# The drawing shows the bodies at input angle zero. gearjax draws every gear set in this way (a run writes the drawing
-# as `schematic.png`). A dashed line on each body shows the direction of phase zero, an arc the sense in which phases
-# count, and a thick arrow the eccentricity. The sun turns the crank, which carries both planet wheels around in the
-# fixed ring. The planet wheels turn slowly in the opposite sense, and the output turns with them. A positive
-# transmission error means that the output is ahead of its ideal position.
-
-# %%
-drawing = schematic_figure(scene)
-drawing.savefig(OUT / "first_te_bodies.svg")
-drawing
-
-# %% [markdown]
 # ## The curve
 # A torque on the output makes the output lag, so the curve moves down. The larger the torque, the smoother the curve.
 # One pair of teeth carries the load alone if the eccentricities put it well ahead of the other pair; both pairs carry
@@ -75,6 +62,19 @@ axes[1].plot(turns, loaded[100.0].forces[:, : scene.layout.teeth] / 1e3, linewid
 axes[1].set_ylabel("tooth forces at 100 N m [kN]")
 axes[1].set_xlabel("turns of the input")
 figure.savefig(OUT / "first_te.svg")
+
+# %% [markdown]
+# ## The gear set
+# The drawing shows the bodies at input angle zero. gearjax draws every gear set in this way (a run writes the drawing
+# as `schematic.png`). A dashed line on each body shows the direction of phase zero, an arc the sense in which phases
+# count, and a thick arrow the eccentricity. The sun turns the crank, which carries both planet wheels around in the
+# fixed ring. The planet wheels turn slowly in the opposite sense, and the output turns with them. A positive
+# transmission error means that the output is ahead of its ideal position.
+
+# %%
+drawing = schematic_figure(scene)
+drawing.savefig(OUT / "first_te_bodies.svg")
+drawing
 
 # %% [markdown]
 # ## Which body makes which wave
