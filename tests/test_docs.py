@@ -3,12 +3,14 @@
 import ast
 import doctest
 import importlib
+import importlib.util
 import inspect
 import json
 import pkgutil
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -89,6 +91,36 @@ def test_links_and_commands_of_pages_lead_somewhere(page):
         options = set(inspect.signature(known[command].callback).parameters)
         for option in (word for word in words if word.startswith("--")):
             assert option[2:].replace("-", "_").split("=")[0] in {name.strip("_") for name in options}, line
+
+
+SCRIPTS = sorted((ROOT / "experiments").glob("*.py"))
+
+
+def names_used(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Module and name of everything of gearjax that a script imports or reaches by ``gj``."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "gearjax":
+            yield from ((str(node.module), alias.name) for alias in node.names)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "gj":
+            yield "gearjax", node.attr
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_scripts_use_what_there_is(script):
+    """Benches take minutes and other programs; that what they name is still there takes none."""
+    for module, name in names_used(ast.parse(script.read_text(encoding="utf-8"))):
+        found = importlib.import_module(module)
+        assert hasattr(found, name) or importlib.util.find_spec(f"{module}.{name}"), f"{module}.{name}"
+
+
+def test_scripts_of_pages_have_their_options():
+    pattern = re.compile(r"python (experiments/\S+\.py)((?: --?[\w-]+(?: [\w./]+)?)*)")
+    shown = [match for page in PAGES for match in pattern.findall(page.read_text(encoding="utf-8"))]
+    assert len(shown) > 8
+    for file, words in shown:
+        text = (ROOT / file).read_text(encoding="utf-8")
+        for option in re.findall(r"--[\w-]+", words):
+            assert f'"{option}"' in text, f"{file} {option}"
 
 
 def test_every_public_name_has_an_example_and_its_place_in_the_manual():
