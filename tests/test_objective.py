@@ -38,7 +38,7 @@ def test_pieces_hold_the_highest_sample_however_few_there_are():
     phases = pick(one, [f"errors.{name}_{disc}.phase" for name in ("disc", "pitch") for disc in (1, 2)])
     one = phases.set(one, jnp.deg2rad(jnp.array([-34.1215, 96.4101, 3.84334, -149.912])))
     theta = jnp.linspace(0.0, one.system.cycle, 39 * 40 + 1)
-    with pytest.warns(gj.FewAngles, match="40 per turn of the input"):
+    with pytest.warns(gj.FewAngles, match="40 cycles per turn of the input"):
         objective = Objective.of("static_peak_to_peak", one, theta, 784.0)
     spread = np.ptp(np.asarray(gj.transmission_error(one, theta, 784.0).te))
     assert float(jax.jit(lambda scene: objective.refined(scene))(one)) >= spread * (1 - 1e-9) > 0

@@ -113,11 +113,16 @@ def test_a_browser_shows_it_without_an_error(written, tmp_path):
         pytest.skip("no browser here")
     text = (written / "report.html").read_text(encoding="utf-8")
     look = """<script>
-    const svg = document.querySelector("figure svg"), frame = svg.getBoundingClientRect();
-    const {box} = JSON.parse(document.querySelector("figure script").textContent)[0];
+    for (const svg of document.querySelectorAll("figure svg")) {  // drawings without curves too
+        svg.dispatchEvent(new MouseEvent("mousemove", {clientX: 9, clientY: 9}));
+    }
+    const read = figure => JSON.parse(figure.querySelector("script")?.textContent ?? "[]");
+    const curves = [...document.querySelectorAll("figure")].find(figure => read(figure).length);
+    const svg = curves.querySelector("svg"), frame = svg.getBoundingClientRect();
+    const {box} = read(curves)[0];
     const at = [(box[0] + box[2]) / 2 * frame.width, (box[1] + box[3]) / 2 * frame.height];
     svg.dispatchEvent(new MouseEvent("mousemove", {clientX: frame.left + at[0], clientY: frame.top + at[1]}));
-    document.title = "shown: " + document.querySelector(".tip").textContent + " of " + frame.width;
+    document.title = "shown: " + curves.querySelector(".tip").textContent + " of " + frame.width;
     </script></body>"""
     (tmp_path / "page.html").write_text(text.replace("</body>", look), encoding="utf-8")
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]

@@ -81,7 +81,7 @@ class Running:
     [
         (["run", str(CONFIG)], "done: "),
         (["optimise", str(PHASES)], "grid of"),
-        (["tradeoff", str(CONFIG)], "truth"),
+        (["tradeoff", str(CONFIG)], "reference"),
         (["reproduce", "two_kv"], "computing"),
         (["reproduce", "involute_rv"], "finite elements"),
     ],
