@@ -8,6 +8,7 @@ import dataclasses
 import math
 
 Point = tuple[float, float]
+MIDDLE: Point = (0.0, 0.0)
 THROW = 0.3  # length of a throw in a sketch; the radius of the ring is 1
 CLOCKWISE, ANTICLOCKWISE = -1, 1
 
@@ -16,8 +17,7 @@ CLOCKWISE, ANTICLOCKWISE = -1, 1
 class SketchedBody:
     """A body that may carry errors, as it is drawn.
 
-    The phase p of an error points in the direction ``zero + sense p``. A displacement d of the body changes the gaps by
-    ``share n d``, where n is the change of the gaps per displacement of the body ``seen_by``, which may have a support.
+    The phase p of an error points in the direction ``zero + sense p``.
 
     Args:
         name: name of the body.
@@ -27,21 +27,17 @@ class SketchedBody:
             does not show it.
         sense: sense in which phases are counted, 1 counter-clockwise, -1 clockwise.
         turns: sense in which the body turns, 1 counter-clockwise, -1 clockwise, 0 if it stands still.
-        frame: direction of the x axis of the supports of ``seen_by`` [rad].
-        seen_by: body with supports that touches the same flanks; the body itself if empty.
-        share: 1 if a displacement of the body acts like one of ``seen_by``, -1 if it acts against it.
+        frame: direction of the x axis of its supports [rad].
         outline: closed pitch curve in place of a circle, shape (point, 2).
     """
 
     name: str
-    axis: Point
+    axis: Point = MIDDLE
     radius: float = 0.0
     zero: float | None = 0.0
     sense: int = ANTICLOCKWISE
     turns: int = 0
     frame: float = 0.0
-    seen_by: str = ""
-    share: int = 1
     outline: tuple[Point, ...] = ()
 
 
@@ -66,9 +62,9 @@ class Sketch:
         return next(body for body in self.bodies if body.name == name)
 
 
-def at(direction: float, distance: float) -> Point:
-    """Point in a direction [rad] from the middle of the drawing."""
-    return distance * math.cos(direction), distance * math.sin(direction)
+def beyond(place: Point, direction: float, distance: float) -> Point:
+    """Point in a direction [rad] from a place."""
+    return place[0] + distance * math.cos(direction), place[1] + distance * math.sin(direction)
 
 
 def on_cranks(
@@ -83,8 +79,10 @@ def on_cranks(
         mesh: whether each wheel has a pitch point in the direction of its throw.
     """
     placed = tuple(
-        dataclasses.replace(wheel, axis=at(throw, THROW), radius=1 - THROW, turns=CLOCKWISE, frame=throw)
+        dataclasses.replace(wheel, axis=beyond(MIDDLE, throw, THROW), radius=1 - THROW, turns=CLOCKWISE, frame=throw)
         for wheel, throw in zip(wheels, throws, strict=True)
     )
-    points = tuple((at(throw, 1.0), wheel.name) for wheel, throw in zip(placed, throws, strict=True) if mesh)
-    return Sketch((*placed, *others), points, throws, ((0.0, 0.0), 0.55, CLOCKWISE))
+    points = tuple(
+        (beyond(MIDDLE, throw, 1.0), wheel.name) for wheel, throw in zip(placed, throws, strict=True) if mesh
+    )
+    return Sketch((*placed, *others), points, throws, (MIDDLE, 0.55, CLOCKWISE))

@@ -235,8 +235,8 @@ def extremes(
     signs = jnp.array([1.0, -1.0], values.dtype)  # maximum of the curve, and maximum of its negative
     each = jnp.broadcast_to(signs[:, None], intervals.shape)
     points = turning_points(at, each, (theta, slopes, frozen_values), intervals, halvings=HALVINGS)
-    best = jnp.argmax(points.heights, axis=1)
-    points = jax.lax.stop_gradient(jax.tree.map(lambda part: part[jnp.arange(2), best], points))
+    highest = jnp.argmax(points.heights, axis=1)
+    points = jax.lax.stop_gradient(jax.tree.map(lambda part: part[jnp.arange(2), highest], points))
     sides = jax.vmap(curve, in_axes=(None, 0))(physics, points.ends.reshape(-1))
     refined = signs * points.values(sides.reshape(points.ends.shape))
     at_sample = jnp.stack([jnp.argmax(values), jnp.argmin(values)])

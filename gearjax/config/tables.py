@@ -82,12 +82,11 @@ def in_words(parameter: Parameter, *, own_example: bool = False) -> str:
     if parameter.kind == "name":
         return " or ".join(quoted) or "a name in quotes"
     assert parameter.dimension is not None
-    own = own_example and parameter.example is not None
+    own = own_example and parameter.example is not None and parameter.kind != "series"
     shown = parameter.example if own else parameter.dimension.example
     example = f'"{shown}"' if parameter.dimension.unit else shown
     if parameter.kind == "series":
-        each = f'"{parameter.dimension.example}"' if parameter.dimension.unit else parameter.dimension.example
-        return f"a list of {parameter.dimension.several} such as [{each}], [] for none"
+        return f"a list of {parameter.dimension.several} such as [{example}], [] for none"
     words = f"{parameter.dimension.described} such as {example}"
     if parameter.words:
         return f'{words}, or a name such as "crank"'

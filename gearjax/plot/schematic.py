@@ -14,7 +14,7 @@ from gearjax.contact import Request
 from gearjax.errors import Eccentricity
 from gearjax.plot.axes import COLOURS
 from gearjax.scene import Scene
-from gearjax.sketch import Point, Sketch
+from gearjax.sketch import MIDDLE, THROW, Point, Sketch, beyond
 from gearjax.systems.base import pose_of
 from gearjax.units import deg, um
 
@@ -49,8 +49,9 @@ def schematic_figure(scene: Scene) -> Figure:
         *_drawn_lines_of_action(ax, scene, sketch),
         *_drawn_run_outs(ax, scene, sketch, colours),
     ]
-    others = [f"{key}: {error.kind} of {error.body}" for key, error in scene.errors.items() if not _is_run_out(error)]
-    handles += [Line2D([], [], linestyle="none", label=words) for words in others]
+    others = {key: error for key, error in scene.errors.items() if not isinstance(error, Eccentricity)}
+    labels = [f"{key}: {error.kind} of {error.body}" for key, error in others.items()]
+    handles += [Line2D([], [], linestyle="none", label=words) for words in labels]
     figure.legend(handles=handles, loc="outside right upper", fontsize="small", frameon=False)
     ax.set_aspect("equal")
     ax.margins(0.08)
@@ -61,13 +62,9 @@ def schematic_figure(scene: Scene) -> Figure:
     return figure
 
 
-def _is_run_out(error: object) -> bool:
-    return isinstance(error, Eccentricity)
-
-
 def _draw_bodies(ax: Axes, sketch: Sketch, colours: dict[str, str]) -> None:
     if sketch.throws:  # the ring in which the wheels roll
-        ax.add_patch(Circle((0.0, 0.0), 1.0, facecolor="none", edgecolor="0.45", linewidth=2.5))
+        ax.add_patch(Circle(MIDDLE, 1.0, facecolor="none", edgecolor="0.45", linewidth=2.5))
         ax.text(0.0, 1.03, "fixed ring", ha="center", va="bottom", fontsize="small", color="0.35")
     for index, body in enumerate(sketch.bodies):
         colour = colours[body.name]
@@ -78,25 +75,24 @@ def _draw_bodies(ax: Axes, sketch: Sketch, colours: dict[str, str]) -> None:
             ax.add_patch(Circle(body.axis, body.radius, facecolor=colour, alpha=0.08))
             ax.add_patch(Circle(body.axis, body.radius, facecolor="none", edgecolor=colour))
         ax.plot(*body.axis, "+", color=colour, markersize=8)
-        if body.turns and body.seen_by == "":
+        if body.turns:
             reach = body.radius or 0.45
             _turning_arrow(ax, body.axis, 0.85 * reach, 0.6 * np.pi + 0.2 * index, body.turns, colour)
     _name_bodies(ax, sketch, colours)
-    for number, throw in enumerate(sketch.throws):
-        end = next(body.axis for body in sketch.bodies[number:] if body.frame == throw)
-        _arrow(ax, (0.0, 0.0), end, "0.3", width=1.6)
+    for throw in sketch.throws:
+        _arrow(ax, MIDDLE, beyond(MIDDLE, throw, THROW), "0.3", width=1.6)
     if sketch.throws:
-        _turning_arrow(ax, (0.0, 0.0), 1.12, -0.12 * np.pi, 1, "0.35")
+        _turning_arrow(ax, MIDDLE, 1.12, -0.12 * np.pi, 1, "0.35")
         ax.text(1.14, -0.1, "crank turns", color="0.35", fontsize="small", va="center")
 
 
 def _name_bodies(ax: Axes, sketch: Sketch, colours: dict[str, str]) -> None:
     """Names of the bodies: of wheels on cranks at their rim, of what shares the central axis in a corner."""
-    central = [body for body in sketch.bodies if sketch.throws and body.axis == (0.0, 0.0)]
+    central = [body for body in sketch.bodies if sketch.throws and body.axis == MIDDLE]
     for body in sketch.bodies:
         if body in central:
             continue
-        place = _beyond(body.axis, body.frame - 0.35 * np.pi, 0.78 * body.radius) if sketch.throws else body.axis
+        place = beyond(body.axis, body.frame - 0.35 * np.pi, 0.78 * body.radius) if sketch.throws else body.axis
         text = ax.annotate(body.name, place, (4, -6), textcoords="offset points", color=colours[body.name], va="top")
         text.set_fontsize("small")
     if central:
@@ -149,11 +145,11 @@ def _drawn_run_outs(ax: Axes, scene: Scene, sketch: Sketch, colours: dict[str, s
     """Lines at phase zero and arrows of the run-outs, and their entries in the legend."""
     run_outs = {key: error for key, error in scene.errors.items() if isinstance(error, Eccentricity)}
     largest = max((float(error.amplitude) for error in run_outs.values()), default=0.0) or 1.0
-    for body in sketch.bodies:
+    for index, body in enumerate(sketch.bodies):
         if body.zero is None:
             continue
-        size = ZERO + 0.04 * sum(other.axis == body.axis for other in sketch.bodies[: sketch.bodies.index(body)])
-        end = _beyond(body.axis, body.zero, size)
+        size = ZERO + 0.04 * sum(other.axis == body.axis for other in sketch.bodies[:index])
+        end = beyond(body.axis, body.zero, size)
         ax.plot(*np.array([body.axis, end]).T, "--", color=colours[body.name], linewidth=0.9)
         _turning_arrow(ax, body.axis, size, body.zero, body.sense, colours[body.name], span=0.35)
     handles = []
@@ -164,13 +160,9 @@ def _drawn_run_outs(ax: Axes, scene: Scene, sketch: Sketch, colours: dict[str, s
         handles.append(Line2D([], [], color=colour, linewidth=2.2, label=words))
         if body.zero is not None and amplitude > 0:
             size = max(LONGEST * amplitude / largest, SHORTEST)
-            _arrow(ax, body.axis, _beyond(body.axis, body.zero + body.sense * phase, size), colour, width=2.2)
+            _arrow(ax, body.axis, beyond(body.axis, body.zero + body.sense * phase, size), colour, width=2.2)
     dashed = Line2D([], [], linestyle="--", color="0.4", label="phase zero of a body, direction of growing phase")
     return [dashed, *handles]
-
-
-def _beyond(place: Point, direction: float, distance: float) -> Point:
-    return place[0] + distance * np.cos(direction), place[1] + distance * np.sin(direction)
 
 
 def _arrow(ax: Axes, start: Point, end: Point, colour: str, *, width: float) -> None:
@@ -191,6 +183,6 @@ def _turning_arrow(
 ) -> None:
     """An arc with an arrow at its end, about a place."""
     angles = start + sense * np.linspace(0.0, span, 20)
-    points = np.array([_beyond(place, angle, radius) for angle in angles])
+    points = np.array([beyond(place, angle, radius) for angle in angles])
     ax.plot(*points[:-1].T, color=colour, linewidth=width)
     _arrow(ax, tuple(points[-3]), tuple(points[-1]), colour, width=width)

@@ -173,8 +173,7 @@ def _of(loads: np.ndarray, tooth: int) -> float:
 
 def _row(item: str, published: str, computed: float, unit: str, limit: float, why: str) -> Row:
     """A row that rests on fitted numbers: inferred if it is within the limit, not reproduced if it is not."""
-    close = bool(published) and abs(computed - float(published)) <= limit
-    return Row(item, published, computed, unit, limit, inferred=close, why=why)
+    return Row(item, published, computed, unit, limit, why=why).inferred_if_close
 
 
 def _table_2() -> list[Row]:

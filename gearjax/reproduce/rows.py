@@ -43,6 +43,11 @@ class Row:
             return "inferred"
         return "reproduced" if abs(self.deviation) <= self.tolerance else "not reproduced"
 
+    @property
+    def inferred_if_close(self) -> "Row":
+        """The same row as one that rests on inferred constants: not reproduced, however, if it is beyond the limit."""
+        return dataclasses.replace(self, inferred=self.status == "reproduced")
+
     def as_json(self) -> dict:
         """The row as ``gearjax reproduce --json`` prints it; a missing value is ``None``."""
         why = self.why or f"within {self.tolerance:.2g} {self.unit}"

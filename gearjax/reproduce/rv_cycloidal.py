@@ -1,6 +1,5 @@
 """Hu, Li, Zhu and Cui (2020): elastic transmission error compensation of an RV reducer."""
 
-import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -196,13 +195,13 @@ def _forces() -> list[Row]:
             given = own.deformation(two_before[index])
             why = f"{INFERRED}; eq. 38 of the force two steps before, as the tables are two interleaved sequences"
             item = f"{table}, row {index + 1}"
-            report.append(_inferred_if_close(Row(f"{item}, deformation", deformation, given / mm, "mm", 6e-5, why=why)))
+            report.append(Row(f"{item}, deformation", deformation, given / mm, "mm", 6e-5, why=why).inferred_if_close)
             report.append(_force_row(f"{item}, force", force, own.force(given), own, given))
         deformation, force, before = _FINAL[table]
         given = own.deformation(before)
         computed, count = own.iterated()
         last = Row(f"{table}, last row, deformation", deformation, given / mm, "mm", 6e-5, why=INFERRED)
-        report.append(_inferred_if_close(last))
+        report.append(last.inferred_if_close)
         report.append(
             _force_row(f"{table}, final force ({count} steps)", force, computed, own, own.deformation(computed))
         )
@@ -219,11 +218,6 @@ def _forces() -> list[Row]:
         )
     )
     return report
-
-
-def _inferred_if_close(row: Row) -> Row:
-    """A row that rests on inferred constants: inferred if it is within the limit, not reproduced if it is not."""
-    return dataclasses.replace(row, inferred=row.status == "reproduced")
 
 
 def _force_row(item: str, published: str, computed: float, own: Contacts, deformation: float) -> Row:
@@ -246,7 +240,7 @@ def _deformations() -> list[Row]:
             why = f"by eqs. 36 and 38 from the published {force:g} N: not a test of the equilibrium"
             item = f"{table}, pin {index + 1}"
             row = Row(item, f"{published * 1e-4:.4f}", float(computed), "mm", 5.1e-5, why=f"{why}; {INFERRED}")
-            report.append(_inferred_if_close(row))
+            report.append(row.inferred_if_close)
     return report
 
 

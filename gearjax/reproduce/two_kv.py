@@ -1,6 +1,5 @@
 """Wang, Su and Zou (2020): transmission error of a 2K-V reducer under eccentricity excitation."""
 
-import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -232,11 +231,9 @@ def _compare(item: _Item, scene: Scene) -> list[Row]:
         least = 0.0015 if "Table 4" in item.label and name != "std" else printed_precision(published)
         tolerance = max(least, item.reached[name] + 6e-5)  # the deviations reached are rounded to four decimals
         label = f"{item.label}, {name.replace('_', '-')} ({item.window:g} s)"
-        row = Row(label, published, ours[name] / arcmin, "arcmin", tolerance, why=item.why)
-        if item.torque is not None and row.status == "reproduced":
-            why = "; ".join(words for words in (STATIC, item.why) if words)
-            row = dataclasses.replace(row, inferred=True, why=why)
-        report.append(row)
+        why = "; ".join(words for words in (STATIC if item.torque else "", item.why) if words)
+        row = Row(label, published, ours[name] / arcmin, "arcmin", tolerance, why=why)
+        report.append(row.inferred_if_close if item.torque else row)
     return report
 
 

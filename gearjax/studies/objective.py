@@ -348,18 +348,16 @@ class Objective(eqx.Module):
             table = jax.lax.stop_gradient(self.table)
             along = jax.vmap(lambda pose, rate: jax.jvp(lambda pose: curve(frozen, pose), (pose,), (rate,)))
             samples, slopes = along(table.pose, table.rate)
-        each, last = jax.vmap(curve, in_axes=(None, 0)), theta.shape[0] - 1
-        if last < 2:
-            edges = each(physics, theta[jnp.array([0, last])])
+        each = jax.vmap(curve, in_axes=(None, 0))
+        if theta.shape[0] < 3:
+            edges = each(physics, theta[jnp.array([0, -1])])
             return edges, -edges
         signs = jnp.array([1.0, -1.0], theta.dtype)
         intervals = jnp.stack([highest_intervals(side, EXTREMES) for side in tangent_bounds(theta, samples, slopes)])
         turns = jnp.broadcast_to(signs[:, None], intervals.shape)
         points = jax.lax.stop_gradient(turning_points(at, turns, (theta, slopes, samples), intervals, splits=SPLITS))
         # with few samples, the slopes may show no turning point, or miss the highest one
-        besides = theta[
-            jnp.stack([jnp.zeros((), int), last + jnp.zeros((), int), jnp.argmax(samples), jnp.argmin(samples)])
-        ]
+        besides = jnp.stack([theta[0], theta[-1], theta[jnp.argmax(samples)], theta[jnp.argmin(samples)]])
         found = each(physics, jnp.concatenate([besides, points.ends.reshape(-1)]))
         edges, highest, lowest, sides = found[:2], found[2:3], found[3:4], found[4:].reshape(points.ends.shape)
         # an interval without turning point repeats an end of the window

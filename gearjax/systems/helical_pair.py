@@ -179,7 +179,7 @@ class HelicalPair(AbstractSystem):
         size = max(self.wheel_teeth, self.pinion_teeth)
         radii = self.pinion_teeth / size, self.wheel_teeth / size
         axis, turns = (-distance / size, 0.0) if internal else (distance / size, 0.0), 1 if internal else -1
-        pinion = SketchedBody(PINION, (0.0, 0.0), radii[0], turns=ANTICLOCKWISE)
+        pinion = SketchedBody(PINION, radius=radii[0], turns=ANTICLOCKWISE)
         zero, sense = (0.0, ANTICLOCKWISE) if internal else (math.pi, CLOCKWISE)
         wheel = SketchedBody(WHEEL, axis, radii[1], zero, sense, turns=turns)
         return Sketch((pinion, wheel), (((radii[0], 0.0), PINION),), (), (axis, radii[1], turns))

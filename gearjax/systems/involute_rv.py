@@ -212,10 +212,9 @@ class InvoluteRV(AbstractSystem):
     def sketch(self) -> Sketch:
         throws = tuple(2 * math.pi * i / self.gears for i in range(self.gears))
         turns = 1 - self.internal_teeth / self.external_teeth  # of a gear, while the throw turns once
-        gears = tuple(SketchedBody(f"gear_{i + 1}", (0.0, 0.0), zero=turns * throw) for i, throw in enumerate(throws))
-        throw = SketchedBody("throw", (0.0, 0.0), seen_by="gear_1")
-        ring = SketchedBody("ring", (0.0, 0.0), 1.0, seen_by="gear_1", share=-1)
-        first = (SketchedBody(name, (0.0, 0.0), zero=None) for name in ("sun", "planet") if name in self.bodies)
+        gears = tuple(SketchedBody(f"gear_{i + 1}", zero=turns * throw) for i, throw in enumerate(throws))
+        throw, ring = SketchedBody("throw"), SketchedBody("ring", radius=1.0)
+        first = (SketchedBody(name, zero=None) for name in ("sun", "planet") if name in self.bodies)
         return on_cranks(gears, throws, (throw, ring, *first))
 
     @property

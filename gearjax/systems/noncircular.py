@@ -135,7 +135,7 @@ class AbstractNoncircularPair(AbstractSystem):
             return tuple(map(tuple, points.tolist()))
 
         # the point of a gear that rolls through the pitch point later lies behind it on the gear
-        first = SketchedBody(DRIVER, (0.0, 0.0), turns=ANTICLOCKWISE, outline=closed(driver, -turn, 0.0))
+        first = SketchedBody(DRIVER, turns=ANTICLOCKWISE, outline=closed(driver, -turn, 0.0))
         outline = closed(driven, math.pi + turned, 1.0)
         second = SketchedBody(DRIVEN, (1.0, 0.0), sense=CLOCKWISE, turns=CLOCKWISE, outline=outline)
         pitch = (float(driver[0] / distance), 0.0), DRIVER

@@ -176,12 +176,9 @@ class RVCycloidal(AbstractSystem):
 
     def sketch(self) -> Sketch:
         throws = tuple(2 * math.pi * i / self.discs for i in range(self.discs))
-        discs = tuple(
-            SketchedBody(f"disc_{i + 1}", (0.0, 0.0), zero=-throw / (self.pins - 1)) for i, throw in enumerate(throws)
-        )
-        throw = SketchedBody("throw", (0.0, 0.0), seen_by="disc_1")
-        ring = SketchedBody("pin_ring", (0.0, 0.0), 1.0, seen_by="disc_1", share=-1)
-        first = (SketchedBody(name, (0.0, 0.0), zero=None) for name in ("sun", "planet") if name in self.bodies)
+        discs = tuple(SketchedBody(f"disc_{i + 1}", zero=-throw / (self.pins - 1)) for i, throw in enumerate(throws))
+        throw, ring = SketchedBody("throw"), SketchedBody("pin_ring", radius=1.0)
+        first = (SketchedBody(name, zero=None) for name in ("sun", "planet") if name in self.bodies)
         return on_cranks(discs, throws, (throw, ring, *first), mesh=False)
 
     @property

@@ -135,12 +135,10 @@ class TwoKV(AbstractSystem):
         throws = tuple(-2 * math.pi * i / self.planets for i in range(self.planets))
         # relative to the throw a planet wheel turns clockwise, and phase zero is away from the mesh
         planets = tuple(
-            SketchedBody(f"planet_{i + 1}", (0.0, 0.0), zero=throw + math.pi, sense=CLOCKWISE)
-            for i, throw in enumerate(throws)
+            SketchedBody(f"planet_{i + 1}", zero=throw + math.pi, sense=CLOCKWISE) for i, throw in enumerate(throws)
         )
-        shared = {"axis": (0.0, 0.0), "zero": math.pi, "sense": CLOCKWISE, "seen_by": "planet_1"}
-        others = SketchedBody("revolution", **shared), SketchedBody("output_wheel", **shared, turns=CLOCKWISE)
-        return on_cranks(planets, throws, others)
+        central = (SketchedBody(name, zero=math.pi, sense=CLOCKWISE) for name in ("revolution", "output_wheel"))
+        return on_cranks(planets, throws, tuple(central))
 
     @property
     def cycle(self) -> float:
