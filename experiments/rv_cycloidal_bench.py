@@ -61,7 +61,7 @@ def shared(theta: np.ndarray) -> dict[str, np.ndarray]:
     lever, outward, along = np.sin(u) / root, (1 - short * np.cos(u)) / root, (short - np.cos(u)) / root
     turn = crank + crank / (PINS - 1)
     return {
-        "arm": -rolling * lever,
+        "arm": rolling * lever,
         "base": -22e-6 + 43.7e-6 * outward,
         "outward": outward,
         "around": -short * lever,

@@ -46,7 +46,7 @@ from gearjax.analysis import (
     transmission_error,
     waterfall,
 )
-from gearjax.analysis.metrics import Extremes
+from gearjax.analysis.extremes import Extremes
 from gearjax.checks import FewCandidates, GearjaxError, ParameterError, RepairedData, SceneError
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import (

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import gearjax as gj
-from gearjax.analysis.metrics import extremes, load_sharing_factor
+from gearjax.analysis.extremes import extremes
+from gearjax.analysis.metrics import load_sharing_factor
 from gearjax.units import arcmin
 
 

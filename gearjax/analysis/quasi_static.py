@@ -9,14 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis.metrics import (
-    Extremes,
-    deviation,
-    extremes,
-    extremes_of_samples,
-    load_sharing,
-    warn_of_few_angles,
-)
+from gearjax.analysis.extremes import Extremes, extremes, extremes_of_samples
+from gearjax.analysis.metrics import deviation, load_sharing, warn_of_few_angles
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
 from gearjax.checks import FewCandidates, ParameterError, SceneError, is_concrete, nearest
 from gearjax.compliance import AbstractSliceCompliance, couples
@@ -365,20 +359,12 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
         result = jnp.zeros(theta.shape, int) if overlap is None else overlap.result
         return TransmissionError(theta, te, None, result, peaks, layout, fastest, None, overlap)
 
-    def at(angle: Scalar, torque: Array) -> Scalar:
-        """Torque at an angle; a torque over angles is interpolated between its samples."""
-        return torque if torque.ndim == 0 else jnp.interp(angle, theta, torque)
-
-    def under(physics: tuple[Scene, Array], angle: Scalar) -> Scalar:
-        scene, torque = physics
-        return static((scene, at(angle, torque)), angle)
-
     def loaded(angle: Scalar, torque: Scalar) -> tuple[Equilibrium, Array]:
         return rest(scene, angle, torque), carriers(scene, angle, torque)
 
     rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
     if places == "between":
-        peaks = extremes(under, (scene, torque), theta, rests.position)
+        peaks = extremes(_static_between, (scene, torque, theta), theta, rests.position)
     else:
         peaks = extremes_of_samples(theta, rests.position)
     record = rests.position, rests.forces, rests.result
@@ -390,6 +376,12 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
     crowded = jax.vmap(crowd)(theta, rests.forces)
     moved = rests.moved, scene.coordinates
     return TransmissionError(theta, *record, peaks, layout, fastest, able, None, *moved, crowded)
+
+
+def _static_between(physics: tuple[Scene, Array, Array], angle: Scalar) -> Scalar:
+    """Static TE at one angle [rad]; a torque over angles is interpolated between its samples."""
+    scene, torque, theta = physics
+    return static((scene, torque if torque.ndim == 0 else jnp.interp(angle, theta, torque)), angle)
 
 
 @eqx.filter_jit

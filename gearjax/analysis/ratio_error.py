@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from gearjax import arguments
-from gearjax.analysis.metrics import extremes
+from gearjax.analysis.extremes import extremes
 from gearjax.analysis.quasi_static import angles_of, torque_on
 from gearjax.analysis.resting import edge
 from gearjax.checks import ParameterError, SceneError, is_concrete

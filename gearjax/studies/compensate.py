@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis.metrics import extremes, top
+from gearjax.analysis.extremes import extremes
+from gearjax.analysis.metrics import top
 from gearjax.analysis.quasi_static import angles_of, play
 from gearjax.analysis.resting import clash, rest
 from gearjax.analysis.torsion import pressures

@@ -18,14 +18,8 @@ import numpy as np
 
 from gearjax.analysis import FixedStep, Motion, backlash, simulate, transmission_error
 from gearjax.analysis.choice import suitable_step
-from gearjax.analysis.metrics import (
-    highest_intervals,
-    slope_and_value,
-    tangent_bounds,
-    top,
-    turning_points,
-    warn_of_few_angles,
-)
+from gearjax.analysis.extremes import highest
+from gearjax.analysis.metrics import top, warn_of_few_angles
 from gearjax.analysis.quasi_static import Backlash, TransmissionError
 from gearjax.analysis.resting import carriers, rest
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
@@ -37,6 +31,7 @@ from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.studies.select import Free
 from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term
+from gearjax.studies.turning_points import slope_and_value, tangent_bounds, turning_points
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 from gearjax.units import Dimension
 
@@ -353,15 +348,15 @@ class Objective(eqx.Module):
             edges = each(physics, theta[jnp.array([0, -1])])
             return edges, -edges
         signs = jnp.array([1.0, -1.0], theta.dtype)
-        intervals = jnp.stack([highest_intervals(side, EXTREMES) for side in tangent_bounds(theta, samples, slopes)])
+        intervals = jnp.stack([highest(side, EXTREMES) for side in tangent_bounds(theta, samples, slopes)])
         turns = jnp.broadcast_to(signs[:, None], intervals.shape)
         points = jax.lax.stop_gradient(turning_points(at, turns, (theta, slopes, samples), intervals, splits=SPLITS))
         # with few samples, the slopes may show no turning point, or miss the highest one
         besides = jnp.stack([theta[0], theta[-1], theta[jnp.argmax(samples)], theta[jnp.argmin(samples)]])
         found = each(physics, jnp.concatenate([besides, points.ends.reshape(-1)]))
-        edges, highest, lowest, sides = found[:2], found[2:3], found[3:4], found[4:].reshape(points.ends.shape)
+        edges, above, below, sides = found[:2], found[2:3], found[3:4], found[4:].reshape(points.ends.shape)
         # an interval without turning point repeats an end of the window
         values = jnp.where(points.heights > -jnp.inf, points.values(sides), (signs * edges[0])[:, None])
-        high = jnp.concatenate([values[0], edges, highest])
-        low = jnp.concatenate([values[1], -edges, -lowest])
+        high = jnp.concatenate([values[0], edges, above])
+        low = jnp.concatenate([values[1], -edges, -below])
         return high, low

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.metrics import highest_intervals
+from gearjax.analysis.extremes import highest
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int
 
@@ -83,7 +83,7 @@ def ends(
     """
     number, rows = values.shape
     frozen = jax.lax.stop_gradient(values)
-    best_of = jax.vmap(lambda column: highest_intervals(column, PLACES), in_axes=-1, out_axes=-1)
+    best_of = jax.vmap(lambda column: highest(column, PLACES), in_axes=-1, out_axes=-1)
     tops = jnp.concatenate([best_of(frozen), best_of(-frozen)])  # (place, row)
     half = tops.shape[0] // 2
     sign = jnp.asarray(np.repeat([1.0, -1.0], half * rows), values.dtype)
