@@ -23,10 +23,12 @@ jax.config.update("jax_enable_x64", True)
 import coupled_peers as peers
 import jax.numpy as jnp
 import numpy as np
+from peers import agree, sized
 
 from gearjax.contact.active_set import carrying
 from gearjax.contact.coupled import coupled_balance
 
+FEW = 20  # lanes of the short form, which also leaves sizes out
 SHARED = jax.jit(jax.vmap(coupled_balance, (None, None, 0, 0)))
 SINGLE = jax.jit(coupled_balance)
 
@@ -72,9 +74,9 @@ def weighed(matrix, lever, gap, load):
 GRADIENT = jax.jit(jax.vmap(jax.value_and_grad(weighed, (2, 3)), (None, None, 0, 0)))
 
 
-def shared(repeats: int) -> None:
+def shared(repeats: int, lanes: int) -> None:
     """Many gaps and loads under one matrix."""
-    for number, lanes, of_c, of_plain in ((99, 1000, 0.7, 4), (240, 1000, 0.45, 10)):
+    for number, of_c, of_plain in ((99, 0.7, 4), (240, 0.45, 10))[: 2 if lanes > FEW else 1]:
         rng = np.random.default_rng(number)
         matrix, lever = peers.slices(number, rng)
         gaps, loads = peers.slice_gaps(number, lanes, rng)
@@ -91,9 +93,10 @@ def shared(repeats: int) -> None:
             f"one matrix, n = {number}, {lanes} lanes: us each",
             {k: round(1e6 * t / lanes, 1) for k, t in times.items()},
         )
-        known = np.array([peers.by_numpy(matrix, lever, gaps[i], loads[i])[1] for i in range(50)])
-        row("largest error of a force, of the largest, against numpy", 1e-10, error(results["shared"][1][:50], known))
-        row("the same, float32", 2e-5, error(results["float32"][1][:50], known))
+        known = np.array([peers.by_numpy(matrix, lever, gaps[i], loads[i])[1] for i in range(min(lanes, 50))])
+        off = {name: error(results[name][1][: len(known)], known) for name in ("shared", "float32")}
+        agree("  largest error of a force, of the largest, against numpy", off["shared"], 1e-10)
+        agree("  the same, float32", off["float32"], 2e-5)
         row("time over C", of_c, times["shared"] / times["c"])
         row("times as fast as the vmapped exact steps", of_plain, times["plain"] / times["shared"], most=False)
         row("gradient over primal", 1.4, times["gradient"] / times["shared"])
@@ -104,9 +107,10 @@ def error(forces, known) -> float:
     return float((np.abs(np.asarray(forces) - known).max(axis=-1) / known.max(axis=-1)).max())
 
 
-def large(repeats: int) -> None:
+def large(repeats: int, lanes: int) -> None:
     """1,274 contacts as finite elements see them."""
-    matrix, lever, gaps, loads = peers.tooth_points(np.random.default_rng(0), 64)
+    batch = 64 if lanes > FEW else 4
+    matrix, lever, gaps, loads = peers.tooth_points(np.random.default_rng(0), batch)
     given = [jnp.asarray(part) for part in (matrix, lever, gaps, loads)]
     one = [given[0], given[1], given[2][0], given[3][0]]
     tasks = {
@@ -115,19 +119,20 @@ def large(repeats: int) -> None:
         "batch": lambda: SHARED(*given),
     }
     results, times = in_turns(tasks, min(repeats, 3))
-    print("n = 1274: ms", {k: round(1e3 * t / (64 if k == "batch" else 1), 2) for k, t in times.items()})
-    known = np.array([peers.by_numpy(matrix, lever, gaps[i], loads[i])[1] for i in range(16)])
-    row("largest error of a force, batch", 1e-10, error(results["batch"][1][:16], known))
-    row("largest error of a force, single", 1e-10, error(results["single"][1], known[0]))
+    print("n = 1274: ms", {k: round(1e3 * t / (batch if k == "batch" else 1), 2) for k, t in times.items()})
+    known = np.array([peers.by_numpy(matrix, lever, gaps[i], loads[i])[1] for i in range(min(batch, 16))])
+    agree("  largest error of a force, batch", error(results["batch"][1][: len(known)], known), 1e-10)
+    agree("  largest error of a force, single", error(results["single"][1], known[0]), 1e-10)
     row("single, cold, over numpy", 0.45, times["single"] / times["numpy"])
-    row("batch of 64, each, over numpy", 0.2, times["batch"] / 64 / times["numpy"])
+    row(f"batch of {batch}, each, over numpy", 0.2, times["batch"] / batch / times["numpy"])
 
 
 def random(problems: int) -> None:
     """Random problems of five families: how many fail, and by how much forces miss their conditions."""
     failed, worst = 0, 0.0
-    for number in (10, 30, 60, 100):
-        for turn in range(problems // 4):
+    numbers = (10, 30, 60, 100) if problems > 4 * FEW else (10, 30)
+    for number in numbers:
+        for turn in range(problems // len(numbers)):
             rng = np.random.default_rng(10_000 * number + turn)
             given = peers.random_problem(peers.FAMILIES[turn % 5], number, rng)
             matrix, lever, gap, load = given
@@ -139,13 +144,13 @@ def random(problems: int) -> None:
             longest = np.abs(gap).max() + np.abs(matrix @ forces).max()
             worst = max(worst, -forces.min() / forces.max(), -opening.min() / longest, abs(lever @ forces / load - 1))
     print(f"{problems} random problems of five families")
-    row("failures", 0, failed)
-    row("conditions missed by, relative", 1e-10, worst)
+    agree("  failures", failed, 0)
+    agree("  conditions missed by, relative", worst, 1e-10)
 
 
-def small(repeats: int) -> None:
+def small(repeats: int, lanes: int) -> None:
     """Few contacts, and other programs of one problem: microseconds."""
-    for number in (3, 9, 30, 99, 240):
+    for number in (3, 9, 30, 99, 240) if lanes > FEW else (9,):
         rng = np.random.default_rng(number)
         matrix, lever = peers.slices(number, rng)
         gaps, loads = peers.slice_gaps(number, 256, rng)
@@ -167,13 +172,11 @@ def small(repeats: int) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--problems", type=int, default=2000)
     parser.add_argument("--only", default="")
-    chosen = parser.parse_args()
+    chosen = sized(parser, repeats=(5, 1), problems=(2000, 40), lanes=(1000, FEW))
     parts = {"shared": shared, "large": large, "small": small}
     for name, part in parts.items():
         if chosen.only in name:
-            part(chosen.repeats)
+            part(chosen.repeats, chosen.lanes)
     if chosen.only in "random":
         random(chosen.problems)

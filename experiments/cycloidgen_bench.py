@@ -33,6 +33,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numpy as np
+from peers import agree, sized
 
 import gearjax as gj
 from gearjax.geometry.cycloid import pin_distance, trochoid
@@ -141,8 +142,11 @@ def off_outline(points: np.ndarray) -> float:
     return float(jnp.abs(inside + RADIUS * mm + ISOMETRIC * mm).max())
 
 
-def rows(peer: dict[str, Any], angles: np.ndarray) -> list[tuple[str, float, float, str]]:
-    """What is compared: name, largest value, largest difference, unit."""
+Row = tuple[str, float, float, str, float]
+
+
+def rows(peer: dict[str, Any], angles: np.ndarray) -> list[Row]:
+    """What is compared: name, largest value, largest difference, unit, and the most that may differ, over the value."""
     order = -np.arange(PINS) % PINS  # cycloidgen's pins in gearjax's order
     each = {
         name: np.array([found[name] for found in peer["angles"]]) for name in ("arms", "forces", "pressure", "gaps")
@@ -169,20 +173,20 @@ def rows(peer: dict[str, Any], angles: np.ndarray) -> list[tuple[str, float, flo
     ]
     theirs, ours = (np.concatenate(part) for part in zip(*approaches, strict=True))
 
-    def row(name: str, ours: Any, theirs: np.ndarray, scale: float, unit: str) -> tuple[str, float, float, str]:
+    def row(name: str, ours: Any, theirs: np.ndarray, scale: float, unit: str, most: float) -> Row:
         ours = np.asarray(ours) / scale
-        return name, float(np.abs(theirs).max()), float(np.abs(ours - theirs).max()), unit
+        return name, float(np.abs(theirs).max()), float(np.abs(ours - theirs).max()), unit, most
 
     return [
-        ("outline of the modified disc", CIRCLE, off_outline(np.array(peer["outline"])) / mm, "mm"),
-        row("lever of a pin", levers, each["arms"], mm, "mm"),
-        row("force of a pin, equal springs", te.forces, each["forces"], 1.0, "N"),
-        row("Hertzian pressure", pressure, each["pressure"], 1e6, "MPa"),
-        row("approach of pin and flank", ours, theirs * 1e3, um, "um"),
-        row("gap of the modified disc", gaps, each["gaps"] * 1e3, um, "um"),
-        row("backlash", gj.backlash(modified, angles).backlash, one["play"] / arcmin, arcmin, "arcmin"),
-        row("lag under the torque", -loaded.te, one["lag"] / arcmin, arcmin, "arcmin"),
-        row("largest force of a pin", loaded.forces.max(axis=1), one["largest"], 1.0, "N"),
+        ("outline of the modified disc", CIRCLE, off_outline(np.array(peer["outline"])) / mm, "mm", 1e-12),
+        row("lever of a pin", levers, each["arms"], mm, "mm", 1e-11),
+        row("force of a pin, equal springs", te.forces, each["forces"], 1.0, "N", 1e-11),
+        row("Hertzian pressure", pressure, each["pressure"], 1e6, "MPa", 1e-6),
+        row("approach of pin and flank", ours, theirs * 1e3, um, "um", 1e-3),
+        row("gap of the modified disc", gaps, each["gaps"] * 1e3, um, "um", 1e-3),
+        row("backlash", gj.backlash(modified, angles).backlash, one["play"] / arcmin, arcmin, "arcmin", 2e-3),
+        row("lag under the torque", -loaded.te, one["lag"] / arcmin, arcmin, "arcmin", 0.01),
+        row("largest force of a pin", loaded.forces.max(axis=1), one["largest"], 1.0, "N", 0.03),
     ]
 
 
@@ -196,11 +200,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cycloidgen-python", required=True, help="Python of an environment with cycloidgen")
     angles = (np.arange(ANGLES) + 0.3) * 2 * np.pi / ANGLES
-    peer = cycloidgen(parser.parse_args().cycloidgen_python, angles)
+    peer = cycloidgen(sized(parser).cycloidgen_python, angles)
     print(f"cycloidgen {peer['version']}, {ANGLES} crank angles, {TORQUE:g} N m on one disc\n")
-    print(f"{'':32s}{'largest':>12s}{'difference':>14s}")
-    for name, largest, difference, unit in rows(peer, angles):
-        print(f"{name:32s}{largest:12.6g}{difference:14.3g} {unit}")
+    for name, largest, difference, unit, most in rows(peer, angles):
+        agree(f"{name + ':':32s}{largest:12.6g} {unit:8s}difference", difference, most * largest, unit)
 
 
 if __name__ == "__main__":

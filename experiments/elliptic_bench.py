@@ -19,7 +19,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
-from peers import interleaved
+from peers import agree, interleaved, sized
 from scipy.optimize import brentq
 from scipy.special import ellipe
 
@@ -128,9 +128,7 @@ class Motion:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--designs", type=int, default=1000)
-    parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+    options = sized(parser, designs=(1000, 40), repeats=(5, 1))
     designs = Designs(options.designs)
     tasks = {
         "gearjax": designs.ours,
@@ -147,7 +145,8 @@ def main() -> None:
         ratio = spent * share / seconds["gearjax"]
         print(f"  {name:16s} {spent * share:8.4f} s, {ratio:7.1f} times ours (first call {first[name]:.1f} s){told}")
     apart = [np.abs(ours[: len(other)] - other).max() for other in (results["numpy"], results["scipy"])]
-    print(f"  largest differences {apart[0] / arcmin:.1e} and {apart[1] / arcmin:.1e} arcmin")
+    for name, most in zip(("numpy", "scipy"), apart, strict=True):
+        agree(f"  largest difference from {name}", most / arcmin, 1e-9, "arcmin")
 
     motion = Motion()
     tasks = {name: lambda name=name: motion.run(name) for name in motion.scenes}

@@ -21,7 +21,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
-from peers import interleaved
+from peers import agree, interleaved, sized
 from scipy.integrate import solve_ivp
 
 import gearjax as gj
@@ -29,8 +29,8 @@ from gearjax.units import arcmin, rpm, um
 
 CONFIG = Path(__file__).parents[1] / "configs" / "helical" / "guo_2018.toml"
 TORQUES, ANGLES = np.array([100.0, 200.0, 400.0, 600.0, 830.0]), 64
-SPEED, MESHES, EACH = 2104 * rpm, 16, 64
-SPEEDS = np.linspace(200.0, 12000.0, 200) * rpm
+SPEED, EACH = 2104 * rpm, 64
+SLOWEST, FASTEST = 200 * rpm, 12000 * rpm
 TORQUE, AT_ONCE = 830.0, 10
 
 
@@ -100,9 +100,9 @@ class Designs:
 class Motion:
     """Slices in motion, from the same start."""
 
-    def __init__(self, scene: gj.Scene):
+    def __init__(self, scene: gj.Scene, meshes: int):
         self.scene, self.period = scene, 2 * np.pi / (scene.system.pinion_teeth * float(SPEED))
-        self.ts = np.linspace(0.0, MESHES * self.period, MESHES * EACH + 1)
+        self.ts = np.linspace(0.0, meshes * self.period, meshes * EACH + 1)
         self.step = gj.chosen_steps(scene, self.ts, TORQUE).step
         first = self.ours()
         self.start = [float(first.te[0]), float(first.velocity[0])]
@@ -136,9 +136,7 @@ class Motion:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--designs", type=int, default=1000)
-    parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+    options = sized(parser, designs=(1000, 10), repeats=(5, 1), speeds=(200, 0), meshes=(16, 1))
     scene = pair()
     designs = Designs(scene, options.designs)
     tasks = {"gearjax": designs.ours, "numpy": designs.by_numpy}
@@ -148,27 +146,35 @@ def main() -> None:
     for name, spent in seconds.items():
         print(f"  {name:24s} {spent:8.3f} s (first call {first[name]:.1f} s)")
     held = "held" if seconds["gearjax"] * 1000 / options.designs <= 2 else "NOT HELD"
-    print(f"  largest difference {apart:.1e} of the largest swing; 1,000 designs in 2 s: {held}", flush=True)
+    agree("  largest difference over the largest swing", apart, 1e-9)
+    print(f"  1,000 designs in 2 s: {held}", flush=True)
 
-    motion = Motion(scene)
+    motion = Motion(scene, options.meshes)
     tasks = {
         "constant modes": motion.ours,
         "Runge-Kutta, same steps": lambda: motion.by_steps(1),
         "scipy": motion.by_scipy,
     }
     results, first, seconds = interleaved(tasks, options.repeats, slow=1.0)
-    print(f"{MESHES} meshes of slices at 2,104 rpm, {motion.period / motion.step:.0f} steps each")
+    print(f"{options.meshes} meshes of slices at 2,104 rpm, {motion.period / motion.step:.0f} steps each")
     for name, spent in seconds.items():
         te = results[name] if name == "scipy" else results[name].te
-        print(f"  {name:24s} {spent:8.4f} s (first call {first[name]:.1f} s), error {motion.off(te):.1e} arcmin")
+        print(f"  {name:24s} {spent:8.4f} s (first call {first[name]:.1f} s)")
+        agree("    largest error", motion.off(te), 1e-3, "arcmin")
+    if options.speeds:
+        waterfalls(scene, options)
 
+
+def waterfalls(scene: gj.Scene, options: argparse.Namespace) -> None:
+    """Amplitudes over speeds, by shooting; the short form leaves them out, as no other program is beside them."""
+    speeds = np.linspace(SLOWEST, FASTEST, options.speeds)
     one = gj.one_contact(scene, TORQUE).scene
     tasks = {
-        "one contact": lambda: gj.waterfall(one, TORQUE, SPEEDS),
-        "slices": lambda: gj.waterfall(scene, TORQUE, SPEEDS),
+        "one contact": lambda: gj.waterfall(one, TORQUE, speeds),
+        "slices": lambda: gj.waterfall(scene, TORQUE, speeds),
     }
     results, first, seconds = interleaved(tasks, options.repeats, slow=60.0)
-    print(f"{len(SPEEDS)} speeds, shooting, 128 steps a mesh")
+    print(f"{len(speeds)} speeds, shooting, 128 steps a mesh")
     for name, spent in seconds.items():
         lost = int((np.asarray(results[name].result) != 0).sum())
         print(f"  {name:24s} {spent:8.3f} s (first call {first[name]:.1f} s), {lost} not found")

@@ -21,6 +21,7 @@ jax.config.update("jax_enable_x64", True)
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
+from peers import sized
 from scipy import optimize
 
 import gearjax as gj
@@ -139,10 +140,11 @@ def reassembled(number: int, seed: int) -> None:
         print(f"  within the promised 5 to 95 % in {100 * within.mean():.0f} %", flush=True)
 
 
-def speed() -> None:
+def speed(starts: int) -> None:
     """64 starts against scipy's least squares on a numpy model, all rows, from the same kind of starts."""
     scene, unit = two_kv(), random_unit(7)
-    for rows, words in ((3334, "10,000 rows in three recordings"), (10_000, "30,000 rows")):
+    cases = (3334, "10,000 rows in three recordings"), (10_000, "30,000 rows")
+    for rows, words in cases[: 2 if starts > 1 else 1]:
         records = drifting_runs(unit, 7, rows=rows)
         gj.identify(scene, records, suggest=False, orders=[])
         ours = []
@@ -161,23 +163,28 @@ def speed() -> None:
             return np.concatenate(curves) + x[8] - measured
 
         rng, begin, best = np.random.default_rng(0), time.perf_counter(), []
-        number = 16
-        for k in range(number):
+        for k in range(starts):
             size = 15.0 if k % 2 else 0.7
             start = np.concatenate([size * rng.standard_normal(6), [1.0, 150.0, 0.0]])
             best.append(optimize.least_squares(residual, start, method="lm").cost)
-        scipys = (time.perf_counter() - begin) * 64 / number
+        scipys = (time.perf_counter() - begin) * 64 / starts
         ratio = scipys / np.median(ours)
         print(f"{words}, 64 starts: {np.median(ours):.3f} s; scipy's lm {scipys:.1f} s, {ratio:.0f} times", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, number in (("units", 200), ("stages", 100), ("rigs", 50), ("reassembled", 40), ("seed", 1000)):
-        parser.add_argument(f"--{name}", type=int, default=number)
-    asked = parser.parse_args()
+    usual = {
+        "units": (200, 1),
+        "stages": (100, 0),
+        "rigs": (50, 1),
+        "reassembled": (40, 1),
+        "starts": (16, 1),
+        "seed": (1000, 1000),
+    }
+    asked = sized(parser, starts=(16, 1), **usual)
     warnings.simplefilter("ignore")
-    speed()
+    speed(asked.starts)
     if asked.units:
         two_kv_units(asked.units, asked.seed)
     if asked.rigs:

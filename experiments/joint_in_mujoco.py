@@ -21,6 +21,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from peers import agree, sized
 
 import gearjax as gj
 from gearjax.plot import draw_curve, finish, new_figure, save_figure
@@ -51,8 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="a joint with its reducer in MuJoCo")
     parser.add_argument("--config", type=Path, default=ROOT / "configs" / "two_kv" / "wang_2020.toml")
     parser.add_argument("--torque", type=float, default=100.0, help="load on the output [N m]")
-    parser.add_argument("--seconds", type=float, default=0.4)
-    asked = parser.parse_args()
+    asked = sized(parser, seconds=(0.4, 0.15))
     scene, folder = gj.load(asked.config), Path(tempfile.mkdtemp())
     gj.export_joint(scene, folder, torque=1.5 * asked.torque)
     joint, speed = gj.joint_model(scene, 1.5 * asked.torque), float(scene.system.input_speed)
@@ -84,10 +84,14 @@ def main() -> None:
     te = np.asarray(gj.simulate(scene, jnp.concatenate([jnp.zeros(1), jnp.asarray(ts)]), asked.torque).te)[1:]
     curves["gearjax"] = np.stack([ts, te])
     figure, (ax,) = new_figure()
+    settled = {name: positions[times > SETTLED] for name, (times, positions) in curves.items()}
     for name, (times, positions) in curves.items():
-        settled = positions[times > SETTLED]
-        print(f"{name:26} mean {settled.mean() / arcmin:8.4f}, std {settled.std() / arcmin:.4f} arcmin")
+        mean, std = settled[name].mean() / arcmin, settled[name].std() / arcmin
+        print(f"{name:26} mean {mean:8.4f}, std {std:.4f} arcmin")
         draw_curve(ax, times, positions, name, linestyle="--" if name == "gearjax" else "-")
+    mujoco_te, own = settled["MuJoCo, with the reducer"], settled["gearjax"]
+    agree("mean, relative difference", abs(mujoco_te.mean() / own.mean() - 1), 0.01)
+    agree("standard deviation, relative difference", abs(mujoco_te.std() / own.std() - 1), 0.03)
     finish(ax, f"{scene.system.kind} under {asked.torque:g} N m", "time [s]", "output from its ideal position [arcmin]")
     print(f"written: {save_figure(figure, folder / 'joint.png')}")
 

@@ -1,5 +1,6 @@
-"""What the benches share: peers in C, and times of tasks that take turns."""
+"""What the benches share: their options, peers in C, agreement, and times of tasks that take turns."""
 
+import argparse
 import ctypes
 import subprocess
 import tempfile
@@ -14,8 +15,33 @@ import numpy as np
 
 import gearjax as gj
 
+SHORT_FORM = "every comparison, in sizes that take seconds: its times mean nothing"
 RUNS, SHORT, LONG = 5, 0.02, 0.2  # runs of a turn; of tasks shorter than [s]; longer ones run once [s]
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC")
+
+
+def sized(parser: argparse.ArgumentParser, **sizes: tuple[float, float]) -> argparse.Namespace:
+    """The options given, with one for each size and ``--short``.
+
+    Args:
+        parser: with the bench's other options.
+        sizes: of each, the usual one and that of the short form, which tests run.
+    """
+    parser.add_argument("--short", action="store_true", help=SHORT_FORM)
+    for name, (usual, short) in sizes.items():
+        parser.add_argument(f"--{name}", type=type(usual), help=f"{usual} by default, {short} with --short")
+    given = parser.parse_args()
+    for name, pair in sizes.items():
+        if getattr(given, name) is None:
+            setattr(given, name, pair[given.short])
+    return given
+
+
+def agree(words: str, apart: float, most: float, unit: str = "") -> None:
+    """One line with a difference; the bench ends with an error where it is larger than it may be."""
+    print(f"{words}: {apart:.1e} {unit}".rstrip(), flush=True)
+    if not apart <= most:
+        raise SystemExit(f"{words}: {apart:.2g} {unit}, and {most:g} is the most that the programs may differ by")
 
 
 def compiled_c(source: str, *flags: str) -> ctypes.CDLL:

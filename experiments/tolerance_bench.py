@@ -29,6 +29,7 @@ jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 import jax.numpy as jnp
 import numba
 import numpy as np
+from peers import agree, sized
 
 import gearjax as gj
 from gearjax.timing import Stopwatch
@@ -158,7 +159,7 @@ def quasi_static(samples: int, repeats: int) -> None:
         "gearjax, float32": Work(population(jnp.float32), NAMES, number=samples, theta=theta, extremes="samples"),
         "gearjax, extremes between": Work(tolerances, NAMES, number=samples // 8, theta=theta),
     }
-    few = samples // 100
+    few = max(PART, samples // 100)
     rows = works["gearjax, float64"].inputs(0, few)
     tables, weights = formulas.tables(), formulas.weights(rows)
     many = np.ascontiguousarray(np.tile(weights, (10, 1, 1)))
@@ -185,7 +186,7 @@ def quasi_static(samples: int, repeats: int) -> None:
     ours = works["gearjax, float64"].evaluate(rows)[0]
     for name, theirs in (("numpy", formulas.numpy(rows[:PART])), ("numba", found[:few])):
         apart = np.abs(theirs - ours[: len(theirs)]).max() / gj.units.arcmin
-        print(f"{name}: at most {apart:.1e} arcmin from gearjax")
+        agree(f"{name}: largest difference from gearjax", apart, 1e-12, "arcmin")
     rates = {name: [] for name in runs}
     for _ in range(repeats):
         for name, (number, run) in runs.items():
@@ -197,8 +198,8 @@ def quasi_static(samples: int, repeats: int) -> None:
         print(f"{name:28}{rate:12.0f}{1e9 / rate / ANGLES:10.2f}{base / rate:12.2f} x{first[name]:13.1f}", flush=True)
 
 
-def others(repeats: int) -> None:
-    """Static and dynamic TE."""
+def others(repeats: int, share: float) -> None:
+    """Static and dynamic TE, of a share of the usual numbers of reducers."""
     tolerances = population()
     system = tolerances.scene.system
     theta = np.linspace(0.0, system.cycle, ANGLES)
@@ -209,7 +210,8 @@ def others(repeats: int) -> None:
         ("static, 3 torques, between", static, 20_000, {"theta": theta}),
         ("dynamic, 3 s, 100 N m", ["dynamic.peak_to_peak@100Nm"], 1000, {"theta": motion}),
     )
-    for name, measures, number, options in cases:
+    for name, measures, usual, options in cases:
+        number = max(PART, round(share * usual))
         studies = [gj.monte_carlo(tolerances, measures, n=number, **options) for _ in range(min(repeats, 3))]
         seconds = np.median([study.seconds for study in studies])
         words = f"{number / seconds:.0f} samples/s, {len(studies[0].failed)} failed {studies[0].faults or ''}"
@@ -218,12 +220,12 @@ def others(repeats: int) -> None:
         )
 
 
-def memory() -> None:
+def memory(most: int) -> None:
     """Peak memory of the command."""
     text = CONFIG.read_text(encoding="utf-8")
     text = text[: text.index("[tolerance.sensitivity]")].replace("# extremes", "extremes")
     peaks = {}
-    for number in (10_000, 1_000_000):
+    for number in (most // 100, most):
         with tempfile.TemporaryDirectory() as folder:
             config = Path(folder) / "study.toml"
             config.write_text(text.replace("samples = 20000", f"samples = {number}\nchunk = 8192"))
@@ -231,18 +233,17 @@ def memory() -> None:
             ended = subprocess.run(line, capture_output=True, text=True, check=True)
             peaks[number] = int(ended.stdout.split()[-1]) / 1024
     few, many = peaks.values()
-    print(f"peak memory of the command: {few:.0f} MiB at 10,000, {many:.0f} MiB at 1,000,000: {many / few:.2f} times")
+    print(f"peak memory of the command: {few:.0f} MiB, {many:.0f} MiB with {most} samples: {many / few:.2f} times")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="tolerance studies: ratios to other programs")
-    parser.add_argument("--samples", type=int, default=1_000_000)
-    parser.add_argument("--repeats", type=int, default=5)
-    given = parser.parse_args()
+    given = sized(parser, samples=(1_000_000, 2000), repeats=(5, 1))
     print(f"{given.samples} reducers x {ANGLES} angles, {len(jax.devices())} devices, medians of {given.repeats}")
     quasi_static(given.samples, given.repeats)
-    others(given.repeats)
-    memory()
+    others(given.repeats, given.samples / 1_000_000)
+    if not given.short:  # no other program has a command
+        memory(given.samples)
 
 
 if __name__ == "__main__":

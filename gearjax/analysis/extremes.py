@@ -65,7 +65,7 @@ def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Floa
         found = jax.vmap(curve, (None, 0))(frozen, places.reshape(-1))
         return signs[:, None] * found.reshape(places.shape)
 
-    brackets = _shrunk(every, _Brackets.around(theta, signed, tops))
+    brackets = _shrunk(every, _around(theta, signed, tops))
     best = jnp.argmax(brackets.height, axis=1)
     place, height = (part[jnp.arange(2), best] for part in (brackets.middle, brackets.height))
     found = _at((physics,), curve=curve, places=place, sides=_sides(theta, place), values=signs * height)
@@ -108,12 +108,11 @@ class _Brackets(NamedTuple):
     right: Float[Array, "sign k"]
     height: Float[Array, "sign k"]
 
-    @classmethod
-    def around(cls, theta: Float[Array, " n"], signed: Float[Array, "sign n"], tops: Int[Array, "sign k"]):
-        """The samples beside each top; at the ends of the record, where there is one only, the sample itself."""
-        last = theta.shape[0] - 1
-        beside = (theta[jnp.clip(tops + step, 0, last)] for step in (-1, 0, 1))
-        return cls(*beside, jnp.take_along_axis(signed, tops, axis=1))
+
+def _around(theta: Float[Array, " n"], signed: Float[Array, "sign n"], tops: Int[Array, "sign k"]) -> _Brackets:
+    """From the sample before to the sample behind each top; a top at an end of the record has one of them only."""
+    left, right = theta[jnp.maximum(tops - 1, 0)], theta[jnp.minimum(tops + 1, theta.shape[0] - 1)]
+    return _Brackets(left, theta[tops], right, jnp.take_along_axis(signed, tops, axis=1))
 
 
 def _shrunk(every: Callable[[Array], Array], brackets: _Brackets) -> _Brackets:
