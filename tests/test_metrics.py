@@ -51,12 +51,79 @@ def test_the_gradient_at_a_kink_is_that_of_the_true_extreme():
     assert float(jax.jvp(lowest, (shift,), (1.0,))[1]) == pytest.approx(float(central), rel=1e-8)
 
 
+def sines(numbers, angle):
+    """The largest of three sums of two sines, shape (3, 2, 2) of amplitudes and phases."""
+    orders = jnp.array([[1.0, 3.0], [2.0, 5.0], [1.0, 4.0]])
+    return (numbers[..., 0] * jnp.sin(orders * angle + numbers[..., 1])).sum(axis=1).max()
+
+
+def uneven(size: int, rng) -> jax.Array:
+    """Angles of one turn whose spacing varies threefold."""
+    steps = rng.uniform(0.5, 1.5, size - 1)
+    return jnp.asarray(np.concatenate([[0.0], np.cumsum(steps)]) * 2 * np.pi / steps.sum())
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_random_curves_of_kinks_and_waves(even, rng):
+    """No point of a fine record is beyond the extremes, and they are within its spacing."""
+    numbers = jnp.asarray(rng.standard_normal((60, 3, 2, 2)))
+    theta = jnp.linspace(0.0, 2 * jnp.pi, 161) if even else uneven(161, rng)
+
+    def both(numbers):
+        found = extremes(sines, numbers, theta, jax.vmap(sines, (None, 0))(numbers, theta))
+        fine = jax.lax.map(lambda angle: sines(numbers, angle), jnp.linspace(0.0, 2 * jnp.pi, 40_001), batch_size=1000)
+        return jnp.stack([found.maximum, found.minimum]), jnp.stack([fine.max(), fine.min()])
+
+    found, fine = jax.jit(jax.vmap(both))(numbers)
+    beyond = np.asarray(found - fine) * np.array([1.0, -1.0])
+    assert float(beyond.min()) > -1e-13
+    assert float(beyond.max()) < 30 * 2 * np.pi / 40_000  # the steepest slope times the spacing
+    np.testing.assert_allclose(found[7], jax.jit(both)(numbers[7])[0], rtol=1e-14)
+
+
+def test_gradients_of_extremes_in_a_batch_are_those_of_differences(rng):
+    numbers, way = jnp.asarray(rng.standard_normal((20, 3, 2, 2))), jnp.asarray(rng.standard_normal((3, 2, 2)))
+    theta = jnp.linspace(0.0, 2 * jnp.pi, 161)
+
+    def swing(numbers):
+        found = extremes(sines, numbers, theta, jax.vmap(sines, (None, 0))(numbers, theta))
+        return found.maximum - found.minimum
+
+    slopes = jnp.tensordot(jax.jit(jax.vmap(jax.grad(swing)))(numbers), way, 3)
+    forward = jax.jit(jax.vmap(lambda numbers: jax.jvp(swing, (numbers,), (way,))[1]))(numbers)
+    np.testing.assert_allclose(slopes, forward, rtol=1e-12, atol=1e-13)
+    swings = jax.jit(jax.vmap(swing))
+    central = (swings(numbers + 1e-5 * way[None]) - swings(numbers - 1e-5 * way[None])) / 2e-5
+    np.testing.assert_allclose(slopes, central, rtol=1e-6, atol=1e-7)
+
+
+def test_extremes_in_single_precision(rng):
+    numbers, theta = jnp.asarray(rng.standard_normal((20, 3, 2, 2))), jnp.linspace(0.0, 2 * jnp.pi, 161)
+
+    def curve(numbers, angle):
+        return sines(numbers.astype(jnp.float64), angle.astype(jnp.float64)).astype(angle.dtype)
+
+    @jax.jit
+    def both(numbers, theta):
+        record = jax.vmap(jax.vmap(curve, (None, 0)), (0, None))(numbers, theta)
+        found = jax.vmap(lambda own, values: extremes(curve, own, theta, values))(numbers, record)
+        return jnp.stack([found.maximum, found.minimum])
+
+    rough = both(numbers.astype(jnp.float32), theta.astype(jnp.float32))
+    assert rough.dtype == jnp.float32
+    np.testing.assert_allclose(rough, both(numbers, theta), atol=3e-6)
+
+
 def test_extremes_at_the_ends_and_of_a_constant():
     theta = jnp.linspace(0.0, 1.0, 11)
     rising = extremes(lambda k, a: k * a, jnp.asarray(2.0), theta, 2.0 * theta)
     assert (float(rising.minimum), float(rising.maximum)) == (0.0, 2.0)
     flat = extremes(lambda k, a: k + 0 * a, jnp.asarray(2.0), theta, jnp.full(11, 2.0))
     assert (float(flat.minimum), float(flat.maximum)) == (2.0, 2.0)
+    bent = extremes(lambda k, a: -k * (a - 0.03) ** 2, jnp.asarray(2.0), theta, -2.0 * (theta - 0.03) ** 2)
+    assert (float(bent.maximum), float(bent.theta_maximum)) == pytest.approx((0.0, 0.03), abs=1e-8)  # before sample 1
+    two = extremes(lambda k, a: -k * (a - 0.3) ** 2, jnp.asarray(2.0), theta[::10], -2.0 * (theta[::10] - 0.3) ** 2)
+    assert float(two.theta_maximum) == pytest.approx(0.3, abs=1e-7)
     one = extremes(lambda k, a: k * a, jnp.asarray(2.0), theta[3:4], 2.0 * theta[3:4])
     assert float(one.maximum) == float(one.minimum) == pytest.approx(0.6)
 
