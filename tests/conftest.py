@@ -114,6 +114,7 @@ LONGEST = (  # files, of both runs of CI
     "test_involute_rv.py",
     "test_involute_loads.py",
     "test_spectra.py",
+    "test_peers.py",
     "test_periodic_modes.py",
     "test_trains.py",
     "test_rv_cycloidal.py",
