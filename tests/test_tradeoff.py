@@ -1,5 +1,6 @@
 """The trade-off report: what it measures, what it recommends, and what it refuses."""
 
+import itertools
 import json
 
 import diffrax
@@ -9,10 +10,13 @@ import tomli_w
 
 import gearjax as gj
 from gearjax.config import loads
-from gearjax.studies.tradeoff import STEPS, WIDTHS, accurate_step, static_choices, tradeoff
+from gearjax.plot.tradeoff import tradeoff_figure
+from gearjax.studies.tradeoff import STEPS, WIDTHS, Measured, Tradeoff, accurate_step, static_choices, tradeoff
 from gearjax.units import arcmin
 from tests.test_cli import command
 from tests.test_matrix import GEAR_SETS, MOVES, RUN
+
+GROUPS = ("solver", "contact", "samples", "harmonics", "fidelity", "precision")
 
 
 @pytest.fixture
@@ -31,14 +35,7 @@ def test_tradeoff(short, tmp_path, capsys):
     assert code == 0
     found = json.loads(out)
     rows = {f"{row['group']}: {row['name']}": row for row in found["settings"]}
-    assert {row["group"] for row in found["settings"]} == {
-        "solver",
-        "contact",
-        "samples",
-        "harmonics",
-        "fidelity",
-        "precision",
-    }
+    assert {row["group"] for row in found["settings"]} == set(GROUPS)
     errors = [rows[f"solver: fitted, {size} rad"]["error_arcmin"] for size in ("0.8", "0.2", "0.05")]
     assert errors[2] < errors[1] < errors[0]
     assert rows["contact: softplus, 1 um"]["error_arcmin"] > rows["contact: softplus, 0.01 um"]["error_arcmin"]
@@ -103,6 +100,25 @@ def test_choices_of_geometry_are_told_with_their_cost(rv_text):
     assert 1e-4 < rows[0].error / arcmin < 0.05
     assert 0.02 < rows[0].force_error < 0.3
     assert rows[1].error == rows[1].force_error == 0.0
+
+
+def test_names_in_the_figure_do_not_overlap(rng):
+    """Those of settings that no other one beats in both time and error; the others have a marker only."""
+    times, errors = np.geomspace(1e-4, 0.1, 14), np.geomspace(1e-3, 1e-7, 14)
+    beaten = [(2 * time, 3 * error) for time, error in zip(times, errors, strict=True)]
+    measured = [
+        Measured(GROUPS[place % len(GROUPS)], f"setting {place}", error, {}, time, time, True, 1.0)
+        for place, (time, error) in enumerate([*zip(times, errors, strict=True), *beaten])
+    ]
+    rng.shuffle(measured)
+    figure = tradeoff_figure(Tradeoff({}, 1.0, measured, 1e-5))
+    figure.draw_without_rendering()
+    for ax in figure.axes:
+        assert sorted(text.get_text() for text in ax.texts) == sorted(f"setting {place}" for place in range(14))
+        boxes = [text.get_window_extent() for text in ax.texts]
+        assert not [one for one, other in itertools.combinations(boxes, 2) if one.overlaps(other)]
+        inside = ax.get_window_extent()
+        assert all(inside.x0 < box.x0 and box.x1 < inside.x1 and box.y1 < inside.y1 for box in boxes)
 
 
 @pytest.mark.parametrize("option", [["--error", "0"], ["--error", "nan"]])

@@ -2,51 +2,81 @@
 
 from pathlib import Path
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gearjax.plot.axes import finish, new_figure, save_figure
-from gearjax.studies.tradeoff import Tradeoff
+from gearjax.plot.axes import finish, new_figure, save_figure, styles_of
+from gearjax.studies.tradeoff import Measured, Tradeoff
 from gearjax.units import arcmin
 
 LEAST = 1e-8  # arcmin; smaller errors are drawn at this value
-LEANS = ((35, "left"), (-35, "left"), (-40, "right"), (40, "right"), (8, "left"), (-65, "left"))
-"""Angle of the labels of a group [deg], and which end of a label is at its point, so that groups do not overlap."""
+MARKERS = "osD^v<>P"
+APART = 13.0  # distance of labels above each other [pt]
+Point = tuple[float, float, str]
+"""Time [ms], error [arcmin] and name of a setting."""
 
 
 def tradeoff_figure(comparison: Tradeoff) -> Figure:
-    """Draw the error of the metrics against the time of a run and of a gradient, with a colour for each group."""
-    figure, axes = new_figure(2, height=5.0)
+    """Draw the error of the metrics against the time of a run and of a gradient, with a colour for each group.
+
+    Named are the settings that no other one beats in both: the line through them is what accuracy costs.
+    """
+    figure, axes = new_figure(2, height=4.0)
+    groups = styles_of(row.group for row in comparison.rows)
+    best = {}
     for ax, kind in zip(axes, ("run", "gradient"), strict=True):
-        for index, group in enumerate(dict.fromkeys(row.group for row in comparison.rows)):
-            rows = [row for row in comparison.rows if row.group == group]
-            times = [row.seconds if kind == "run" else row.gradient_seconds for row in rows]
-            points = [
-                (1e3 * seconds, max(row.error / arcmin, LEAST), row.name)
-                for row, seconds in zip(rows, times, strict=True)
-                if seconds is not None
-            ]
-            if not points:
-                continue
-            x, y, names = zip(*points, strict=True)
-            ax.loglog(x, y, "osD^v<>P"[index % 8], color=f"C{index}", label=group, markersize=5)
-            turned, end = LEANS[index % len(LEANS)]
-            for place in zip(x, y, names, strict=True):
-                ax.annotate(
-                    place[2],
-                    place[:2],
-                    fontsize=5.5,
-                    xytext=(3 if end == "left" else -3, 3 if (turned > 0) == (end == "left") else -3),
-                    textcoords="offset points",
-                    horizontalalignment=end,
-                    verticalalignment="center",
-                    rotation=turned,
-                    rotation_mode="anchor",
-                )
+        points = {group: [_point(row, kind) for row in comparison.rows if row.group == group] for group in groups}
+        known = {group: [point for point in some if point is not None] for group, some in points.items()}
+        for place, (group, own) in enumerate(known.items()):
+            if own:
+                style = {"color": groups[group]["color"], "marker": MARKERS[place % len(MARKERS)], "label": group}
+                ax.loglog([x for x, _, _ in own], [y for _, y, _ in own], linestyle="none", markersize=5, **style)
+        best[kind] = _unbeaten([point for own in known.values() for point in own])
+        line = [x for x, _, _ in best[kind]], [y for _, y, _ in best[kind]]
+        ax.plot(*line, drawstyle="steps-post", color="0.6", linewidth=0.9, zorder=0, label="least error at this time")
         ax.axhline(comparison.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
-        title = "one run" if kind == "run" else "gradient of the standard deviation, measured once per scheme"
-        finish(ax, f"Error against time: {title}", x="time [ms]", y="largest error of a metric [arcmin]")
-        ax.margins(x=0.15, y=0.18)
+        title = "one run" if kind == "run" else "gradient of the standard deviation"
+        finish(ax, f"Error against time, {title}", x="time [ms]", y="largest error of a metric [arcmin]")
+        ax.margins(x=0.1, y=0.12)
+    figure.draw_without_rendering()  # labels are placed on the page, so that its layout must be known
+    for ax, kind in zip(axes, best, strict=True):
+        _name(ax, best[kind])
     return figure
+
+
+def _point(row: Measured, kind: str) -> Point | None:
+    seconds = row.seconds if kind == "run" else row.gradient_seconds
+    return None if seconds is None else (1e3 * seconds, max(row.error / arcmin, LEAST), row.name)
+
+
+def _unbeaten(points: list[Point]) -> list[Point]:
+    """The points that are more accurate than all faster ones, the fastest first."""
+    found: list[Point] = []
+    for point in sorted(points):
+        if not found or point[1] < found[-1][1]:
+            found.append(point)
+    return found
+
+
+def _name(ax: Axes, points: list[Point]) -> None:
+    """Write the names of points beside them, each at least `APART` above the one before."""
+    scale = ax.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
+    before = -float("inf")
+    for x, y, name in reversed(points):
+        own = float(ax.transData.transform((x, y))[1]) / scale
+        before = max(own + 5.0, before + APART)
+        is_right = ax.transAxes.inverted().transform(ax.transData.transform((x, y)))[0] > 0.7
+        ax.annotate(
+            name,
+            (x, y),
+            fontsize="small",
+            xytext=(-7 if is_right else 7, before - own),
+            textcoords="offset points",
+            horizontalalignment="right" if is_right else "left",
+            verticalalignment="center",
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.6, "shrinkA": 0, "shrinkB": 2},
+        )
 
 
 def save_tradeoff_figure(comparison: Tradeoff, folder: Path) -> list[Path]:
