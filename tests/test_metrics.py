@@ -114,6 +114,15 @@ def test_extremes_in_single_precision(rng):
     np.testing.assert_allclose(rough, both(numbers, theta), atol=3e-6)
 
 
+@pytest.mark.parametrize("where", [0, 30, 56])
+def test_a_record_with_an_unknown_sample_has_no_extremes(where):
+    """Where no flank carries the torque the TE is nan; other samples must not hide that."""
+    theta = jnp.linspace(0.0, 2 * jnp.pi, 57)
+    values = jax.vmap(kinked, (None, 0))(0.3, theta).at[where].set(jnp.nan)
+    found = extremes(kinked, jnp.asarray(0.3), theta, values)
+    assert bool(jnp.isnan(found.maximum) & jnp.isnan(found.minimum))
+
+
 def test_extremes_at_the_ends_and_of_a_constant():
     theta = jnp.linspace(0.0, 1.0, 11)
     rising = extremes(lambda k, a: k * a, jnp.asarray(2.0), theta, 2.0 * theta)

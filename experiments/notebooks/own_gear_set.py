@@ -154,13 +154,16 @@ axes.set_ylabel("transmission error [arcmin]")
 axes.legend()
 
 
+names = list(scene.errors)  # listed outside: inside functions of JAX a dictionary is sorted by its keys
+
+
 def peak_to_peak(amplitudes):
-    changed = eqx.tree_at(lambda s: [error.amplitude for error in s.errors.values()], scene, list(amplitudes))
+    changed = eqx.tree_at(lambda s: [s.errors[name].amplitude for name in names], scene, list(amplitudes))
     return gj.transmission_error(changed, theta).peak_to_peak
 
 
 slopes = jax.grad(peak_to_peak)(jnp.array([8e-6, 15e-6]))
-for name, slope in zip(scene.errors, slopes, strict=True):
+for name, slope in zip(names, slopes, strict=True):
     print(f"{name}: {slope * units.um / units.arcmin:.4f} arcmin per um")
 figure.savefig(OUT / "own_gear_set.svg")
 

@@ -46,7 +46,7 @@ def extremes_of_samples(theta: Float[Array, " n"], values: Float[Array, " n"]) -
 def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Float[Array, " n"]) -> Extremes:
     """Extremes of ``curve(physics, theta)`` over the span of ``theta``, including kinks between samples.
 
-    Differentiable in ``physics``.
+    Differentiable in ``physics``; nan if a sample is.
 
     Args:
         curve: the curve. It must not close over traced arrays: these belong to its parameters.
@@ -68,6 +68,7 @@ def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Floa
     brackets = _shrunk(every, _around(theta, signed, tops))
     best = jnp.argmax(brackets.height, axis=1)
     place, height = (part[jnp.arange(2), best] for part in (brackets.middle, brackets.height))
+    height = jnp.where(jnp.isnan(samples).any(), jnp.nan, height)  # no equilibrium there: the extremes are not known
     found = _at((physics,), curve=curve, places=place, sides=_sides(theta, place), values=signs * height)
     return Extremes(found[0], found[1], place[0], place[1])
 
