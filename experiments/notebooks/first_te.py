@@ -78,8 +78,8 @@ drawing
 
 # %% [markdown]
 # ## Which body makes which wave
-# Each eccentricity turns with its body. `scene.system.orders` gives how often the wave of each repeats per turn of the
-# input: what counts is the turn of a body relative to the line of action, which the planet wheels carry around the ring.
+# Each eccentricity turns with its body. `scene.system.orders` gives how often its wave repeats per turn of the input:
+# what counts is the turn of the body relative to the line of action, which goes around the ring with the crank.
 # Without load, the eccentricities cause the largest waves of the TE.
 
 # %%
