@@ -114,6 +114,21 @@ def test_extremes_in_single_precision(rng):
     np.testing.assert_allclose(rough, both(numbers, theta), atol=3e-6)
 
 
+def test_gradients_at_kinks_in_single_precision():
+    """Of the lowest point, a kink, with the curve far from zero and many turns from the first angle."""
+    theta, shifts = jnp.linspace(40.0, 46.2, 121), jnp.linspace(0.1, 1.0, 20)
+
+    def lowest(shift, theta):
+        def curve(shift, angle):
+            return 5.0 + kinked(shift, angle)
+
+        return extremes(curve, shift, theta, jax.vmap(curve, (None, 0))(shift, theta)).minimum
+
+    slopes = jax.jit(jax.vmap(jax.grad(lowest), (0, None)))
+    rough = slopes(shifts.astype(jnp.float32), theta.astype(jnp.float32))
+    np.testing.assert_allclose(rough, slopes(shifts, theta), atol=5e-3)
+
+
 @pytest.mark.parametrize("where", [0, 30, 56])
 def test_a_record_with_an_unknown_sample_has_no_extremes(where):
     """Where no flank carries the torque the TE is nan; other samples must not hide that."""

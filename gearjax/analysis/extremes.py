@@ -20,9 +20,7 @@ from gearjax.typing import Array, Float, Int, Scalar
 MOST_BRACKETS = 32
 GOLDEN = 0.381966011250105  # share of the longer side of a bracket at which the next point is taken
 SECTIONS, FEW_SECTIONS = 64, 28  # in float64 and in float32: a bracket shrinks to the rounding of its angles
-BESIDE = (
-    0.06  # distance from an extreme at which slopes are taken: this times the root of the precision times the spacing
-)
+BESIDE, BESIDE_SINGLE = 1e-9, 2e-3  # distance from an extreme to where slopes are taken, over the spacing; float32
 
 
 class Extremes(eqx.Module):
@@ -137,8 +135,9 @@ def _shrunk(every: Callable[[Array], Array], brackets: _Brackets) -> _Brackets:
 
 def _sides(theta: Float[Array, " n"], places: Float[Array, " sign"]) -> Float[Array, "side sign"]:
     """Input angles just before and just behind extremes, within the span of ``theta``."""
-    precision = jnp.finfo(theta.dtype).eps
-    spread = BESIDE * precision**0.5 * (theta[-1] - theta[0]) / (theta.shape[0] - 1)
+    # rounding of the values hides where a kink is, in float32 the more so: both sides must be beyond that
+    share, precision = BESIDE if theta.dtype == jnp.float64 else BESIDE_SINGLE, jnp.finfo(theta.dtype).eps
+    spread = share * (theta[-1] - theta[0]) / (theta.shape[0] - 1)
     spread = jnp.maximum(spread, 16 * precision * jnp.abs(places))
     return jnp.clip(jnp.stack([places - spread, places + spread]), theta[0], theta[-1])
 
