@@ -129,6 +129,30 @@ def test_gradients_at_kinks_in_single_precision():
     np.testing.assert_allclose(rough, slopes(shifts, theta), atol=5e-3)
 
 
+def test_second_derivatives_go_through_the_values():
+    theta = jnp.linspace(0.0, 6.0, 121)
+
+    def top(size):
+        def curve(size, angle):
+            return size * jnp.sin(angle)
+
+        return extremes(curve, size, theta, jax.vmap(curve, (None, 0))(size, theta)).maximum
+
+    size = jnp.asarray(0.7)
+    assert float(jax.jit(jax.hessian(lambda p: top(p) ** 2))(size)) == pytest.approx(2.0, rel=1e-9)
+    assert float(jax.hessian(lambda p: jnp.exp(top(p)))(size)) == pytest.approx(np.exp(0.7), rel=1e-9)
+    assert float(jax.grad(lambda p: jax.value_and_grad(top)(p)[0])(size)) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_an_extreme_at_an_end_of_the_record_goes_with_it(scene):
+    def swing(end):
+        return 1e3 * gj.transmission_error(scene, jnp.linspace(0.0, 1.0, 101) * end).peak_to_peak
+
+    slope, central = jax.grad(swing)(5.0), (swing(5.0 + 1e-4) - swing(5.0 - 1e-4)) / 2e-4
+    assert abs(float(central)) > 1e-3
+    assert float(slope) == pytest.approx(float(central), rel=1e-5)
+
+
 @pytest.mark.parametrize("where", [0, 30, 56])
 def test_a_record_with_an_unknown_sample_has_no_extremes(where):
     """Where no flank carries the torque the TE is nan; other samples must not hide that."""

@@ -5,7 +5,7 @@ changes; a sampled record misses them by slope times spacing (0.0022 arcmin at 1
 finds them from values of the curve alone, which takes a third of the time to compile that slopes take: each sample that
 is higher than its neighbours brackets a top, and the brackets with the highest bounds are shrunk by golden sections.
 Slopes are needed for derivatives only. An extreme can still be missed if a bracket contains two tops, or if more than
-`MOST_BRACKETS` brackets have higher bounds.
+`MOST_BRACKETS` brackets have higher bounds; a bracket is two spacings wide.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from gearjax.typing import Array, Float, Int, Scalar
 MOST_BRACKETS = 32
 GOLDEN = 0.381966011250105  # share of the longer side of a bracket at which the next point is taken
 SECTIONS, FEW_SECTIONS = 64, 28  # in float64 and in float32: a bracket shrinks to the rounding of its angles
-BESIDE, BESIDE_SINGLE = 1e-9, 2e-3  # distance from an extreme to where slopes are taken, over the spacing; float32
+BESIDE, BESIDE_SINGLE = 1e-8, 2e-3  # distance from an extreme to where slopes are taken, over the spacing; float32
 
 
 class Extremes(eqx.Module):
@@ -44,7 +44,9 @@ def extremes_of_samples(theta: Float[Array, " n"], values: Float[Array, " n"]) -
 def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Float[Array, " n"]) -> Extremes:
     """Extremes of ``curve(physics, theta)`` over the span of ``theta``, including kinks between samples.
 
-    Differentiable in ``physics``; nan if a sample is.
+    Differentiable in ``physics`` and, where an extreme is at an end of the record, in ``theta``; not in ``values``. The
+    place of an extreme is held fixed, so that second derivatives leave out its movement. The extremes are nan if a
+    sample is.
 
     Args:
         curve: the curve. It must not close over traced arrays: these belong to its parameters.
@@ -54,6 +56,7 @@ def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Floa
     """
     if theta.shape[0] < 2:
         return Extremes(values[0], values[0], theta[0], theta[0])
+    ends = theta[jnp.array([0, -1])]
     frozen, theta, samples = jax.lax.stop_gradient((physics, theta, values))
     signs = jnp.array([1.0, -1.0], values.dtype)  # the maximum of the curve, and the maximum of its negative
     signed = jnp.stack([samples, -samples])
@@ -67,7 +70,7 @@ def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Floa
     best = jnp.argmax(brackets.height, axis=1)
     place, height = (part[jnp.arange(2), best] for part in (brackets.middle, brackets.height))
     height = jnp.where(jnp.isnan(samples).any(), jnp.nan, height)  # no equilibrium there: the extremes are not known
-    found = _at((physics,), curve=curve, places=place, sides=_sides(theta, place), values=signs * height)
+    found = _at((physics, ends), curve=curve, places=place, sides=_sides(theta, place), values=signs * height)
     return Extremes(found[0], found[1], place[0], place[1])
 
 
@@ -143,7 +146,7 @@ def _sides(theta: Float[Array, " n"], places: Float[Array, " sign"]) -> Float[Ar
 
 
 @eqx.filter_custom_jvp
-def _at(parameters: tuple[Any], *, curve: Curve, places: Array, sides: Array, values: Array) -> Array:
+def _at(parameters: tuple[Any, Array], *, curve: Curve, places: Array, sides: Array, values: Array) -> Array:
     """Values of the extremes, with the derivatives of the curve there, the places held fixed."""
     del parameters, curve, places, sides
     return values
@@ -157,7 +160,7 @@ def _at_jvp(
 
     The place of a kink moves with the parameters, and by these weights the movement does not count.
     """
-    ((physics,),), ((moves,),) = primals, tangents
+    ((physics, ends),), ((moves, ends_move),) = primals, tangents
     frozen = jax.lax.stop_gradient(physics)
 
     def slope(angle: Scalar) -> Scalar:
@@ -174,7 +177,12 @@ def _at_jvp(
         found = jax.vmap(curve, (None, 0))(eqx.combine(moving, still), points.reshape(-1)).reshape(2, -1)
         return share * found[0] + (1.0 - share) * found[1]
 
-    return values, jax.jvp(mean, (moving,), (moves,))[1]
+    change = jax.jvp(mean, (moving,), (moves,))[1]
+    if ends_move is not None:  # an extreme at an end of the record goes with it
+        at_ends = [jnp.where(places == end, slope, 0.0) for end, slope in zip(ends, (before, behind), strict=True)]
+        change = change + at_ends[0] * ends_move[0] + at_ends[1] * ends_move[1]
+    # called again and not given back as they are: the values themselves have derivatives when this is differentiated
+    return _at((physics, ends), curve=curve, places=places, sides=sides, values=values), change
 
 
 def highest(bounds: Float[Array, " m"], number: int) -> Int[Array, " k"]:
