@@ -54,7 +54,7 @@ def told(name: str, scores: np.ndarray) -> None:
     whole, single, cover = (scores.max(axis=1) < 3).mean(), (scores < 3).mean(), (scores < 1.96).mean()
     print(f"{name}: all numbers within 3 standard errors in {100 * whole:.1f} % of the units,")
     print(f"  single numbers in {100 * single:.2f} %, intervals of 95 % cover {100 * cover:.1f} %", flush=True)
-    agree("  share of numbers further from the truth, a difference of more than 3 standard errors", 1 - single, 0.05)
+    agree("  share of numbers that differ from the truth by more than 3 standard errors", 1 - single, 0.05)
 
 
 def two_kv_units(number: int, seed: int) -> None:
@@ -163,11 +163,11 @@ def speed(starts: int) -> None:
             curves = [own.te(record.theta, float(record.loads[0])) / arcmin for record in records]
             return np.concatenate(curves) + x[8] - measured
 
-        rng, begin, best = np.random.default_rng(0), time.perf_counter(), []
+        rng, begin = np.random.default_rng(0), time.perf_counter()
         for k in range(starts):
             size = 15.0 if k % 2 else 0.7
             start = np.concatenate([size * rng.standard_normal(6), [1.0, 150.0, 0.0]])
-            best.append(optimize.least_squares(residual, start, method="lm").cost)
+            optimize.least_squares(residual, start, method="lm")
         scipys = (time.perf_counter() - begin) * 64 / starts
         ratio = scipys / np.median(ours)
         print(f"{words}, 64 starts: {np.median(ours):.3f} s; scipy's lm {scipys:.1f} s, {ratio:.0f} times", flush=True)

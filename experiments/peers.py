@@ -38,10 +38,11 @@ def sized(parser: argparse.ArgumentParser, **sizes: tuple[float, float]) -> argp
 
 
 def agree(words: str, apart: float, most: float, unit: str = "") -> None:
-    """One line with a difference; the bench ends with an error where it is larger than it may be."""
-    print(f"{words}: {apart:.1e} {unit}".rstrip(), flush=True)
+    """One line with a difference and its limit; the bench ends with an error where it is larger, or nan."""
+    line = f"{words}: {apart:.1e} {unit}".rstrip() + f" (at most {most:.1g})"
+    print(line, flush=True)
     if not apart <= most:
-        raise SystemExit(f"{words}: {apart:.2g} {unit}, and {most:g} is the most that the programs may differ by")
+        raise SystemExit(f"the programs differ by more than they may: {line.strip()}")
 
 
 def compiled_c(source: str, *flags: str) -> ctypes.CDLL:

@@ -25,28 +25,30 @@ def tradeoff_figure(comparison: Tradeoff) -> Figure:
     groups = styles_of(row.group for row in comparison.rows)
     best = {}
     for ax, kind in zip(axes, ("run", "gradient"), strict=True):
-        points = {group: [_point(row, kind) for row in comparison.rows if row.group == group] for group in groups}
-        known = {group: [point for point in some if point is not None] for group, some in points.items()}
-        for place, (group, own) in enumerate(known.items()):
+        points: list[Point] = []
+        for place, (group, style) in enumerate(groups.items()):
+            own = _points([row for row in comparison.rows if row.group == group], kind)
             if own:
-                style = {"color": groups[group]["color"], "marker": MARKERS[place % len(MARKERS)], "label": group}
-                ax.loglog([x for x, _, _ in own], [y for _, y, _ in own], linestyle="none", markersize=5, **style)
-        best[kind] = _unbeaten([point for own in known.values() for point in own])
+                drawn = {"color": style["color"], "marker": MARKERS[place % len(MARKERS)], "label": group, "zorder": 4}
+                ax.loglog([x for x, _, _ in own], [y for _, y, _ in own], linestyle="none", markersize=5, **drawn)
+            points += own
+        best[kind] = _unbeaten(points)
         line = [x for x, _, _ in best[kind]], [y for _, y, _ in best[kind]]
         ax.plot(*line, drawstyle="steps-post", color="0.6", linewidth=0.9, zorder=0, label="least error at this time")
         ax.axhline(comparison.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
-        title = "one run" if kind == "run" else "gradient of the standard deviation"
+        title = "one run" if kind == "run" else "gradient, measured once per scheme"
         finish(ax, f"Error against time, {title}", x="time [ms]", y="largest error of a metric [arcmin]")
         ax.margins(x=0.1, y=0.12)
     figure.draw_without_rendering()  # labels are placed on the page, so that its layout must be known
     for ax, kind in zip(axes, best, strict=True):
-        _name(ax, best[kind])
+        _name(ax, best[kind], figure.dpi / 72)
     return figure
 
 
-def _point(row: Measured, kind: str) -> Point | None:
-    seconds = row.seconds if kind == "run" else row.gradient_seconds
-    return None if seconds is None else (1e3 * seconds, max(row.error / arcmin, LEAST), row.name)
+def _points(rows: list[Measured], kind: str) -> list[Point]:
+    """The settings whose time is known."""
+    timed = [(row.seconds if kind == "run" else row.gradient_seconds, row) for row in rows]
+    return [(1e3 * seconds, max(row.error / arcmin, LEAST), row.name) for seconds, row in timed if seconds is not None]
 
 
 def _unbeaten(points: list[Point]) -> list[Point]:
@@ -58,14 +60,14 @@ def _unbeaten(points: list[Point]) -> list[Point]:
     return found
 
 
-def _name(ax: Axes, points: list[Point]) -> None:
-    """Write the names of points beside them, each at least `APART` above the one before."""
-    scale = ax.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
+def _name(ax: Axes, points: list[Point], scale: float) -> None:
+    """Write the names of points beside them, each at least `APART` above the one before; scale in pixels per point."""
     before = -float("inf")
     for x, y, name in reversed(points):
-        own = float(ax.transData.transform((x, y))[1]) / scale
+        place = ax.transData.transform((x, y))
+        own = float(place[1]) / scale
         before = max(own + 5.0, before + APART)
-        is_right = ax.transAxes.inverted().transform(ax.transData.transform((x, y)))[0] > 0.7
+        is_right = ax.transAxes.inverted().transform(place)[0] > 0.7
         ax.annotate(
             name,
             (x, y),
