@@ -28,12 +28,15 @@ class Published:
         torque: load torque to which the values belong [N m]; 0 without load.
         metrics: pairs of a metric's name and its value [rad].
         note: remark for readers of the comparison.
+        configuration: eight digits that tell for which gears, errors and loads the values hold; a run of others leaves
+            the values out and says its own digits. Empty for values that are shown with any.
     """
 
     analysis: str
     torque: float
     metrics: tuple[tuple[str, float], ...]
     note: str = ""
+    configuration: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -87,7 +87,7 @@ class Scene(eqx.Module):
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        from gearjax.scene_checks import check_coupled, check_moving, check_rim  # that module imports this one
+        from gearjax.scene_checks import check_body, check_coupled, check_moving  # that module imports this one
 
         if not isinstance(self.system, AbstractSystem):
             is_path = isinstance(self.system, str | Path)
@@ -96,10 +96,7 @@ class Scene(eqx.Module):
         check_offered(self.system.kind, self.system.coordinates, self.supports, self.shafts)
         for key, error in self.errors.items():
             check_name("errors", key)
-            if error.body not in self.system.bodies:
-                raise ParameterError(f"errors.{key}.body", error.body, nearest(error.body, self.system.bodies))
-            if error.on_rim:
-                check_rim(self.system, key, error)
+            check_body(self.system, key, error)
         frequency = getattr(self.load, "frequency", None)
         if isinstance(frequency, Named) and frequency.name not in self.system.orders:
             raise ParameterError("load.frequency", frequency.name, nearest(frequency.name, self.system.orders))

@@ -1,5 +1,7 @@
 """Checks that the parts of a scene suit each other, and that the scene lists all parts that an analysis needs."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,18 +22,39 @@ from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float
 
 
-def check_rim(system: AbstractSystem, key: str, error: AbstractError) -> None:
-    """Refuse an error of pins or teeth if its body does not have such pins or teeth."""
+def check_body(system: AbstractSystem, key: str, error: AbstractError) -> None:
+    """Refuse an error whose body the gear set does not have, or that has no pins or teeth to carry it."""
+    try:
+        if error.body not in system.bodies:
+            raise ParameterError("body", error.body, nearest(error.body, system.bodies))
+        if error.on_rim:
+            _check_rim(system, error)
+    except ParameterError as fault:
+        others = [_rim_fault(system, error, body) for body in system.bodies] if fault.key == "body" else [None]
+        faults = [other for other in others if other is not None and other.key == "body"]
+        if faults and len(faults) == len(others):
+            words = f"each body of a {system.kind} {faults[0].right}"
+            raise ParameterError(f"errors.{key}.kind", error.kind, words) from fault
+        raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
 
+
+def _check_rim(system: AbstractSystem, error: AbstractError) -> None:
     def gap(error: AbstractError) -> Array:
         seen = pose_of(system, jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
         return error.gap(seen.views[error.body])
 
+    jax.eval_shape(gap, error)
+    error.check(lambda: system.gear_size(error.body))
+
+
+def _rim_fault(system: AbstractSystem, error: AbstractError, body: str) -> ParameterError | None:
+    """Why a body cannot carry an error; ``None`` where it can."""
     try:
-        jax.eval_shape(gap, error)
-        error.check(lambda: system.gear_size(error.body))
+        if error.on_rim:
+            _check_rim(system, dataclasses.replace(error, body=body))
     except ParameterError as fault:
-        raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
+        return fault
+    return None
 
 
 def check_moving(scene: Scene) -> None:

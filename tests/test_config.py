@@ -159,6 +159,28 @@ def test_mistakes(config_text, old, new, words):
         assert word in message
 
 
+@pytest.mark.parametrize("body", ["ring", "output_wheel"])
+def test_an_error_that_no_body_can_carry_is_refused_by_its_kind(config_text, body):
+    """Naming the bodies that there are would send its user round them all."""
+    section = f'[errors.ring]\nkind = "cumulative_pitch"\nbody = "{body}"\namplitude = "2 um"\nphase = "0 deg"\n'
+    with pytest.raises(gj.ParameterError, match="each body of a two_kv has no rim of pins or teeth") as caught:
+        gj.loads(config_text.replace("[reference]", f"{section}\n[reference]"))
+    assert caught.value.key == "errors.ring.kind"
+
+
+def test_published_values_of_other_gears_are_left_out(config_text):
+    """The duration may differ, and what a study adds."""
+    with_values = gj.loads(config_text.replace('"3 s"', '"2 s"')).run.published
+    others = gj.loads(config_text.replace("ring_teeth = 52", "ring_teeth = 53")).run.published
+    assert len(with_values) == len(others) == 7
+    assert all(entry.metrics for entry in with_values)
+    for entry in others:
+        assert not entry.metrics
+        assert entry.note.startswith("published values left out: they are of configuration ")
+    unnamed = "\n".join(line for line in config_text.splitlines() if not line.startswith("configuration = "))
+    assert all(entry.metrics for entry in gj.loads(unnamed.replace("ring_teeth = 52", "ring_teeth = 53")).run.published)
+
+
 @pytest.mark.parametrize(
     "absurd",
     [

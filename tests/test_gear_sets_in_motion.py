@@ -5,10 +5,14 @@ Steps that are chosen work with what changes slowly between their nodes. Whether
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.studies.select import pick
+from gearjax.units import arcmin
 from tests.helical_pairs import GUO_1, TEETH, scene_of
 from tests.test_matrix import KINDS, MOVES, TORQUE, Case
 
@@ -39,6 +43,30 @@ def test_bodies_on_supports(gear_set):
         dict.fromkeys(scene.system.coordinates, part) for part in (gj.Support(x=2e8, y=3e8), gj.BodyInertia(0.5))
     )
     assert off(dataclasses.replace(scene, supports=supports, body_inertia=inertia), 0.01, TORQUE) < APART
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gear_set", [name for name in MOVES if name != "two_kv"])  # which tests/test_gradients.py has
+def test_gradients_in_reverse_are_differences(gear_set):
+    """Of the standard deviation, by a phase, an amplitude, an element and a number of the system.
+
+    Contacts are smoothed: dampers that engage at once put kinks into the curve that differences cross.
+    """
+    case = Case(gear_set, *KINDS)
+    smooth = dataclasses.replace(case.scene, contact=gj.QuadraticContact(1e-6))
+    place = pick(case.scene, case.where)
+    sizes = jnp.asarray([number.step for number in case.numbers])
+    start = jnp.asarray([number.ends[0] + 0.3 * number.step for number in case.numbers])
+    ts = np.linspace(0.0, 0.05, 51)
+
+    def std(change: jax.Array) -> jax.Array:
+        return gj.simulate(place.set(smooth, start + sizes * change), ts, TORQUE).std / arcmin
+
+    slope = jax.jit(jax.grad(std))(jnp.zeros(len(KINDS)))
+    sides = jax.jit(jax.vmap(std))(jnp.concatenate([1e-4 * jnp.eye(len(KINDS)), -1e-4 * jnp.eye(len(KINDS))]))
+    differences = (sides[: len(KINDS)] - sides[len(KINDS) :]) / 2e-4
+    assert np.abs(differences).max() > 0
+    np.testing.assert_allclose(slope, differences, rtol=1e-4, atol=2e-5 * np.abs(differences).max())
 
 
 @pytest.mark.slow

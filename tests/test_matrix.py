@@ -1,14 +1,18 @@
-"""Every public function and every command on every gear set, for a number of each kind.
+"""Every public function and every command on every gear set, every one of them for a number of each kind.
 
 Each gives finite numbers, or refuses in one line that names what is missing. A new function, command or gear set that
-is not listed here fails.
+is not listed here fails. Functions of numbers, commands, and functions on supports meet in pairs: every function with
+every gear set and with every kind, every gear set with every kind and on supports, and all refusals. With the variable
+``GEARJAX_TESTS_WHOLE`` set to anything they meet in every combination, which takes three times as long.
 """
 
 import dataclasses
 import inspect
+import itertools
 import json
+import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -386,6 +390,39 @@ def refusal(function: str, gear_set: str, kind: str) -> str | None:
     return next((REFUSED[key] for key in keys if key in REFUSED), None)
 
 
+WHOLE = "GEARJAX_TESTS_WHOLE" in os.environ
+
+
+def chosen(names: Iterable[str], pairs: tuple[tuple[int, int], ...]) -> list[tuple[str, str, str]]:
+    """Few of the combinations of a name, a gear set and a kind in which all pairs of these occur, and all refusals.
+
+    Args:
+        names: of functions or commands.
+        pairs: places of those that are to meet in a combination.
+    """
+    every = list(itertools.product(names, GEAR_SETS, KINDS))
+    found = [one for one in every if refusal(*one)]
+    missing = {(pair, tuple(one[i] for i in pair)) for one in every if not refusal(*one) for pair in pairs}
+
+    def news(one: tuple[str, str, str]) -> int:
+        return len({(pair, tuple(one[i] for i in pair)) for pair in pairs} & missing)
+
+    while missing:
+        best = max((one for one in every if not refusal(*one)), key=news)
+        missing -= {(pair, tuple(best[i] for i in pair)) for pair in pairs}
+        found.append(best)
+    return every if WHOLE else sorted(found, key=every.index)
+
+
+def test_chosen_combinations_have_all_pairs():
+    every = set(itertools.product(OF_NUMBERS, GEAR_SETS, KINDS))
+    found = set(chosen(OF_NUMBERS, ((0, 1), (0, 2), (1, 2))))
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        assert {(one[i], one[j]) for one in found} == {(one[i], one[j]) for one in every}
+    assert {one for one in every if refusal(*one)} <= found
+    assert WHOLE or len(found) < 100
+
+
 def is_finite(found: Any) -> bool:
     """Whether all numbers of a result are, and there are some."""
     leaves = [leaf for leaf in jax.tree.leaves(found) if isinstance(leaf, (jax.Array, np.ndarray, float, int))]
@@ -422,9 +459,9 @@ def test_every_function_and_every_gear_set_is_listed():
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in OF_A_SCENE]
 )
 def test_functions_of_a_scene(name, gear_set):
-    """With a number of each kind moved."""
+    """With a number of each kind moved, together; one by one too where that is quick."""
     check(name, OF_A_SCENE[name], gear_set, *KINDS)
-    for kind in KINDS:
+    for kind in KINDS if WHOLE or name in QUICK else ():
         check(name, OF_A_SCENE[name], gear_set, kind)
 
 
@@ -443,16 +480,12 @@ def test_functions_of_gears_by_a_table(name):
     judge((OF_A_SCENE | OF_NUMBERS)[name], case, None)
 
 
-@pytest.mark.parametrize("gear_set", GEAR_SETS)
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # what comes out matters here, not how exact it is
 @pytest.mark.parametrize(
-    ("name", "kind"),
+    ("name", "gear_set", "kind"),
     [
-        (name, kind)
-        if refusal(name, "", kind) or (name, kind) in {("monte_carlo", "element"), ("grid_search", "phase")}
-        else pytest.param(name, kind, marks=pytest.mark.slow)
-        for name in OF_NUMBERS
-        for kind in KINDS
+        pytest.param(*one, marks=[] if refusal(one[0], "", one[2]) else pytest.mark.slow)
+        for one in chosen(OF_NUMBERS, ((0, 1), (0, 2), (1, 2)))
     ],
 )
 def test_functions_of_numbers(name, kind, gear_set):
@@ -460,9 +493,16 @@ def test_functions_of_numbers(name, kind, gear_set):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gear_set", GEAR_SETS)
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
-@pytest.mark.parametrize("name", [*OF_A_SCENE, *OF_NUMBERS])
+@pytest.mark.parametrize(
+    ("name", "gear_set"),
+    [
+        (name, gear_set)
+        for place, name in enumerate([*OF_A_SCENE, *OF_NUMBERS])
+        for number, gear_set in enumerate(GEAR_SETS)
+        if WHOLE or (number - place) % len(GEAR_SETS) in (0, 2)
+    ],
+)
 def test_functions_on_supports(name, gear_set):
     """Bodies that give way: still an answer, or a refusal that names the section."""
     case = Case(gear_set, "amplitude")
@@ -507,14 +547,12 @@ def test_every_command_is_listed():
     assert listed == set(COMMANDS)
 
 
-@pytest.mark.parametrize("gear_set", GEAR_SETS)
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("command", "kind"),
+    ("command", "gear_set", "kind"),
     [
-        pytest.param(command, kind, marks=[] if (command, kind) == ("tolerance", "element") else pytest.mark.slow)
-        for command, more in COMMANDS.items()
-        if more is not None
-        for kind in (KINDS if command in ("optimise", "tolerance") else KINDS[:1])
+        *(("run", gear_set, KINDS[0]) for gear_set in GEAR_SETS),
+        *chosen(("optimise", "tolerance"), ((0, 1), (0, 2))),
     ],
 )
 def test_commands(command, kind, gear_set, tmp_path, capsys):

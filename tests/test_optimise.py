@@ -9,6 +9,7 @@ import tomli_w
 
 import gearjax as gj
 from gearjax.config import loads_optimise, with_numbers
+from gearjax.results.optimisation import in_common
 from gearjax.studies.select import numbers, pick
 from gearjax.units import arcmin, deg, um
 from tests.conftest import ROOT
@@ -51,6 +52,7 @@ def test_json_and_files(capsys, tmp_path, fast):
     assert gradient["starts"] == 8
     assert gradient["evaluations"] == 8 * 42
     assert 1 <= gradient["within_1_percent"] <= 8
+    assert set(gradient["spans_within_1_percent"]) == set(PHASES)
     assert gradient["failed"] == 0
     assert min(grid["seconds"], grid["compile_seconds"], gradient["seconds"], gradient["compile_seconds"]) > 0
     assert gradient["objective_arcmin"] < grid["objective_arcmin"] < found["objective_before_arcmin"]
@@ -70,6 +72,21 @@ def test_json_and_files(capsys, tmp_path, fast):
     theta = scene.system.input_speed * np.linspace(0, 2, 401)
     amplitude = float(gj.transmission_error(scene, theta).amplitude / arcmin)
     assert amplitude == pytest.approx(gradient["objective_arcmin"], rel=1e-9)
+
+
+def test_what_good_ends_have_in_common(rng):
+    """Phases that turn together by chance: their difference is told, and how far each spans; a bad end is left out."""
+    paths = tuple(PHASES[:3])
+    turns = np.linspace(0.0, 5.5, 20)
+    ends = np.stack([turns, turns + np.pi + rng.uniform(-0.05, 0.05, 20), 1.0 + rng.uniform(-0.1, 0.1, 20)], axis=1)
+    ends = np.concatenate([(ends + np.pi) % (2 * np.pi) - np.pi, [[0.0, 0.0, -2.0]]])
+    labels, objectives = np.zeros(21, dtype=int), np.append(np.full(20, 1.0), 1.1)
+    search = gj.Minimisation(paths, ends, ends, objectives, labels, labels, ends, 1, 0.0, 0.0)
+    spans, alike = in_common(search, [True] * 3)
+    assert list(spans) == list(paths)
+    assert spans[paths[0]] == pytest.approx(5.5)
+    assert spans[paths[2]] < 0.2
+    assert alike == {paths[:2]: pytest.approx(180, abs=2)}
 
 
 @pytest.mark.slow

@@ -3,11 +3,13 @@
 import math
 import sys
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from gearjax.reproduce import Row
 from gearjax.results import Case, GradedGear, Optimisation, highest_load_sharing
+from gearjax.results.optimisation import ALIKE
 from gearjax.run import METRICS
 from gearjax.studies.minimise import UNIMPROVED
 from gearjax.studies.select import pick
@@ -87,10 +89,12 @@ def print_optimisation(optimisation: Optimisation) -> None:
     row("gradients", search.objective, search.best, count, f"{search.seconds:.2f}", f"{search.compile_seconds:.1f}")
     console.print(table)
     console.print(
-        f"{search.within(0.01)} of {len(search.starts)} starts within 1 % of the best, in "
-        f"{int(search.valley.max()) + 1} valleys; {search.failed} dropped because they were not finite",
+        f"{search.within(0.01)} of {len(search.starts)} starts within 1 % of the best; all ends lie in "
+        f"{int(search.valley.max()) + 1} valleys (on the way from one to another the objective rises); "
+        f"{search.failed} dropped because they were not finite",
         soft_wrap=True,
     )
+    _print_choice(console, optimisation)
     if not search.improved:
         console.print(f"gradients: {UNIMPROVED}", soft_wrap=True)
     around = optimisation.sensitivity
@@ -110,6 +114,21 @@ def print_optimisation(optimisation: Optimisation) -> None:
     _print_stages(console, optimisation)
 
 
+def _print_choice(console: Console, optimisation: Optimisation) -> None:
+    """Print how far apart ends lie that are as good, and what they have in common."""
+    spans, alike = optimisation.choice()
+    if not any(spans.values()):
+        return
+    told = ", ".join(
+        f"{path} {optimisation.shown(path, span):.3g} {optimisation.parameters[path].shown_in[0]}".rstrip()
+        for path, span in spans.items()
+    )
+    console.print(f"those within 1 % span: {told}; all are in starts.csv", soft_wrap=True)
+    for (one, other), apart in alike.items():
+        words = f"{other} - {one} = {apart:.0f} deg"
+        console.print(f"and have in common: {words}, within {np.rad2deg(ALIKE):.0f} deg", soft_wrap=True)
+
+
 def _print_stages(console: Console, optimisation: Optimisation) -> None:
     table = Table(title="Transmission error in arcmin, before and after")
     for column in ("case", "window [s]", "stage", *(name.replace("_", "-") for name in METRICS)):
@@ -123,7 +142,7 @@ def _print_stages(console: Console, optimisation: Optimisation) -> None:
 
 def print_cases(cases: list[Case], told: str | None = None) -> None:
     """Print the metrics of the cases, and a note for readers of their contact forces."""
-    compared = any(case.published for case in cases)
+    compared = any(case.published.metrics for case in cases if case.published)
     table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
     for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
         table.add_column(column, justify="left" if column == "case" else "right")

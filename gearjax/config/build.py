@@ -214,7 +214,7 @@ def _scene(tables: dict[str, Any]) -> Scene:
     if "reference" in tables:
         parts["reference"] = _reference(tables["reference"])
     scene = Scene(system, errors, **parts)
-    published = read_published(tables.get("published", []))
+    published = read_published(tables)
     if "run" in tables:
         scene = dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
     return scene
@@ -249,8 +249,8 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
     scene = _scene(tables)
     if "optimise" not in tables:
         raise GearjaxError(
-            "the configuration has no [optimise]: list objective and where, such as "
-            'objective = "no_load_amplitude", where = ["errors.planet_1.phase"]'
+            "the configuration has no [optimise]: add a section with objective and where, such as this line before the "
+            'first section: optimise = {objective = "no_load_amplitude", where = ["errors.planet_1.phase"]}'
         )
     return scene, read_optimise(tables["optimise"], scene)
 
@@ -279,8 +279,9 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
     scene = _scene(tables)
     if "tolerance" not in tables:
         raise GearjaxError(
-            "the configuration has no [tolerance]: list samples, measures and numbers such as "
-            '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
+            "the configuration has no [tolerance]: add a section with samples, measures and numbers, such as this line "
+            'before the first section: tolerance = {samples = 10000, measures = ["no_load.peak_to_peak"], '
+            '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}}'
         )
     section = read_tolerance(tables["tolerance"], scene, Path(folder))
     return inlined(tables, scene, Path(folder)), scene, section

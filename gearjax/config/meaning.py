@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from gearjax import units
 from gearjax.config.tables import as_toml
 from gearjax.parameters import Parameter
 
@@ -64,6 +65,9 @@ def _plain(text: str) -> str:
     return re.sub(r"\s+([.,:;])(?!\.)", r"\1", text).strip(" ,;").removesuffix(".")
 
 
+MOST_SHOWN = 1e5  # rad: wider bounds of an angle tell its user nothing
+
+
 def limits(parameter: Parameter) -> str:
     """The allowed values of a parameter in words: ``a length, at least 1e-06 m and at most 1 m``."""
     words = [f'"{name}"' for name in parameter.names]
@@ -79,7 +83,9 @@ def limits(parameter: Parameter) -> str:
         words.append("a name")
     if parameter.words:
         words.append('a name such as "crank"')
-    bounds = parameter.allowed()
+    low, high = parameter.range
+    is_turns = parameter.dimension is units.ANGLE and high - low > MOST_SHOWN  # beyond, angles lose digits
+    bounds = "" if is_turns else parameter.allowed()
     return " or ".join(words) + (f", {bounds}" if bounds else "")
 
 

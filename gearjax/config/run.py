@@ -1,5 +1,7 @@
 """The run section: what to compute."""
 
+import hashlib
+import json
 from typing import Any
 
 from gearjax import units
@@ -24,6 +26,7 @@ PUBLISHED_KEYS = {
     "analysis": Key(f"one of {', '.join(ANALYSES)}", '"no_load"', required=True),
     "torque": Key('a torque such as "30 N*m"', '"30 N*m"', '"0 N*m"'),
     "note": Key("a text in quotes", '"where the values come from"', '""'),
+    "configuration": Key("the eight digits of a configuration, in quotes", '"0123abcd"', '""'),
     **{name: Key('an angle such as "1.2 arcmin"', '"1.2 arcmin"') for name in METRICS},
 }
 
@@ -85,8 +88,21 @@ def _torques(table: dict[str, Any], analyses: tuple[str, ...], scene: Scene) -> 
     return torques
 
 
-def read_published(entries: Any) -> tuple[Published, ...]:
-    """Read the values to show next to the computed ones, from the ``[[published]]`` sections."""
+NOT_OF_THE_GEARS = ("run", "published", "optimise", "identify", "tolerance")
+
+
+def configuration_digits(tables: dict[str, Any]) -> str:
+    """Eight digits of the sections that describe gears, errors and loads, which tell configurations apart."""
+    described = {key: part for key, part in tables.items() if key not in NOT_OF_THE_GEARS}
+    return hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()[:8]
+
+
+def read_published(tables: dict[str, Any]) -> tuple[Published, ...]:
+    """Read the values to show next to the computed ones, from the ``[[published]]`` sections.
+
+    Values of another configuration are replaced by a note.
+    """
+    entries = tables.get("published", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ParameterError("published", entries, "must be a list of sections: [[published]]")
     published = []
@@ -100,8 +116,12 @@ def read_published(entries: Any) -> tuple[Published, ...]:
         metrics = tuple(
             (name, read_quantity(f"{path}.{name}", entry[name], units.ANGLE)) for name in METRICS if name in entry
         )
-        note = entry.get("note", "")
-        if not isinstance(note, str):
-            raise ParameterError(f"{path}.note", note, "must be text in quotes")
-        published.append(Published(entry["analysis"], torque, metrics, note))
+        note, of = entry.get("note", ""), entry.get("configuration", "")
+        for key, given in (("note", note), ("configuration", of)):
+            if not isinstance(given, str):
+                raise ParameterError(f"{path}.{key}", given, "must be text in quotes")
+        if of and of != configuration_digits(tables):
+            own = configuration_digits(tables)
+            metrics, note = (), f"published values left out: they are of configuration {of}, and this is {own}"
+        published.append(Published(entry["analysis"], torque, metrics, note, of))
     return tuple(published)

@@ -46,15 +46,15 @@ class Positions(AbstractError):
 
 
 class Sizes(AbstractError):
-    """Deviations of the radii of the single pins of a body.
+    """Deviations of the radii of the single pins of a body, or of its flanks along their normals.
 
-    A larger pin closes its gap (Hu et al. 2020, eq. 8). A clearance between pin and groove opens the gap: give minus
-    one half of it (eq. 9).
+    A larger pin closes its gap (Hu et al. 2020, eq. 8), and so does a lobe or tooth with more material. A clearance
+    between pin and groove opens the gap: give minus one half of it (eq. 9).
 
     Args:
-        body: body of the system that carries the pins.
-        larger: deviation of the radius, positive if the pin is too large: one value per pin, shape (element,), or one
-            for all [m].
+        body: body of the system that carries the pins, lobes or teeth.
+        larger: deviation of the radius, positive if the pin is too large; of a lobe or tooth the material on a flank:
+            one value per pin, lobe or tooth, shape (element,), or one for all [m].
     """
 
     kind: ClassVar[str] = "sizes"

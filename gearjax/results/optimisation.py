@@ -1,6 +1,8 @@
 """Results of ``gearjax optimise``: grid search and gradient search, and the scene before and after."""
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -19,6 +21,8 @@ from gearjax.studies.select import numbers, pick
 from gearjax.studies.terms import SHARE
 from gearjax.studies.values import values
 from gearjax.units import Dimension, arcmin
+
+ALIKE = np.deg2rad(10.0)  # differences of two phases within this arc are told as one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +72,7 @@ class Optimisation:
                 "starts": len(gradient.starts),
                 "evaluations": gradient.evaluations,
                 "within_1_percent": gradient.within(0.01),
+                **self._choice(),
                 "failed": gradient.failed,
                 "improved": gradient.improved,
                 "valleys": int(gradient.valley.max()) + 1,
@@ -88,6 +93,10 @@ class Optimisation:
                 "metrics": _metrics(self.cases["grid"]),
             }
         return entries
+
+    def choice(self) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
+        """`in_common` of the end points within 1 % of the best."""
+        return in_common(self.gradient, [parameter.periodic for parameter in self.parameters.values()])
 
     @property
     def unit(self) -> Dimension:
@@ -114,6 +123,16 @@ class Optimisation:
         }
         return entry | ({"values": others} if others else {})
 
+    def _choice(self) -> dict:
+        spans, alike = self.choice()
+        return {
+            "spans_within_1_percent": {
+                path: {"value": self.shown(path, span), "unit": self.parameters[path].shown_in[0]}
+                for path, span in spans.items()
+            },
+            "differences_in_common_deg": {f"{other} - {one}": apart for (one, other), apart in alike.items()},
+        }
+
     def _sensitivity(self) -> dict:
         around, size = self.sensitivity, self.unit.per_shown
         return {
@@ -126,6 +145,41 @@ class Optimisation:
             self._key("worst"): (around.worst / size).tolist(),
             self._key("mean"): (around.mean / size).tolist(),
         }
+
+
+def in_common(
+    search: Minimisation, periodic: Sequence[bool], share: float = 0.01
+) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
+    """What the end points within a share of the best objective have in common, and what is left to choose.
+
+    Args:
+        search: the search.
+        periodic: of each free number, whether it is a phase.
+        share: of the best objective, by which others may be worse.
+
+    Returns:
+        The span of each free number among them, SI (of phases the smallest arc that has all); for each pair of phases
+        of wide spans whose difference is the same in all, to `ALIKE`, this difference [deg, 0 to 360].
+    """
+    good = search.ends[search.objectives <= search.objective + share * abs(search.objective)]
+    spans = {
+        path: _arc(values) if turns else float(np.ptp(values))
+        for path, values, turns in zip(search.paths, good.T, periodic, strict=True)
+    }
+    wide = [place for place in np.flatnonzero(periodic) if spans[search.paths[place]] > 4 * ALIKE]
+    alike = {}
+    for one, other in itertools.combinations(wide, 2):
+        apart = good[:, other] - good[:, one]
+        if _arc(apart) < ALIKE:
+            middle = np.rad2deg(np.angle(np.exp(1j * apart).mean()))
+            alike[search.paths[one], search.paths[other]] = float((middle + 0.5) % 360 - 0.5)  # 0, not 360
+    return spans, alike
+
+
+def _arc(phases: np.ndarray) -> float:
+    """The smallest arc that has all phases [rad]."""
+    around = np.sort(phases % (2 * np.pi))
+    return float(2 * np.pi - np.diff(around, append=around[0] + 2 * np.pi).max())
 
 
 def _metrics(cases: list[Case]) -> dict:
