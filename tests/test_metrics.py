@@ -37,6 +37,20 @@ def test_a_kink_between_samples_is_found():
         assert float(found.theta_maximum) == pytest.approx(np.pi / 2, abs=1e-6)
 
 
+def test_the_higher_of_two_kinks_in_a_bracket_is_found(rng):
+    """Golden sections alone take the side that they look at first."""
+    theta = jnp.arange(-2.0, 4.0)
+
+    def curve(places: jax.Array, t: jax.Array) -> jax.Array:
+        return (jnp.asarray([1.0, 0.9]) - 0.6 * jnp.abs(t - places)).max()
+
+    for here, there in rng.uniform([0.1, 0.6], [0.4, 0.9], (20, 2)):
+        for places in (jnp.asarray([here, there]), jnp.asarray([there, here])):
+            found = extremes(curve, places, theta, jax.vmap(curve, (None, 0))(places, theta))
+            assert float(found.maximum) == pytest.approx(1.0, abs=1e-12)
+            assert float(found.theta_maximum) == pytest.approx(float(places[0]), abs=1e-9)
+
+
 def test_the_gradient_at_a_kink_is_that_of_the_true_extreme():
     theta = jnp.linspace(0.0, 2 * jnp.pi, 57)
 

@@ -3,10 +3,9 @@
 A transmission error is the largest of several smooth curves. Its lowest points are kinks where the contacting pair
 changes; a sampled record misses them by slope times spacing (0.0022 arcmin at 1 ms for Wang et al. 2020). `extremes`
 finds them from values of the curve alone, which takes half the time to compile that a search by slopes takes: each
-sample that is higher than its neighbours brackets a top, and the brackets with the highest bounds are shrunk by golden
-sections.
-Slopes are needed for derivatives only. An extreme can still be missed if a bracket contains two tops, or if more than
-`MOST_BRACKETS` brackets have higher bounds; a bracket is two spacings wide.
+sample that is higher than its neighbours brackets a top; the brackets with the highest bounds are looked at in equal
+parts and then shrunk by golden sections. Slopes are needed for derivatives only. An extreme can still be missed if it
+is narrower than a part, `PARTS` of which make a spacing, or if more than `MOST_BRACKETS` brackets have higher bounds.
 """
 
 from collections.abc import Callable
@@ -20,7 +19,8 @@ from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_BRACKETS = 32
 GOLDEN = 0.381966011250105  # share of the longer side of a bracket at which the next point is taken
-SECTIONS, FEW_SECTIONS = 64, 28  # in float64 and in float32: a bracket shrinks to the rounding of its angles
+PARTS = 4  # of the spacing on each side of a top: golden sections alone may end at the lower one of two kinks
+SECTIONS, FEW_SECTIONS = 61, 26  # in float64 and in float32: a bracket shrinks to the rounding of its angles
 BESIDE, BESIDE_SINGLE = 1e-8, 2e-3  # distance from an extreme to where slopes are taken, over the spacing; float32
 
 
@@ -118,23 +118,40 @@ def _around(theta: Float[Array, " n"], signed: Float[Array, "sign n"], tops: Int
     return _Brackets(left, theta[tops], right, jnp.take_along_axis(signed, tops, axis=1))
 
 
-def _shrunk(every: Callable[[Array], Array], brackets: _Brackets) -> _Brackets:
-    """Golden sections of all brackets together: a loop for each of them would be traced for every axis of a batch."""
+def _shrunk(every: Callable[[Array], Array], whole: _Brackets) -> _Brackets:
+    """The highest point of each bracket by equal parts, and its top by golden sections of the parts beside this point.
 
-    def section(_: Any, now: _Brackets) -> _Brackets:
+    All steps are one loop over all brackets: the curve is compiled once, and traced once for every axis of a batch.
+    """
+    looks = 2 * (PARTS - 1)
+    before, behind = (whole.middle - whole.left) / PARTS, (whole.right - whole.middle) / PARTS
+
+    def look(number: Array) -> Array:
+        """The place of one look: first those before the middle."""
+        on_left = number < PARTS - 1
+        return jnp.where(on_left, whole.middle - (number + 1) * before, whole.middle + (number - PARTS + 2) * behind)
+
+    def step(number: Array, now: _Brackets) -> _Brackets:
         right_is_longer = now.right - now.middle > now.middle - now.left
-        place = now.middle + GOLDEN * (jnp.where(right_is_longer, now.right, now.left) - now.middle)
-        height = every(place)
-        higher = height > now.height
+        section = now.middle + GOLDEN * (jnp.where(right_is_longer, now.right, now.left) - now.middle)
+        looking = number < looks
+        place = jnp.where(looking, look(number.astype(section.dtype)), section)
+        found = every(place)
+        higher = found > now.height
+        middle, height = jnp.where(higher, place, now.middle), jnp.maximum(found, now.height)
         low, high = jnp.minimum(place, now.middle), jnp.maximum(place, now.middle)
-        # of the two points inside, the lower one is the new end on its side
+        # golden sections: of the two points inside, the lower one is the new end on its side
         left = jnp.where(higher == right_is_longer, low, now.left)
         right = jnp.where(higher == right_is_longer, now.right, high)
-        middle, height = jnp.where(higher, place, now.middle), jnp.maximum(height, now.height)
-        return _Brackets(left, middle, right, height)
+        # looks: the parts beside the highest point
+        own_left = jnp.where(middle > whole.middle, behind, before)
+        own_right = jnp.where(middle < whole.middle, before, behind)
+        return _Brackets(
+            jnp.where(looking, middle - own_left, left), middle, jnp.where(looking, middle + own_right, right), height
+        )
 
-    number = SECTIONS if brackets.middle.dtype == jnp.float64 else FEW_SECTIONS
-    return jax.lax.fori_loop(0, number, section, brackets)
+    sections = SECTIONS if whole.middle.dtype == jnp.float64 else FEW_SECTIONS
+    return jax.lax.fori_loop(0, looks + sections, step, whole)
 
 
 def _sides(theta: Float[Array, " n"], places: Float[Array, " sign"]) -> Float[Array, "side sign"]:
