@@ -42,13 +42,13 @@ def test_the_higher_of_two_kinks_in_a_bracket_is_found(rng):
     theta = jnp.arange(-2.0, 4.0)
 
     def curve(places: jax.Array, t: jax.Array) -> jax.Array:
-        return (jnp.asarray([1.0, 0.9]) - 0.6 * jnp.abs(t - places)).max()
+        return (jnp.asarray([1.0, 0.95]) - jnp.abs(t - places)).max()
 
-    for here, there in rng.uniform([0.1, 0.6], [0.4, 0.9], (20, 2)):
-        for places in (jnp.asarray([here, there]), jnp.asarray([there, here])):
-            found = extremes(curve, places, theta, jax.vmap(curve, (None, 0))(places, theta))
-            assert float(found.maximum) == pytest.approx(1.0, abs=1e-12)
-            assert float(found.theta_maximum) == pytest.approx(float(places[0]), abs=1e-9)
+    for here in rng.uniform(0.15, 0.25, 10):
+        places = jnp.asarray([here, 1.06 - here])  # the sample beside the lower kink is the highest
+        found = extremes(curve, places, theta, jax.vmap(curve, (None, 0))(places, theta))
+        assert float(found.maximum) == pytest.approx(1.0, abs=1e-12)
+        assert float(found.theta_maximum) == pytest.approx(here, abs=1e-9)
 
 
 def test_the_gradient_at_a_kink_is_that_of_the_true_extreme():
