@@ -62,8 +62,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Most tests take longer to compile than to run.
 
     They have the quicker of XLA's compilers for kernels, and what LLVM spends most time on is left to those that are
-    marked ``runs_long``. Commands that tests start as processes of their own are compiled as a user's are, and so is
-    everything where ``XLA_FLAGS`` is set, to nothing too.
+    marked ``runs_long``. Commands that tests start as processes of their own are compiled as a user's are unless they
+    ask for `compiled_as_tests`, and so is everything where ``XLA_FLAGS`` is set, to nothing too.
     """
     _share_programs()
     if "XLA_FLAGS" not in os.environ and FOUND not in os.environ:
@@ -79,6 +79,13 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["XLA_FLAGS"] = os.environ[FOUND]
     jax.devices()  # reads the flags
     del os.environ["XLA_FLAGS"]
+
+
+def compiled_as_tests() -> dict[str, str]:
+    """Variables with which a process that a test starts compiles as the tests do; none where ``XLA_FLAGS`` is set."""
+    if "XLA_FLAGS" in os.environ:
+        return {}
+    return {"XLA_FLAGS": os.environ[FOUND], "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
 
 
 def _starts_workers(config: pytest.Config) -> bool:

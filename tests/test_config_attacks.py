@@ -10,7 +10,7 @@ import gearjax as gj
 from gearjax.cli import main
 from tests.attacks import SHIPPED, attacks
 
-NUMBER, SEED, RUNS = 1000, 5, 40
+NUMBER, SEED, RUNS = 1000, 5, 20
 LONGEST = 400
 
 

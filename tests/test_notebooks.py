@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
-from tests.conftest import FOUND, ROOT
+from tests.conftest import ROOT, compiled_as_tests
 
 OF_ITS_OWN = {"from_measurement_to_reassembly"}  # tests/test_bench_commands.py reads what it tells
-COMPILE = {"smooth_and_hard", "helical_pair", "how_many_teeth_share", "elliptic_pair", "first_te", "own_gear_set"}
-"""Pages that compile longer than they compute: compiled as the tests are, they take half the time."""
+COMPUTE = {"rv_compensation"}
+"""Pages that compute longer than they compile; the others, compiled as the tests are, take half the time."""
 PAGES = [page for page in sorted((ROOT / "experiments" / "notebooks").glob("*.py")) if page.stem not in OF_ITS_OWN]
 
 
@@ -27,8 +27,8 @@ def test_pages_are_text_that_notebooks_read():
 def test_a_page_runs(page):
     """As a process of its own, as a kernel is: it sets JAX's options, and may register a gear set."""
     environment = os.environ | {"MPLBACKEND": "agg"}
-    if page.stem in COMPILE and "XLA_FLAGS" not in environment:
-        environment |= {"XLA_FLAGS": environment[FOUND], "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    if page.stem not in COMPUTE:
+        environment |= compiled_as_tests()
     ran = subprocess.run(
         [sys.executable, "-W", "error::DeprecationWarning:gearjax", str(page)],
         cwd=ROOT,

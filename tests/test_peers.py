@@ -4,6 +4,7 @@ Every bench ends with an error where the programs differ by more than they may. 
 environments of their own, which are made here.
 """
 
+import os
 import re
 import shutil
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, compiled_as_tests
 
 COMPARISONS = ROOT / "experiments" / "site" / "comparisons.md"
 SHOWN = re.findall(r"`python (experiments/\w+\.py)([^`]*)`", COMPARISONS.read_text(encoding="utf-8"))
@@ -56,6 +57,7 @@ def test_programs_agree(script, words, tmp_path):
     options = re.findall(r"--\S+", words)
     others = [(option, another_python(option, tmp_path / "environment")) for option in options]
     command = [sys.executable, script, "--short", *(word for pair in others for word in pair)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    environment = os.environ | compiled_as_tests()  # sizes are small: most of the time would be compiling
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "(at most " in done.stdout, "nothing was compared"
