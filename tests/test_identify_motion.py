@@ -82,6 +82,7 @@ def records(unit):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_an_arm_that_shakes_is_found_within_its_errors(scene, unit, records):
     found = gj.identify(scene, records, analysis="dynamic", suggest=False)
     values, errors = estimates(found)
@@ -97,12 +98,13 @@ def test_an_arm_that_shakes_is_found_within_its_errors(scene, unit, records):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_inertia_and_damping_are_found_too(scene, records):
     errors = [f"errors.{body}" for body in BODIES]
     where = [*errors, "compliance.mean", "backlash.initial", "inertia.mass", "damping.ratio"]
     off = in_motion(scene, 0.9 * MASS)
     off = dataclasses.replace(off, damping=gj.DampingRatio(0.15))
-    found = gj.identify(off, records, where, analysis="dynamic", suggest=False)
+    found = gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=8)
     mass, ratio = (found.estimate(path) for path in ("inertia.mass", "damping.ratio"))
     assert abs(mass.value - MASS) < 3.5 * mass.error < 0.05 * MASS
     assert abs(ratio.value - DAMPING) < 3.5 * ratio.error < 0.05
@@ -222,6 +224,7 @@ def test_a_bench_makes_recordings_in_motion(scene, unit):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_the_commands_take_recordings_in_motion(records, tmp_path, capsys):
     """The section of a configuration says it, and an option does."""
     tables = read_tables(read_file(CONFIG))
@@ -229,7 +232,9 @@ def test_the_commands_take_recordings_in_motion(records, tmp_path, capsys):
     tables["compliance"] |= {"relative_amplitudes": [], "phases": []}
     config = tmp_path / "arm.toml"
     files = [file_of(record, tmp_path) for record in records[:3]]
-    config.write_text(tomli_w.dumps(tables | {"identify": {"measured": files, "analysis": "dynamic", "orders": []}}))
+    config.write_text(
+        tomli_w.dumps(tables | {"identify": {"measured": files, "analysis": "dynamic", "orders": [], "starts": 8}})
+    )
     told = json.loads(told_by(capsys, "identify", str(config), "--json").out)
     assert told["residual_arcmin"] == pytest.approx(0.05, rel=0.06)
     config.write_text(tomli_w.dumps(tables))

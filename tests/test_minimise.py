@@ -278,7 +278,8 @@ def test_static_peak_to_peak_is_at_least_as_good_as_the_grid(scene, angles):
 
 @pytest.mark.slow
 @pytest.mark.runs_long
-def test_ten_thousand_starts_stay_within_memory(scene, angles):
-    result = gj.minimise("no_load_amplitude", scene, where=PHASES, theta=angles, starts=10_000)
-    assert result.within(0.01) >= 9000
+def test_thousands_of_starts_stay_within_memory(scene, angles):
+    """256 at once, whatever their number."""
+    result = gj.minimise("no_load_amplitude", scene, where=PHASES, theta=angles, starts=3000)
+    assert result.within(0.01) >= 2700
     assert result.objective / arcmin < 0.5843
