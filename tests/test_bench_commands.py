@@ -237,6 +237,7 @@ def test_turning_a_body_is_its_phase(found):
         assert metric == pytest.approx(float(te.std()), rel=1e-9)
 
 
+@pytest.mark.runs_long
 def test_reassembly_tells_gain_risk_and_what_another_recording_would_do(found):
     advice = gj.reassemble(found, ["errors.planet_1", "errors.planet_2"], draws=60)
     assert advice.after <= advice.before * (1 + 1e-9)

@@ -341,6 +341,7 @@ def test_long_recordings_are_averaged(scene, unit, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.runs_long
 def test_pins_of_a_wrong_size_are_found_by_exact_geometry():
     """The truth is a curve of the plane against circles; what first order gaps would say is off."""
     larger = np.zeros(24)
