@@ -54,6 +54,7 @@ def options(files) -> list[str]:
     return [part for file in files for part in ("--measured", file)]
 
 
+@pytest.mark.slow
 def test_identify_writes_what_it_found(files, tmp_path, capsys):
     out = tmp_path / "out"
     told = told_by(capsys, "identify", str(CONFIG), *options(files), "--out", str(out))
@@ -77,6 +78,7 @@ def test_identify_writes_what_it_found(files, tmp_path, capsys):
     assert all(record["explained"] > 0.95 for record in beside["records"])
 
 
+@pytest.mark.slow
 def test_a_section_says_what_is_looked_for_and_turned(files, tmp_path, capsys):
     tables = tomllib.loads(CONFIG.read_text(encoding="utf-8"))
     tables.pop("reference")
@@ -237,6 +239,7 @@ def test_turning_a_body_is_its_phase(found):
         assert metric == pytest.approx(float(te.std()), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.runs_long
 def test_reassembly_tells_gain_risk_and_what_another_recording_would_do(found):
     advice = gj.reassemble(found, ["errors.planet_1", "errors.planet_2"], draws=60)

@@ -77,6 +77,7 @@ def test_run_writes_what_it_shows(capsys, tmp_path, fast):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_results_file_runs_again(capsys, tmp_path, fast):
     command(capsys, "run", fast, "--out", tmp_path / "first")
     _, first, _ = command(capsys, "run", fast, "--json")

@@ -55,6 +55,7 @@ def test_it_loads_as_it_is(text):
     assert loads_identify(text)[1].measured
 
 
+@pytest.mark.slow
 def test_each_option_loads_when_it_is_put_in(text):
     found = options(text)
     assert len(found) > 25

@@ -26,6 +26,7 @@ def apart(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     return np.array(least)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["driver", "driven"])
 @pytest.mark.parametrize("tolerance", [0.1 * um, 5 * um])
 def test_outlines_keep_their_tolerance(tmp_path, body, tolerance):

@@ -63,6 +63,7 @@ def moving(speed: float, **slots) -> gj.Scene:
     return scene(system={"input_speed": speed}, **(MOVING | slots))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "lifts"), [(150 * rpm, False), (450 * rpm, True)])
 def test_the_driven_gear_in_absolute_coordinates(speed, lifts):
     """From a start that is no equilibrium; at the higher speed teeth lift off and hit their back flanks."""
@@ -81,6 +82,7 @@ def test_the_driven_gear_in_absolute_coordinates(speed, lifts):
         assert (settled[:, 1] > 0).any() == lifts
 
 
+@pytest.mark.slow
 def test_an_alternating_torque():
     """Three times in a turn it presses on either flank: teeth go from one to the other across the backlash."""
     speed, torque = 60.0, 30.0

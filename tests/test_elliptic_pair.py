@@ -93,6 +93,7 @@ class TestExactly:
             slope = np.fft.irfft(1j * np.arange(len(lines)) * lines, 256)
             np.testing.assert_allclose(ratio.error[:-1], slope, atol=1e-10 * float(ratio.peak_to_peak) + 1e-13)
 
+    @pytest.mark.slow
     @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
     def test_studies_take_exact_geometry(self):
         """Populations and grids are quick where contacts touch to first order; here they are not."""

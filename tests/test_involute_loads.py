@@ -71,6 +71,7 @@ def hold_to(loads, known, part, of_largest):
     np.testing.assert_allclose(found, known, atol=of_largest * known.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rim", GIVEN)
 def test_elastic_teeth_give_what_finite_elements_give(rim):
     own = system(pairs=9, profile_points=9)
@@ -82,6 +83,7 @@ def test_elastic_teeth_give_what_finite_elements_give(rim):
         hold_to(per_pair(own, theta, forces), GIVEN[rim][share], part=0.05, of_largest=0.014)
 
 
+@pytest.mark.slow
 def test_few_candidates_and_no_neighbours_cost_what_is_told():
     """Five candidates, as in the example, at the published place."""
     own = system(pairs=9, profile_points=5)
@@ -98,6 +100,7 @@ def test_few_candidates_and_no_neighbours_cost_what_is_told():
             np.testing.assert_allclose(loads[first : first + 6], given, atol=of_largest * max(given), rtol=0)
 
 
+@pytest.mark.slow
 def test_neighbours_move_each_other_through_a_rim_only():
     """Less the further away they are, both ways alike, and not beyond as many as are asked for."""
     own = system(pairs=5, profile_points=2)
@@ -114,6 +117,7 @@ def test_neighbours_move_each_other_through_a_rim_only():
         gj.ElasticTeeth(**STEEL, neighbours=1)
 
 
+@pytest.mark.slow
 def test_single_precision_loads_the_example():
     """Its matrix is symmetric and positive definite there too, as a scene checks."""
     with jax.enable_x64(False):
@@ -152,6 +156,7 @@ def test_elastic_teeth_are_symmetric_definite_and_pass_reciprocity(rng):
         assert parts["rim"] < parts["plain"] < parts["narrow"]
 
 
+@pytest.mark.slow
 def test_an_even_load_across_the_face_is_what_many_slices_carry():
     """Forces of one pair over equally wide gears: the same compliance, with one place across the face and with many."""
     wide = STEEL | {"internal_width": 6.5 * mm}

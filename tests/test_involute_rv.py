@@ -257,6 +257,7 @@ def test_a_body_without_a_profile_takes_no_relief():
         gj.Scene(system(), {"relief": gj.TipRelief(body="throw", amount=jnp.asarray([1e-6]), length=1 * mm)})
 
 
+@pytest.mark.slow
 def test_relief_takes_the_load_off_the_tips():
     own = system(pairs=9, profile_points=9)
     theta = jnp.asarray([angle_of(own, 0.5)])

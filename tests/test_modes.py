@@ -127,6 +127,7 @@ def test_as_a_solver_of_diffrax():
 ALWAYS = gj.DampingRatio(0.05, "always")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_kv", pytest.param("rv_cycloidal", marks=pytest.mark.slow)])
 def test_third_order_from_the_equilibrium(name):
     """Levers that stand still, and those that turn while pins open and close."""

@@ -90,6 +90,7 @@ def test_the_derivative_is_that_of_the_loop(case, nodes, rng):
     assert closeness(forward, expected) < 1e-9
 
 
+@pytest.mark.slow
 def test_second_derivatives(rng):
     record, moving = recorded(CASES["a smooth law"], NODES)
     way = jax.tree.map(lambda leaf: leaf * rng.normal(size=leaf.shape), moving)

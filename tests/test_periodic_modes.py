@@ -77,6 +77,7 @@ def test_linear_frequency_response():
     assert np.log2(errors[0] / errors[1]) / 2 > 2.7
 
 
+@pytest.mark.slow
 def test_multipliers_of_a_linear_structure():
     """They are exponentials of its eigenvalues, whose largest real part is how fast a disturbance grows."""
     scene = linear()
@@ -95,6 +96,7 @@ def test_multipliers_of_a_linear_structure():
     assert float(rate) == pytest.approx(exact.real.max(), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_volumes_shrink_as_the_dampers_say():
     """Liouville: the product of the multipliers is exp(- tr(M^-1 C) T), whatever the stiffness does; third order."""
     scene = linear(compliance=SHAKING)
@@ -266,6 +268,7 @@ def test_implicit_gradients(name):
     np.testing.assert_allclose(reverse, central, rtol=2e-4, atol=1e-5 * float(jnp.abs(reverse).max()))
 
 
+@pytest.mark.slow
 def test_harmonic_balance_of_a_linear_structure():
     """Driven by an eccentricity and by stiffness: what shooting finds with many steps, in every coordinate."""
     errors = {"planet": gj.Eccentricity("planet_1", 5 * um, 0.3)}

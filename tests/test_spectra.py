@@ -127,6 +127,7 @@ WRITTEN = {
 }
 
 
+@pytest.mark.slow
 def test_a_run_says_once_what_its_samples_miss(tmp_path, config_text, capsys):
     """Of what turns fastest, or else of the waves of the stiffness in motion."""
     for samples, words in (

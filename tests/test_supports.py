@@ -273,6 +273,7 @@ def test_many_random_contacts_on_many_supports(rng):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("springs", ["linear", "line"])
 @pytest.mark.parametrize("law", [HardContact(), gj.SoftplusContact(1e-7)])
 @pytest.mark.parametrize("supported", [False, True])
@@ -316,6 +317,7 @@ def test_no_contact_can_carry():
 # coupled springs -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_matrix_with_nothing_beside_its_diagonal_is_springs_one_by_one(rng):
     """Two solvers: the one for coupled contacts, and Newton's method in the coordinates."""
     for _ in range(20):

@@ -65,6 +65,7 @@ def test_the_one_set_of_contacts_that_fits(name):
         np.testing.assert_allclose(te.forces[at], forces, rtol=1e-9, atol=1e-9 * forces.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pairs", [1, 2])
 @pytest.mark.parametrize("name", SCENES)
 def test_teeth_that_share_a_rim(name, pairs):
@@ -121,6 +122,7 @@ def test_no_torque_and_hardly_any(name, compliance):
     np.testing.assert_allclose(slight.forces.max(axis=1), 1e-12 / arm, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_springs_of_shafts_and_bearings_add():
     """One set of pairs under torque: torsion, drive, bearings and bending add to the turn of the output by hand."""
     torque = 40.0
@@ -581,6 +583,7 @@ def registered(monkeypatch):
     gj.register(SpurTrain)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("registered")
 def test_a_train_from_a_configuration_to_files_and_figures(tmp_path):
     scene = gj.loads(TEXT)
