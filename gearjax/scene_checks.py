@@ -33,7 +33,7 @@ def check_body(system: AbstractSystem, key: str, error: AbstractError) -> None:
         others = [_rim_fault(system, error, body) for body in system.bodies] if fault.key == "body" else [None]
         faults = [other for other in others if other is not None and other.key == "body"]
         if faults and len(faults) == len(others):
-            words = f"each body of a {system.kind} {faults[0].right}"
+            words = f"each body of this {system.kind} {faults[0].right}"
             raise ParameterError(f"errors.{key}.kind", error.kind, words) from fault
         raise ParameterError(f"errors.{key}.{fault.key}", fault.given, fault.right) from fault
 

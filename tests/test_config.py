@@ -163,7 +163,7 @@ def test_mistakes(config_text, old, new, words):
 def test_an_error_that_no_body_can_carry_is_refused_by_its_kind(config_text, body):
     """Naming the bodies that there are would send its user round them all."""
     section = f'[errors.ring]\nkind = "cumulative_pitch"\nbody = "{body}"\namplitude = "2 um"\nphase = "0 deg"\n'
-    with pytest.raises(gj.ParameterError, match="each body of a two_kv has no rim of pins or teeth") as caught:
+    with pytest.raises(gj.ParameterError, match="each body of this two_kv has no rim of pins or teeth") as caught:
         gj.loads(config_text.replace("[reference]", f"{section}\n[reference]"))
     assert caught.value.key == "errors.ring.kind"
 

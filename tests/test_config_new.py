@@ -106,7 +106,7 @@ def test_every_declared_name_occurs(text):
 
 def test_what_does_not_suit_is_said():
     assert (
-        "# No positions, sizes, cumulative_pitch for a two_kv: each body of a two_kv has no rim of pins or teeth"
+        "# No positions, sizes, cumulative_pitch for a two_kv: each body of this two_kv has no rim of pins or teeth"
         in written("two_kv")
     )
     assert "[backlash] is not for a rv_cycloidal" in written("rv_cycloidal")

@@ -248,11 +248,11 @@ def test_gear_sets_may_be_traced():
 
 def test_other_gear_sets_refuse_them_in_one_line(scene):
     yang = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
-    with pytest.raises(ParameterError, match=r"errors.m.body .*places of the contacts on its flanks"):
+    with pytest.raises(ParameterError, match=r"errors.m.kind .*places of the contacts on its flanks"):
         dataclasses.replace(yang, errors={"m": gj.MeasuredFlank("gear_1", [1 * mm], [0.0])})
-    with pytest.raises(ParameterError, match=r"errors.m.body .*reference circle"):
+    with pytest.raises(ParameterError, match=r"errors.m.kind .*reference circle"):
         dataclasses.replace(yang, errors={"m": gj.MeasuredPitch("gear_1", 0.0)})
-    with pytest.raises(ParameterError, match=r"errors.m.body .*involute profile"):
+    with pytest.raises(ParameterError, match=r"errors.m.kind .*involute profile"):
         dataclasses.replace(scene, errors={"m": gj.MeasuredFlank("planet_1", [1 * mm], [0.0])})
 
 
