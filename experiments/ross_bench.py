@@ -1,8 +1,8 @@
 """One spur pair with backlash, mesh-frequency error and constant torque: gearjax against ROSS (ross-rotordynamics 3).
 
-ROSS needs an environment of its own, with Python 3.12 or newer; this file runs it in a subprocess:
+ROSS needs an environment of its own, with Python 3.13 or newer; this file runs it in a subprocess:
 
-    python3.12 -m venv ross_env && ross_env/bin/python -m pip install ross-rotordynamics
+    python3.13 -m venv ross_env && ross_env/bin/python -m pip install ross-rotordynamics
     python experiments/ross_bench.py --ross-python ross_env/bin/python
 
 It takes some six minutes, nearly all of it ROSS; ``--short`` two, with one case. Both model two gears with 20 and 31

@@ -17,7 +17,7 @@ from tests.conftest import ROOT, compiled_as_tests
 
 COMPARISONS = ROOT / "experiments" / "site" / "comparisons.md"
 SHOWN = re.findall(r"`python (experiments/\w+\.py)([^`]*)`", COMPARISONS.read_text(encoding="utf-8"))
-NEWER_PYTHONS = ("python3.13", "python3.12", "python3.14")
+NEWER_PYTHONS = ("python3.13", "python3.14")
 OF_ITS_OWN = {  # options that name another Python: what is installed for it, and which Pythons will do
     "--ross-python": ([["ross-rotordynamics>=3.1,<3.2"]], NEWER_PYTHONS),
     # without its user interface, which takes most of the time to install
@@ -29,7 +29,7 @@ def another_python(option: str, folder: Path) -> str:
     """The Python of a new environment with the other program."""
     installs, pythons = OF_ITS_OWN[option]
     known = [found for name in pythons if (found := shutil.which(name)) and works(found)]
-    known += [str(found) for found in sorted(Path.home().glob(".pyenv/versions/3.1[2-4]*/bin/python"))]
+    known += [str(found) for found in sorted(Path.home().glob(".pyenv/versions/3.1[34]*/bin/python"))]
     if not known:
         pytest.skip(f"{installs[0][0]} needs one of {', '.join(pythons)}, and this machine has none")
     subprocess.run([known[0], "-m", "venv", folder], check=True)
