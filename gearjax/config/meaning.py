@@ -84,7 +84,7 @@ def limits(parameter: Parameter) -> str:
     if parameter.words:
         words.append('a name such as "crank"')
     low, high = parameter.range
-    is_turns = parameter.dimension is units.ANGLE and high - low > MOST_SHOWN  # beyond, angles lose digits
+    is_turns = parameter.dimension is units.ANGLE and high - low > MOST_SHOWN
     bounds = "" if is_turns else parameter.allowed()
     return " or ".join(words) + (f", {bounds}" if bounds else "")
 

@@ -105,7 +105,7 @@ def read_published(tables: dict[str, Any]) -> tuple[Published, ...]:
     entries = tables.get("published", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ParameterError("published", entries, "must be a list of sections: [[published]]")
-    published = []
+    published, own = [], configuration_digits(tables)
     for index, entry in enumerate(entries):
         path = f"published[{index}]"
         known_keys(path, entry, PUBLISHED_KEYS)
@@ -120,8 +120,7 @@ def read_published(tables: dict[str, Any]) -> tuple[Published, ...]:
         for key, given in (("note", note), ("configuration", of)):
             if not isinstance(given, str):
                 raise ParameterError(f"{path}.{key}", given, "must be text in quotes")
-        if of and of != configuration_digits(tables):
-            own = configuration_digits(tables)
+        if of and of != own:
             metrics, note = (), f"published values left out: they are of configuration {of}, and this is {own}"
         published.append(Published(entry["analysis"], torque, metrics, note, of))
     return tuple(published)
