@@ -21,7 +21,7 @@ MOST_BRACKETS = 32
 GOLDEN = 0.381966011250105  # share of the longer side of a bracket at which the next point is taken
 PARTS = 4  # of the spacing on each side of a top: golden sections alone may end at the lower one of two kinks
 SECTIONS, FEW_SECTIONS = 61, 26  # in float64 and in float32: a bracket shrinks to the rounding of its angles
-BESIDE, BESIDE_SINGLE = 1e-8, 2e-3  # distance from an extreme to where slopes are taken, over the spacing; float32
+BESIDE, BESIDE_SINGLE = 1e-7, 2e-3  # distance from an extreme to where slopes are taken, over the spacing; float32
 
 
 class Extremes(eqx.Module):
@@ -156,7 +156,8 @@ def _shrunk(every: Callable[[Array], Array], whole: _Brackets) -> _Brackets:
 
 def _sides(theta: Float[Array, " n"], places: Float[Array, " sign"]) -> Float[Array, "side sign"]:
     """Input angles just before and just behind extremes, within the span of ``theta``."""
-    # rounding of the values hides where a kink is, in float32 the more so: both sides must be beyond that
+    # Rounding of the values hides where an extreme is, in float32 the more so: both sides must be beyond that. Then the
+    # mean of both sides, by which their slopes cancel, is that of the true place at a smooth extreme too.
     share, precision = BESIDE if theta.dtype == jnp.float64 else BESIDE_SINGLE, jnp.finfo(theta.dtype).eps
     spread = share * (theta[-1] - theta[0]) / (theta.shape[0] - 1)
     spread = jnp.maximum(spread, 16 * precision * jnp.abs(places))
