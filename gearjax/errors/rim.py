@@ -17,7 +17,8 @@ class Positions(AbstractError):
     """Displacements of the single pins or teeth of a body, along the radius and along the circumference.
 
     A single value of ``outward`` changes the radius of the circle of pins or teeth; a single value of ``around`` turns
-    all of them together (Hu et al. 2020, eqs. 7 and 11).
+    all of them together (Hu et al. 2020, eqs. 7 and 11). The first value, ``outward[0]`` in a path, is that of pin 1
+    or tooth 0.
 
     Args:
         body: body of the system that carries the pins or teeth.

@@ -150,9 +150,10 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         mark = orders["mesh"] if dynamic else orders[name]
         mark_multiples(ax, mark / orders["output"], "mesh" if dynamic else name)
         window = "whole cycles" if all(lines.whole for _, lines in spectra) else "Hann window"
+        apart = f"{spectra[0][1].order[1]:.2g}"
         finish(
             ax,
-            f"Order spectrum, {title} ({window}, lines {spectra[0][1].order[1]:.2g} orders apart)",
+            f"Order spectrum, {title} ({window}, lines {apart} order{'s' * (apart != '1')} apart)",
             x="order [cycles per turn of the output]",
             y="amplitude [arcmin]",
         )

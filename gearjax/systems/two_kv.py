@@ -22,10 +22,11 @@ class TwoKV(AbstractSystem):
     """2K-V reducer: an external first stage on the carrier, then planet wheels that roll in a fixed ring.
 
     Pair i is planet wheel i in the ring; its line of action turns with the crank. The planet wheels are spaced evenly
-    around the crank. The eccentricities of the revolution and of the output wheel therefore act on pair i
-    ``(i - 1) / planets`` of a turn later than on pair 1. The phase of a planet wheel is counted from its own line of
-    action. The phase of an error adds to the angle of its body. At input angle zero this angle is minus the working
-    pressure angle at the driving flank of pair 1, and plus the working pressure angle at its back flank.
+    around the crank. The revolution is the way of the planet wheels around the axis, by the throw of the crank; its
+    eccentricity and that of the output wheel act on pair i later than on pair 1, by ``(i - 1) / planets`` of a turn.
+    The phase of a planet wheel is counted from its own line of action. The phase of an error adds to the angle of its
+    body. At input angle zero this angle is minus the working pressure angle at the driving flank of pair 1, and plus
+    the working pressure angle at its back flank.
 
     Relative to the line of action, planet wheels and revolution turn ``z_r / (z_r - z_p)`` times per turn of the output
     and the output wheel ``z_p / (z_r - z_p)`` times (26 and 25 for 50 and 52 teeth; Wang et al. 2020, eqs. 1-4).
@@ -34,7 +35,7 @@ class TwoKV(AbstractSystem):
     the throw, in the direction in which the crank turns.
 
     Args:
-        sun_teeth: tooth number of the sun.
+        sun_teeth: tooth number of the sun. The first stage has no errors: of its tooth numbers only the ratio counts.
         first_stage_planet_teeth: tooth number of the planet wheels of the first stage.
         planet_teeth: tooth number of the planet wheels of the second stage.
         ring_teeth: tooth number of the ring.
