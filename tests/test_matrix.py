@@ -2,8 +2,8 @@
 
 Each gives finite numbers, or refuses in one line that names what is missing. A new function, command or gear set that
 is not listed here fails. Functions of numbers, commands, and functions on supports meet in pairs: every function with
-every gear set and with every kind, every gear set with every kind and on supports, and all refusals. With the variable
-``GEARJAX_TESTS_WHOLE`` set to anything they meet in every combination, which takes three times as long.
+every gear set, with every kind and on supports, every gear set with every kind and on supports, and all refusals. With
+the variable ``GEARJAX_TESTS_WHOLE`` set to anything they meet in every combination, which takes three times as long.
 """
 
 import dataclasses
@@ -500,7 +500,7 @@ def test_functions_of_numbers(name, kind, gear_set):
         (name, gear_set)
         for place, name in enumerate([*OF_A_SCENE, *OF_NUMBERS])
         for number, gear_set in enumerate(GEAR_SETS)
-        if WHOLE or (number - place) % len(GEAR_SETS) in (0, 2)
+        if WHOLE or (number - place) % len(GEAR_SETS) == 0
     ],
 )
 def test_functions_on_supports(name, gear_set):
