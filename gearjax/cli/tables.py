@@ -131,7 +131,7 @@ def _print_choice(console: Console, optimisation: Optimisation) -> None:
 
 def _print_stages(console: Console, optimisation: Optimisation) -> None:
     table = Table(title="Transmission error in arcmin, before and after")
-    for column in ("case", "window [s]", "stage", *(name.replace("_", "-") for name in METRICS)):
+    for column in ("case", "window [s]", "stage", *(name.replace("_", " ") for name in METRICS)):
         table.add_column(column, justify="left" if column in ("case", "stage") else "right")
     for row, case in enumerate(optimisation.cases["before"]):
         for stage, cases in optimisation.cases.items():
@@ -144,7 +144,7 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
     """Print the metrics of the cases, and a note for readers of their contact forces."""
     compared = any(case.published.metrics for case in cases if case.published)
     table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
-    for column in ("case", "window [s]", *(name.replace("_", "-") for name in METRICS), "highest load sharing"):
+    for column in ("case", "window [s]", *(name.replace("_", " ") for name in METRICS), "highest load sharing"):
         table.add_column(column, justify="left" if column == "case" else "right")
     for case in cases:
         known = dict(case.published.metrics) if case.published else {}
