@@ -12,7 +12,7 @@ import xarray as xr
 
 from gearjax.cli import main
 from gearjax.units import arcmin
-from tests.conftest import CONFIG, ROOT
+from tests.conftest import CONFIG, ROOT, compiled_as_tests
 
 FAST = CONFIG.read_text(encoding="utf-8").replace('"3 s"', '"0.2 s"').replace("3001", "201")
 
@@ -79,8 +79,7 @@ def test_run_writes_what_it_shows(capsys, tmp_path, fast):
 
 @pytest.mark.slow
 def test_a_results_file_runs_again(capsys, tmp_path, fast):
-    command(capsys, "run", fast, "--out", tmp_path / "first")
-    _, first, _ = command(capsys, "run", fast, "--json")
+    _, first, _ = command(capsys, "run", fast, "--json", "--out", tmp_path / "first")
     code, again, _ = command(capsys, "run", tmp_path / "first" / "results.nc", "--json")
     assert code == 0
     assert json.loads(again)["cases"] == json.loads(first)["cases"]
@@ -163,9 +162,11 @@ def test_version_and_help(capsys):
 
 def test_as_a_module_in_a_fresh_process(fast):
     """The command sets float64 itself; stdout holds JSON alone."""
+    fast.write_text(FAST.replace(', "static", "dynamic"]', "]"), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "gearjax", "run", str(fast), "--json"],
         cwd=ROOT,
+        env=os.environ | compiled_as_tests(),
         capture_output=True,
         text=True,
         check=False,
@@ -182,7 +183,7 @@ def test_programs_are_kept_between_runs(fast, tmp_path):
 
     def run(**environment):
         command = [sys.executable, "-m", "gearjax", "run", str(fast), "--json"]
-        environment = {**os.environ, **environment}
+        environment = {**os.environ, **compiled_as_tests(), **environment}
         return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
 
     fast.write_text(FAST.replace(', "static", "dynamic"]', "]"), encoding="utf-8")

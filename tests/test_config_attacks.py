@@ -10,7 +10,7 @@ import gearjax as gj
 from gearjax.cli import main
 from tests.attacks import SHIPPED, attacks
 
-NUMBER, SEED, RUNS = 1000, 5, 20
+NUMBER, SEED, RUNS = 500, 5, 10
 LONGEST = 400
 
 
@@ -68,7 +68,7 @@ def test_attacks(tmp_path, capsys):
             assert len(last) < LONGEST + 20
         else:
             assert json.loads(out)["cases"], index
-    assert (loaded > 50, refused > 500, ran) == (True, True, RUNS)
+    assert (loaded > 50, refused > 250, ran) == (True, True, RUNS)
 
 
 def test_what_the_attacks_start_from_loads():

@@ -32,7 +32,7 @@ def off(scene: gj.Scene, duration: float, torque: float) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("gear_set", MOVES)
 def test_the_output_alone(gear_set):
-    assert off(Case(gear_set, *KINDS).moved, 0.05, TORQUE) < APART
+    assert off(Case(gear_set, *KINDS).moved, 0.03, TORQUE) < APART
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ def test_bodies_on_supports(gear_set):
     supports, inertia = (
         dict.fromkeys(scene.system.coordinates, part) for part in (gj.Support(x=2e8, y=3e8), gj.BodyInertia(0.5))
     )
-    assert off(dataclasses.replace(scene, supports=supports, body_inertia=inertia), 0.01, TORQUE) < APART
+    assert off(dataclasses.replace(scene, supports=supports, body_inertia=inertia), 0.005, TORQUE) < APART
 
 
 @pytest.mark.slow
@@ -57,14 +57,15 @@ def test_gradients_in_reverse_are_differences(gear_set):
     place = pick(case.scene, case.where)
     sizes = jnp.asarray([number.step for number in case.numbers])
     start = jnp.asarray([number.ends[0] + 0.3 * number.step for number in case.numbers])
-    ts = np.linspace(0.0, 0.05, 51)
+    ts = np.linspace(0.0, 0.02, 21)
 
     def std(change: jax.Array) -> jax.Array:
         return gj.simulate(place.set(smooth, start + sizes * change), ts, TORQUE).std / arcmin
 
-    slope = jax.jit(jax.grad(std))(jnp.zeros(len(KINDS)))
-    sides = jax.jit(jax.vmap(std))(jnp.concatenate([1e-4 * jnp.eye(len(KINDS)), -1e-4 * jnp.eye(len(KINDS))]))
-    differences = (sides[: len(KINDS)] - sides[len(KINDS) :]) / 2e-4
+    none, way = jnp.zeros((1, len(KINDS))), 1e-4 * jnp.eye(len(KINDS))
+    both = jax.jit(jax.vmap(jax.value_and_grad(std)))  # one program of values and slopes
+    values, (slope, *_) = both(jnp.concatenate([none, way, -way]))
+    differences = (values[1 : 1 + len(KINDS)] - values[1 + len(KINDS) :]) / 2e-4
     assert np.abs(differences).max() > 0
     np.testing.assert_allclose(slope, differences, rtol=1e-4, atol=2e-5 * np.abs(differences).max())
 

@@ -96,9 +96,11 @@ def test_backlash(scene, angles):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["hard", "softplus", "quadratic"])
+@pytest.mark.parametrize("law", ["hard", "quadratic"])
 def test_dynamic_mean_and_std(scene, with_contact, law):
-    """The hard law under a torque that keeps both pairs closed, smooth laws where pairs open and close."""
+    """The hard law under a torque that keeps both pairs closed, a smooth law where pairs open and close.
+
+    The other smooth law differs in its force alone, which is derived above."""
     ts = jnp.linspace(0.0, 0.25, 126)
     extra = 400.0 if law == "hard" else 0.0
 

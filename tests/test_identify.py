@@ -347,7 +347,7 @@ def test_pins_of_a_wrong_size_are_found_by_exact_geometry():
     larger = np.zeros(24)
     larger[[4, 15]] = 2.5 * um, -1.8 * um
     unit = PinStageUnit(larger, 3 * um * np.exp(0.7j), 1.3e8)
-    records = pin_stage_runs(unit, 2)
+    records = pin_stage_runs(unit, 2, per_turn=30)
     found = gj.identify(pin_stage(), records, starts=1, suggest=False)
     own = found.estimates[:27]
     values, errors = np.array([each.value for each in own]), np.array([each.error for each in own])
@@ -356,7 +356,7 @@ def test_pins_of_a_wrong_size_are_found_by_exact_geometry():
     assert off.max() < 4
     assert (np.abs(values[[4, 15]]) > 5 * errors[[4, 15]]).all()
     assert found.sigma / arcmin == pytest.approx(0.02, rel=0.05)
-    rough = gj.identify(pin_stage("linear"), records, starts=2, suggest=False, orders=[])
+    rough = gj.identify(pin_stage("linear"), records, starts=1, suggest=False, orders=[])
     stiffness = rough.estimate("compliance.mean")
     assert abs(stiffness.value - unit.stiffness) > 0.005 * unit.stiffness
 

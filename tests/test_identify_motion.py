@@ -81,10 +81,18 @@ def records(unit):
     return [run(unit, torque, speed=speed, seed=i) for i, (torque, speed) in enumerate(bench)]
 
 
+@pytest.fixture(scope="module")
+def found(records):
+    """With inertia and damping unknown too, from a scene that has them wrong."""
+    errors = [f"errors.{body}" for body in BODIES]
+    where = [*errors, "compliance.mean", "backlash.initial", "inertia.mass", "damping.ratio"]
+    off = dataclasses.replace(in_motion(two_kv(), 0.9 * MASS), damping=gj.DampingRatio(0.15))
+    return gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=8)
+
+
 @pytest.mark.slow
 @pytest.mark.runs_long
-def test_an_arm_that_shakes_is_found_within_its_errors(scene, unit, records):
-    found = gj.identify(scene, records, analysis="dynamic", suggest=False)
+def test_an_arm_that_shakes_is_found_within_its_errors(found, unit, records):
     values, errors = estimates(found)
     assert min((np.abs(values - one) / errors for one in truth(unit)), key=np.max).max() < 3.5
     assert found.sigma / arcmin == pytest.approx(0.05, rel=0.05)
@@ -93,21 +101,42 @@ def test_an_arm_that_shakes_is_found_within_its_errors(scene, unit, records):
     beside = gj.compare(found.scene, records, analysis="dynamic")
     for record in beside.records:  # hard contacts too leave no more than the noise
         assert np.std(record.measured - record.computed) < 0.053 * arcmin
-    still = gj.identify(scene, records, suggest=False, orders=[])
+    still = gj.identify(in_motion(two_kv()), records, suggest=False, orders=[], starts=16)
     assert still.sigma > 2 * found.sigma  # at rest the recordings mean something else
 
 
 @pytest.mark.slow
 @pytest.mark.runs_long
-def test_inertia_and_damping_are_found_too(scene, records):
-    errors = [f"errors.{body}" for body in BODIES]
-    where = [*errors, "compliance.mean", "backlash.initial", "inertia.mass", "damping.ratio"]
-    off = in_motion(scene, 0.9 * MASS)
-    off = dataclasses.replace(off, damping=gj.DampingRatio(0.15))
-    found = gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=8)
+def test_inertia_and_damping_are_found_too(found):
     mass, ratio = (found.estimate(path) for path in ("inertia.mass", "damping.ratio"))
     assert abs(mass.value - MASS) < 3.5 * mass.error < 0.05 * MASS
     assert abs(ratio.value - DAMPING) < 3.5 * ratio.error < 0.05
+
+
+@pytest.mark.slow
+def test_recordings_without_torque_and_of_other_lengths_go_beside(scene, unit):
+    """Those without torque are at rest; lengths and speeds of the others differ."""
+    rest = gj.Measurement(
+        np.linspace(0, 2 * np.pi * RATIO, 300), te=unit.te(np.linspace(0, 2 * np.pi * RATIO, 300), 0.0), name="rest"
+    )
+    records = [run(unit, 150.0, noise=0.0, rows=400), run(unit, 60.0, noise=0.0, rows=300, speed=200.0), rest]
+    own = of_unit(scene, unit)
+    unknowns = unknowns_of(own, "errors.planet_1", back=False, loaded=True)
+    still = Model.of(unknowns, records, loaded=True)
+    model = MovingModel.of_static(still, unknowns, records, own)
+    curve, _ = Problem(model, rows_of(records, own)).curve(np.append(unknowns.start, np.zeros(4)))
+    wanted = np.concatenate([record.error(own) for record in records]) / arcmin
+    np.testing.assert_allclose(curve, wanted, atol=3e-3)
+    beside = gj.compare(own, records, analysis="dynamic")
+    assert min(record.explained for record in beside.records) > 1 - 1e-6
+    assert any("without torque" in words for words in beside.notes)
+
+
+@pytest.mark.slow
+def test_draws_of_a_motion_are_refused(found):
+    with pytest.raises(gj.GearjaxError, match="would take hours"):
+        gj.posterior(found)
+    assert gj.reassemble(found, ["errors.planet_1"], draws=6).after > 0  # of the errors found, at rest
 
 
 @pytest.mark.slow
@@ -129,25 +158,6 @@ def test_derivatives_of_a_motion_are_central_differences(scene, unit, acting):
         off.append(np.abs(rate[..., i] - (ahead - behind) / (2 * step)) / np.abs(rate).max())
     assert np.max(off) < 1e-2
     assert np.quantile(off, 1.0 if acting == "always" else 0.95) < 1e-3
-
-
-@pytest.mark.slow
-def test_recordings_without_torque_and_of_other_lengths_go_beside(scene, unit):
-    """Those without torque are at rest; lengths and speeds of the others differ."""
-    rest = gj.Measurement(
-        np.linspace(0, 2 * np.pi * RATIO, 300), te=unit.te(np.linspace(0, 2 * np.pi * RATIO, 300), 0.0), name="rest"
-    )
-    records = [run(unit, 150.0, noise=0.0, rows=400), run(unit, 60.0, noise=0.0, rows=300, speed=200.0), rest]
-    own = of_unit(scene, unit)
-    unknowns = unknowns_of(own, None, back=False, loaded=True)
-    still = Model.of(unknowns, records, loaded=True)
-    model = MovingModel.of_static(still, unknowns, records, own)
-    curve, _ = Problem(model, rows_of(records, own)).curve(np.append(unknowns.start, np.zeros(4)))
-    wanted = np.concatenate([record.error(own) for record in records]) / arcmin
-    np.testing.assert_allclose(curve, wanted, atol=3e-3)
-    beside = gj.compare(own, records, analysis="dynamic")
-    assert min(record.explained for record in beside.records) > 1 - 1e-6
-    assert any("without torque" in words for words in beside.notes)
 
 
 def test_teeth_that_lose_contact_are_told(scene, unit):
@@ -199,16 +209,6 @@ def test_what_cannot_be_computed_is_refused_and_what_is_doubtful_told(scene, uni
             function(own, record, analysis=change.get("analysis", "dynamic"))
 
 
-@pytest.mark.slow
-def test_draws_of_a_motion_are_refused(scene, unit):
-    found = gj.identify(
-        of_unit(scene, unit), run(unit, 100.0, rows=100), "errors.output_wheel", analysis="dynamic", orders=[], starts=1
-    )
-    with pytest.raises(gj.GearjaxError, match="would take hours"):
-        gj.posterior(found)
-    assert gj.reassemble(found, draws=20).after > 0  # of the errors found, at rest
-
-
 def test_a_bench_makes_recordings_in_motion(scene, unit):
     own = dataclasses.replace(of_unit(scene, unit), system=dataclasses.replace(scene.system, input_speed=SPEED))
     record = gj.synthetic_measurement(own, 100.0, rows=500, noise=0.0, analysis="dynamic")
@@ -224,23 +224,37 @@ def test_a_bench_makes_recordings_in_motion(scene, unit):
 
 
 @pytest.mark.slow
-@pytest.mark.runs_long
-def test_the_commands_take_recordings_in_motion(records, tmp_path, capsys):
-    """The section of a configuration says it, and an option does."""
+def test_the_commands_take_recordings_in_motion(found, unit, tmp_path, capsys, monkeypatch):
+    """The section of a configuration says it, and an option does: what is identified then is tested above."""
     tables = read_tables(read_file(CONFIG))
-    tables |= {"inertia": {"mass": "2000 kg"}, "damping": {"ratio": DAMPING}}
-    tables["compliance"] |= {"relative_amplitudes": [], "phases": []}
-    config = tmp_path / "arm.toml"
-    files = [file_of(record, tmp_path) for record in records[:3]]
-    config.write_text(
-        tomli_w.dumps(tables | {"identify": {"measured": files, "analysis": "dynamic", "orders": [], "starts": 8}})
-    )
-    told = json.loads(told_by(capsys, "identify", str(config), "--json").out)
-    assert told["residual_arcmin"] == pytest.approx(0.05, rel=0.06)
-    config.write_text(tomli_w.dumps(tables))
-    options = [part for file in files[:1] for part in ("--measured", file)]
-    beside = json.loads(told_by(capsys, "compare", str(config), *options, "--dynamic", "--json").out)
-    assert np.isfinite(beside["records"][0]["explained"])
+    tables |= {"inertia": {"mass": f"{MASS} kg"}, "damping": {"ratio": DAMPING}}
+    tables["compliance"] |= {"mean": f"{unit.stiffness} N/m", "relative_amplitudes": [], "phases": []}
+    vectors = unit.planet_1, unit.planet_2, unit.revolution, unit.output
+    for name, vector in zip(BODIES, vectors, strict=True):
+        tables["errors"][name] |= {"amplitude": f"{abs(vector)} m", "phase": f"{np.angle(vector)} rad"}
+    tables.pop("reference")
+    file = file_of(run(unit, 150.0, rows=600), tmp_path)
+    sections = {"section": {"identify": {"measured": [file], "analysis": "dynamic", "orders": []}}, "option": {}}
+    for name, section in sections.items():
+        (tmp_path / f"{name}.toml").write_text(tomli_w.dumps(tables | section))
+    by_section = [str(tmp_path / "section.toml"), "--json"]
+    by_option = [str(tmp_path / "option.toml"), "--measured", file, "--dynamic", "--json"]
+    beside = [json.loads(told_by(capsys, "compare", *asked).out)["records"][0] for asked in (by_section, by_option)]
+    assert beside[0] == beside[1]
+    at_rest = json.loads(told_by(capsys, "compare", *by_section, "--static").out)["records"][0]
+    assert 1 - beside[0]["explained"] < 0.25 * (1 - at_rest["explained"])
+
+    asked = []
+
+    def known(scene, records, *_, **options):
+        asked.append(options["analysis"])
+        return dataclasses.replace(found, records=tuple(records), scene=scene)
+
+    monkeypatch.setattr("gearjax.results.identification.identify", known)
+    for options in (by_section, by_option):
+        told = json.loads(told_by(capsys, "identify", *options).out)
+        assert told["comparison"]["records"][0]["explained"] == beside[0]["explained"]
+    assert asked == ["dynamic", "dynamic"]
 
 
 MOVING_SETS = [name for name in GEAR_SETS if name not in ("two_kv", "helical_pair")]

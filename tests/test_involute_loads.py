@@ -321,23 +321,24 @@ def test_more_candidates_than_nodes_are_refused(made, changes, words):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewCandidates")  # nine candidates of ten elements
 def test_published_loads_by_finite_elements():
-    """Table 5 of the paper within 1 N rms, the phase and the rim fitted; six pairs of teeth, none on the others."""
+    """Table 5 of the paper within 1.5 N rms under a rim near the fitted one; six pairs of teeth, none on the others.
+
+    Under the fitted rim tests/test_involute_rv_published.py holds the same elements to 1 N, by loads of the package and
+    by loads written out apart.
+    """
     published = [58.6, 244.2, 379.7, 407.8, 315.1, 149.5]
     own = system(pairs=9, profile_points=9, face_points=14)
     theta = angle_of(own, 0.3417)
-    for rim, bound in ((0.8, 1.5), (0.77, 1.0)):
-        matrix = gj.InfluenceMatrix(**STEEL, rim=rim * mm).made_for(*flank_radii(own))
-        found = gj.transmission_error(gj.Scene(own, compliance=matrix), jnp.asarray([theta]), torque=100.0)
-        loads = per_pair(own, theta, found.forces[0])
-        assert (loads > 0).sum() == 6
-        assert loads.sum() == pytest.approx(1554.9, abs=0.02)
-        assert np.sqrt(np.mean((loads[loads > 0] - published) ** 2)) < bound
-        even = system(pairs=9, profile_points=9)
-        loads = per_pair(
-            even, theta, gj.transmission_error(gj.Scene(even, compliance=matrix), jnp.asarray([theta]), 100.0).forces[0]
-        )
-        if rim == 0.8:  # what elastic teeth are compared with above
-            np.testing.assert_allclose(loads[loads > 0], [62.2, 245.8, 376.8, 404.8, 313.3, 152.0], atol=0.1)
+    matrix = gj.InfluenceMatrix(**STEEL, rim=0.8 * mm).made_for(*flank_radii(own))
+    found = gj.transmission_error(gj.Scene(own, compliance=matrix), jnp.asarray([theta]), torque=100.0)
+    loads = per_pair(own, theta, found.forces[0])
+    assert (loads > 0).sum() == 6
+    assert loads.sum() == pytest.approx(1554.9, abs=0.02)
+    assert np.sqrt(np.mean((loads[loads > 0] - published) ** 2)) < 1.5
+    even = system(pairs=9, profile_points=9)  # what elastic teeth are compared with above
+    found = gj.transmission_error(gj.Scene(even, compliance=matrix), jnp.asarray([theta]), torque=100.0)
+    loads = per_pair(even, theta, found.forces[0])
+    np.testing.assert_allclose(loads[loads > 0], [62.2, 245.8, 376.8, 404.8, 313.3, 152.0], atol=0.1)
 
 
 @pytest.mark.slow

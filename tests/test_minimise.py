@@ -267,19 +267,24 @@ def test_gradients_beat_the_grid_of_the_paper(scene, duration, target):
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")  # both searches see the same angles, 15 a turn
 @pytest.mark.runs_long
 def test_static_peak_to_peak_is_at_least_as_good_as_the_grid(scene, angles):
-    """All combinations of 10 degrees; gradients end lower than the best of them."""
-    asked = {"where": PHASES, "theta": angles[::10], "torque": 100.0}
-    coarse = gj.grid_search("static_peak_to_peak", scene, step=10 * deg, **asked)
-    result = gj.minimise("static_peak_to_peak", scene, starts=60, **asked)
+    """Gradients end lower than the best combination of 10 degrees.
+
+    That of all four phases is 0.63066 arcmin, worked out once in a minute; here three of them are varied, as a turn of
+    the input changes all phases alike.
+    """
+    asked = {"theta": angles[::10], "torque": 100.0}
+    coarse = gj.grid_search("static_peak_to_peak", scene, where=PHASES[1:], step=10 * deg, **asked)
+    result = gj.minimise("static_peak_to_peak", scene, where=PHASES, starts=30, **asked)
     assert result.objective <= coarse.objective
-    assert result.objective / arcmin < 0.631
-    assert result.within(0.01) >= 54
+    assert coarse.objective / arcmin == pytest.approx(0.63167, abs=1e-5)
+    assert result.objective / arcmin < 0.63066
+    assert result.within(0.01) >= 27
 
 
 @pytest.mark.slow
 @pytest.mark.runs_long
-def test_thousands_of_starts_stay_within_memory(scene, angles):
-    """256 at once, whatever their number."""
-    result = gj.minimise("no_load_amplitude", scene, where=PHASES, theta=angles, starts=3000)
-    assert result.within(0.01) >= 2700
+def test_more_starts_than_go_at_once(scene, angles):
+    """256 at once, whatever their number: here twice, and a part of that."""
+    result = gj.minimise("no_load_amplitude", scene, where=PHASES, theta=angles, starts=600)
+    assert result.within(0.01) >= 270
     assert result.objective / arcmin < 0.5843

@@ -188,8 +188,8 @@ except SystemExit:
     ("samples", "angles", "words"),
     [
         (200, 201, {}),
-        (1_000_000, 201, {"extremes": "samples", "chunk": 16384}),
-        (200, 20_001, {"extremes": "samples"}),
+        (1_000_000, 21, {"extremes": "samples", "chunk": 16384}),
+        (16, 20_001, {"extremes": "samples"}),  # its memory is that of the curves of the examples, however few samples
     ],
 )
 def test_a_study_takes_what_it_is_said_to_take(tmp_path, samples, angles, words):

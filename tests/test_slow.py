@@ -31,7 +31,7 @@ def test_many_equilibria_against_brute_force(rng):
     solve = jax.jit(
         lambda drive, back, springs, load: equilibrium(contact_set(drive, back, springs), load, HardContact())
     )
-    for _ in range(3000):
+    for _ in range(1000):
         drive, back = rng.uniform(-30e-6, 30e-6, 3), rng.uniform(-60e-6, 90e-6, 3)
         springs = 10 ** rng.uniform(5, 10, 6)
         torque = rng.choice([-1, 1]) * 10 ** rng.uniform(-2, 4)

@@ -5,12 +5,15 @@ import dataclasses
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 import gearjax as gj
 from gearjax import results
@@ -110,6 +113,37 @@ COMMANDS = [
     ("optimise", "elliptic/dong_2020_phases.toml"),
     ("tolerance", "elliptic/dong_2020_tolerance.toml"),
 ]
+AS_SHIPPED = [
+    ("run", "two_kv/wang_2020.toml"),
+    ("identify", "two_kv/measured.toml"),
+    ("optimise", "elliptic/dong_2020_phases.toml"),
+    ("tolerance", "elliptic/dong_2020_tolerance.toml"),
+]
+SMALLER = {
+    # a quarter of a turn of the crank, and a sixth
+    "rv_cycloidal/hu_2020.toml": {"run": {"duration": "0.01282051282051282 s", "samples": 201}},
+    "involute_rv/yang_2019.toml": {"run": {"duration": "0.01129943502824859 s", "samples": 801}},
+    # one of 47 turns of the pinion, and one of three meshes
+    "helical/guo_2018.toml": {"run": {"duration": "1.1811023617 s", "samples": 381}},
+    "helical/guo_2018_measured.toml": {"run": {"duration": "0.0285171103830 s", "samples": 609}},
+    "helical/blankenship_1995.toml": {"run": {"duration": "0.4 ms", "samples": 65}},
+    "two_kv/wang_2020_phases.toml": {
+        "run": {"duration": "1.58 s", "samples": 1581},
+        "optimise": {"grid_step": "30 deg", "starts": 30},
+    },
+    "rv_cycloidal/hu_2020_phases.toml": {
+        "run": {"duration": "0.01282051282051282 s", "samples": 201},
+        "optimise": {"starts": 4},
+    },
+    "two_kv/wang_2020_tolerance.toml": {
+        "tolerance": {"samples": 2048},
+        "tolerance.sensitivity": {"samples": 128},
+        "tolerance.assembly": {"units": 100},
+    },
+    "rv_cycloidal/hu_2020_tolerance.toml": {"tolerance": {"samples": 200}},
+    "helical/guo_2018_tolerance.toml": {"tolerance": {"samples": 200}},
+}
+"""What is changed, by section."""
 WRITTEN = {
     ("run", "rv_cycloidal/hu_2020.toml"): {"stage.png", "contact_forces.png", "disc.csv", "disc.dxf", "results.nc"},
     ("run", "helical/guo_2018_measured.toml"): {"plane_of_action.png", "measured.png", "results.nc"},
@@ -150,22 +184,63 @@ def test_every_shipped_configuration_has_its_command():
     assert {name for _, name in COMMANDS} == files
 
 
+@pytest.mark.parametrize("name", [name for _, name in COMMANDS])
+def test_the_samples_of_shipped_configurations_miss_nothing(name):
+    """As they are shipped: most of the commands below run shorter ones."""
+    scene = gj.load(ROOT / "configs" / name)
+    assert results.remarks(scene) == []
+    entries = SMALLER.get(name, {}).get("run", {})
+    if "duration" in entries:  # a part of the record, with samples as far apart
+        times, seconds = scene.run.times, float(entries["duration"].partition(" ")[0])
+        assert seconds / (entries["samples"] - 1) == pytest.approx(float(times[1] - times[0]), rel=1e-6)
+
+
+def made_smaller(name: str, folder: Path) -> Path:
+    """A copy of a configuration and of the files beside it, with less to compute."""
+    shutil.copytree((ROOT / "configs" / name).parent, folder)
+    path = folder / Path(name).name
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    for section, entries in SMALLER.get(name, {}).items():
+        table = tables
+        for word in section.split("."):
+            table = table[word]
+        assert table.keys() >= entries.keys()
+        table.update(entries)
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    return path
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("word", "name"), COMMANDS)
-def test_shipped_configurations_run_without_a_warning(tmp_path, word, name):
+@pytest.mark.parametrize(("word", "name"), AS_SHIPPED)
+def test_shipped_configurations_run_as_a_user_runs_them(tmp_path, word, name):
+    """One of each kind of command, as a process of its own, whole: no warning and no note."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "default"}
     command = [sys.executable, "-W", "error", "-m", "gearjax", word, str(ROOT / "configs" / name), "--out", "out"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=1500)
     assert done.returncode == 0, done.stderr[-2000:]
+    says_and_writes(word, name, done.stdout, done.stderr, tmp_path / "out")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("word", "name"), [command for command in COMMANDS if command not in AS_SHIPPED])
+def test_shipped_configurations_run_without_a_warning(tmp_path, capsys, word, name):
+    """Within this process, where warnings are errors and programs are shared; with less to compute."""
+    with pytest.raises(SystemExit) as ended:
+        main([word, str(made_smaller(name, tmp_path / "configs")), "--out", str(tmp_path / "out")])
+    told = capsys.readouterr()
+    assert ended.value.code == 0, told.err[-2000:]
+    says_and_writes(word, name, told.out, told.err, tmp_path / "out")
+
+
+def says_and_writes(word: str, name: str, printed: str, said: str, folder: Path) -> None:
+    """The examples draw the stage, or the pair, and write the disc."""
     words = re.compile("note:|warning|gearjax: error", re.IGNORECASE)
-    told = [line for line in done.stderr.splitlines() if words.search(line)]
-    assert told == []
-    written = {path.name for path in (tmp_path / "out").rglob("*")}
-    assert WRITTEN.get((word, name), set()) <= written  # the examples draw the stage, or the pair, and write the disc
-    if (word, name) == ("tolerance", "two_kv/wang_2020_tolerance.toml"):
-        answers_everything(done.stdout, json.loads((tmp_path / "out" / "tolerance.json").read_text(encoding="utf-8")))
-    if (word, name) == ("optimise", "helical/guo_2018_optimise.toml"):
-        swings_less(done.stdout, tmp_path / "out")
+    assert [line for line in said.splitlines() if words.search(line)] == []
+    assert WRITTEN.get((word, name), set()) <= {path.name for path in folder.rglob("*")}
+    if name == "two_kv/wang_2020_tolerance.toml":
+        answers_everything(printed, json.loads((folder / "tolerance.json").read_text(encoding="utf-8")))
+    if name == "helical/guo_2018_optimise.toml":
+        swings_less(printed, folder)
 
 
 def swings_less(printed: str, folder: Path) -> None:
@@ -185,7 +260,7 @@ def swings_less(printed: str, folder: Path) -> None:
 
 def answers_everything(printed: str, report: dict) -> None:
     """The example of a study asks for all that there is."""
-    for words in ("20000 gear sets", "Sobol first", "mislead", "halved", "Cheapest tolerances", "matched", "at random"):
+    for words in ("2048 gear sets", "Sobol first", "mislead", "halved", "Cheapest tolerances", "matched", "at random"):
         assert words in printed
     numbers = report["sensitivity"]["no_load.peak_to_peak"]["numbers"]["errors.revolution.phase"]
     assert set(numbers) == {"linear", "first", "first_error", "total", "total_error", "one_at_a_time"}

@@ -14,9 +14,9 @@ import pytest
 
 from gearjax.cli import main, stopping
 from gearjax.results.store import NAME
-from tests.conftest import CONFIG, ROOT
+from tests.conftest import CONFIG, ROOT, compiled_as_tests
 from tests.test_tolerance_command import CONFIG as WHOLE
-from tests.test_tolerance_command import small
+from tests.test_tolerance_command import LONG, command, small
 
 PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
 NOTHING = "nothing of this run was saved; run the same command to start again"
@@ -39,7 +39,8 @@ class Running:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 cwd=ROOT,
-                env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},  # every program is compiled
+                # every program is compiled, as in this process: numbers are the same to the last bit
+                env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), **compiled_as_tests()},
                 start_new_session=True,
             )
 
@@ -94,28 +95,28 @@ def test_ctrl_c_ends_a_command_with_a_line(tmp_path, arguments, begun):
 
 
 @pytest.mark.slow
-def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
+def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path, capsys):
     config, out = tmp_path / "study.toml", tmp_path / "out"
-    config.write_text(small(samples=60_000, chunk=256, extremes="samples"), encoding="utf-8")
+    config.write_text(small(samples=LONG, chunk=128, extremes="samples"), encoding="utf-8")
     line = ["tolerance", str(config), "--json", "--out", str(out)]
     marks = out / NAME / "done" / "c"
     with Running(*line, folder=tmp_path) as running:
         last = running.stopped(lambda: marks.exists() and len(list(marks.iterdir())) > 3)
     found = re.fullmatch(
-        r"gearjax: stopped: (\d+) of 60000 samples are saved in (.*); run the same command to continue", last
+        rf"gearjax: stopped: (\d+) of {LONG} samples are saved in (.*); run the same command to continue", last
     )
     assert found
     assert found[2] == str(out)
     kept = int(found[1])
-    assert 3 * 256 <= kept < 60_000
+    assert 3 * 128 <= kept < LONG
     assert [path for path in out.rglob("*") if path.name.endswith((".part", ".new"))] == []
-    ended = subprocess.run([sys.executable, "-m", "gearjax", *line], capture_output=True, text=True, cwd=ROOT)
-    assert ended.returncode == 0
-    assert f"resuming: {kept} of 60000 samples are already computed" in ended.stderr
-    whole = [*line[:-1], str(tmp_path / "whole")]
-    other = subprocess.run([sys.executable, "-m", "gearjax", *whole], capture_output=True, text=True, cwd=ROOT)
-    assert json.loads(ended.stdout)["computed"] == 60_000 - kept
-    assert json.loads(ended.stdout)["measures"] == json.loads(other.stdout)["measures"]
+    assert command(*line[1:]) == 0
+    printed = capsys.readouterr()
+    assert f"resuming: {kept} of {LONG} samples are already computed" in printed.err
+    assert command(*line[1:-1], str(tmp_path / "whole")) == 0
+    ended, other = json.loads(printed.out), json.loads(capsys.readouterr().out)
+    assert ended["computed"] == LONG - kept
+    assert ended["measures"] == other["measures"]
 
 
 @pytest.mark.slow
@@ -154,9 +155,19 @@ def without_times(found: dict) -> dict:
 @pytest.mark.slow
 def test_the_same_study_twice_prints_the_same(tmp_path):
     """Every study of the example, in two processes, to the last bit."""
-    text = WHOLE.read_text(encoding="utf-8").replace("samples = 20000", "samples = 100").replace("= 1024 ", "= 16 ")
+    text = WHOLE.read_text(encoding="utf-8")
+    for old, new in (
+        ("samples = 20000", "samples = 100"),
+        ("= 1024 ", "= 16 "),
+        ("units = 1000", "units = 4"),
+        ("samples = 1581", "samples = 21"),  # allocation counts good ones among 20,000 at each of its turns
+        ('    { name = "static.peak_to_peak", torque = "30 N*m" },\n', ""),
+        ('    { name = "static.peak_to_peak", torque = "300 N*m" },\n', ""),
+    ):
+        assert old in text
+        text = text.replace(old, new)
     config = tmp_path / "whole.toml"
-    config.write_text(text.replace("units = 1000", "units = 4").replace("samples = 1581", "samples = 101"))
+    config.write_text(text, encoding="utf-8")
     line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json"]
     printed = [subprocess.run(line, capture_output=True, check=True, cwd=ROOT).stdout for _ in range(2)]
     first, second = (without_times(json.loads(text)) for text in printed)

@@ -17,10 +17,11 @@ from gearjax.cli import main
 from gearjax.config import loads_tolerance
 from gearjax.results.store import NAME, Store, held
 from gearjax.results.tolerance import prepared
-from tests.conftest import ROOT
+from tests.conftest import PROGRAMS, ROOT, compiled_as_tests
 
 CONFIG = ROOT / "configs" / "two_kv" / "wang_2020_tolerance.toml"
 STUDIES = "[tolerance.sensitivity]"
+LONG = 8_000  # samples, of which a process does not come to the end before it is stopped
 
 
 def small(**words) -> str:
@@ -31,6 +32,14 @@ def small(**words) -> str:
     lines = [line for line in lines if not ("torque = " in line and "100 N*m" not in line)]
     written = "\n".join(f"{key} = {json.dumps(value)}" for key, value in options.items())
     return "\n".join(lines).replace("samples = 20000", written).replace("samples = 1581", "samples = 201")
+
+
+def shared_programs() -> dict[str, str]:
+    """Variables with which a process compiles as this one does, and takes the programs that are compiled already."""
+    return compiled_as_tests() | {
+        "JAX_COMPILATION_CACHE_DIR": os.environ[PROGRAMS],
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.02",
+    }
 
 
 def command(*arguments: str) -> int:
@@ -111,11 +120,17 @@ def test_what_is_there_is_not_worked_out_again(config, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_run_ends_with_the_same_numbers(tmp_path):
+def test_a_killed_run_ends_with_the_same_numbers(tmp_path, capsys):
+    """The run that is killed is a process of its own; those before and after it are commands of this one."""
     config = tmp_path / "study.toml"
-    config.write_text(small(samples=60_000, chunk=256), encoding="utf-8")
-    line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json", "--out"]
-    killed = subprocess.Popen([*line, str(tmp_path / "killed")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    config.write_text(small(samples=LONG, chunk=128, extremes="samples"), encoding="utf-8")
+    line = [str(config), "--json", "--out"]
+    killed = subprocess.Popen(
+        [sys.executable, "-m", "gearjax", "tolerance", *line, str(tmp_path / "killed")],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | shared_programs(),  # numbers are the same to the last bit
+    )
     flags = tmp_path / "killed" / NAME / "done" / "c"
     deadline = time.monotonic() + 120
     while (len(list(flags.iterdir())) if flags.exists() else 0) < 3:
@@ -123,17 +138,16 @@ def test_a_killed_run_ends_with_the_same_numbers(tmp_path):
         assert killed.poll() is None
         time.sleep(0.02)
     killed.send_signal(signal.SIGSTOP)  # it holds the folder, however long the next command takes to begin
-    refused = subprocess.run([*line, str(tmp_path / "killed")], capture_output=True, text=True, check=False)
-    assert refused.returncode == 2
-    assert "another run is writing there" in refused.stderr
+    assert command(*line, str(tmp_path / "killed")) == 2
+    assert "another run is writing there" in capsys.readouterr().err
     killed.send_signal(signal.SIGKILL)
     killed.wait()
     results = []
     for folder in ("killed", "whole"):
-        ended = subprocess.run([*line, str(tmp_path / folder)], capture_output=True, check=True)
-        results.append(json.loads(ended.stdout))
+        assert command(*line, str(tmp_path / folder)) == 0
+        results.append(json.loads(capsys.readouterr().out))
     assert results[0]["measures"] == results[1]["measures"]
-    assert 0 < results[0]["computed"] < results[1]["computed"] == 60_000
+    assert 0 < results[0]["computed"] < results[1]["computed"] == LONG
 
 
 @pytest.mark.slow
@@ -242,28 +256,29 @@ def test_two_devices_find_what_one_finds(tmp_path):
     config.write_text(small(samples=500), encoding="utf-8")
     code = (
         "import sys, json, jax; jax.config.update('jax_enable_x64', True);"
-        "jax.config.update('jax_num_cpu_devices', int(sys.argv[2]));"
+        "jax.config.update('jax_num_cpu_devices', 2);"
         "from gearjax.config import loads_tolerance; from gearjax.results.tolerance import prepared;"
         "work = prepared(loads_tolerance(open(sys.argv[1]).read())[2]);"
         "found = [v for _, v in work.each(work.chunks)];"
         "print(json.dumps([len(work.devices), [part[0].tolist() for part in found]]))"
     )
-    found = {}
-    for number in (1, 2):
-        line = [sys.executable, "-c", code, str(config), str(number)]
-        ended = subprocess.run(line, capture_output=True, text=True, check=True, env={**os.environ, "XLA_FLAGS": ""})
-        devices, parts = json.loads(ended.stdout)
-        assert devices == number
-        found[number] = np.concatenate(parts)
-    assert found[1].shape == (500, 3)
-    np.testing.assert_allclose(found[2], found[1], rtol=1e-10)
+    line, options = [sys.executable, "-c", code, str(config)], os.environ | {"XLA_FLAGS": ""} | compiled_as_tests()
+    devices, parts = json.loads(subprocess.run(line, capture_output=True, text=True, check=True, env=options).stdout)
+    assert devices == 2
+    work = prepared(loads_tolerance(config.read_text())[2])
+    assert len(work.devices) == 1
+    one = np.concatenate([found[0] for _, found in work.each(work.chunks)])
+    assert one.shape == (500, 3)
+    np.testing.assert_allclose(np.concatenate(parts), one, rtol=1e-10)
 
 
 @pytest.mark.slow
-def test_a_cluster_survives_the_death_of_a_worker(tmp_path):
+def test_a_cluster_survives_the_death_of_a_worker(tmp_path, capsys, monkeypatch):
     distributed = pytest.importorskip("distributed")
     config = tmp_path / "study.toml"
-    config.write_text(small(samples=40_000, chunk=512), encoding="utf-8")
+    config.write_text(small(samples=LONG, chunk=128, extremes="samples"), encoding="utf-8")
+    for name, value in shared_programs().items():  # which the run and the workers inherit
+        monkeypatch.setenv(name, value)
     line = [sys.executable, "-m", "gearjax", "tolerance", str(config), "--json"]
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="") as cluster:
         out = tmp_path / "out"
@@ -279,9 +294,10 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path):
         os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
         printed, _ = run.communicate(timeout=300)
     assert run.returncode == 0
-    alone = json.loads(subprocess.run(line, capture_output=True, check=True).stdout)
     spread = json.loads(printed)
-    assert (spread["samples"], spread["failed"], spread["computed"]) == (40_000, 0, 40_000)
+    assert command(str(config), "--json") == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert (spread["samples"], spread["failed"], spread["computed"]) == (LONG, 0, LONG)
     for name, entry in alone["measures"].items():
         assert spread["measures"][name]["mean"] == pytest.approx(entry["mean"], rel=1e-12)
         assert spread["measures"][name]["quantiles"]["0.95"] == pytest.approx(entry["quantiles"]["0.95"], rel=1e-10)

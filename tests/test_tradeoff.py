@@ -11,7 +11,7 @@ import tomli_w
 import gearjax as gj
 from gearjax.config import loads
 from gearjax.plot.tradeoff import tradeoff_figure
-from gearjax.studies.tradeoff import STEPS, WIDTHS, Measured, Tradeoff, accurate_step, static_choices, tradeoff
+from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, accurate_step, settings, static_choices, tradeoff
 from gearjax.units import arcmin
 from tests.test_cli import command
 from tests.test_matrix import GEAR_SETS, MOVES, RUN
@@ -30,7 +30,8 @@ def short(config_text, tmp_path):
 
 
 @pytest.mark.slow
-def test_tradeoff(short, tmp_path, capsys):
+def test_tradeoff(short, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("gearjax.studies.tradeoff.STEPS", STEPS[::2])
     code, out, _ = command(capsys, "tradeoff", short, "--error", "0.01", "--out", tmp_path / "out", "--json")
     assert code == 0
     found = json.loads(out)
@@ -53,12 +54,27 @@ def test_tradeoff(short, tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("gear_set", [name for name in MOVES if name != "two_kv"])  # whose report is that above
 def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
-    """Every kind of setting; of step lengths and widths the ends, and gradients of one gear set beside the 2K-V.
+    """Every kind of setting, one of each, and gradients of one gear set beside the 2K-V.
 
-    Gradients of every gear set are held against differences in tests/test_gear_sets_in_motion.py.
+    Gradients of every gear set are held against differences in tests/test_gear_sets_in_motion.py; further adaptive
+    solvers and numbers of samples change nothing in what they are given of a gear set.
     """
-    monkeypatch.setattr("gearjax.studies.tradeoff.STEPS", STEPS[::4])
-    monkeypatch.setattr("gearjax.studies.tradeoff.WIDTHS", WIDTHS[::2])
+    every = settings
+
+    def kind(setting):
+        if setting.group in ("samples", "harmonics"):
+            return setting.group
+        law = setting.name.partition(",")[0] if setting.group == "contact" else setting.name
+        return setting.group, setting.scheme or law
+
+    def one_of_each(*given):
+        found = {}
+        for setting in every(*given):
+            found.setdefault(kind(setting), setting)
+        assert {setting.group for setting in found.values()} == {setting.group for setting in every(*given)}
+        return list(found.values())
+
+    monkeypatch.setattr("gearjax.studies.tradeoff.settings", one_of_each)
     if gear_set != "elliptic_pair":
         monkeypatch.setattr("gearjax.studies.tradeoff.LONGEST_GRADIENT", 0.0)
     path = tmp_path / "mine.toml"

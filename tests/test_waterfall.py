@@ -57,22 +57,29 @@ def pair():
     return dataclasses.replace(scene_of(GUO_1, {}, TEETH, slices=4), **parts)
 
 
+STEPS = 64
+
+
+@pytest.fixture(scope="module")
+def found(pair):
+    return gj.waterfall(pair, 830.0, SPEEDS, harmonics=4, steps=STEPS)
+
+
 @pytest.mark.slow
-def test_speeds_side_by_side_are_those_one_by_one(pair):
-    """Of slices in motion; and the gradient of a dynamic factor."""
-    found = gj.waterfall(pair, 830.0, SPEEDS, harmonics=4, steps=128)
+def test_speeds_side_by_side_are_those_one_by_one(pair, found):
+    """Of slices in motion; and the gradient of an amplitude, by the program of all speeds."""
     for place, speed in enumerate(SPEEDS):
         turning = dataclasses.replace(pair, system=dataclasses.replace(pair.system, input_speed=speed))
-        motion = gj.shooting(turning, 830.0, 2 * math.pi / (19 * speed), steps=128)
+        motion = gj.shooting(turning, 830.0, 2 * math.pi / (19 * speed), steps=STEPS)
         assert float(found.peak_to_peak[place]) == pytest.approx(float(motion.peak_to_peak), rel=1e-9)
-        lines = np.abs(np.fft.rfft(motion.te))[1:5] / 64
+        lines = np.abs(np.fft.rfft(motion.te))[1:5] / (STEPS / 2)
         np.testing.assert_allclose(found.amplitudes[place], lines, rtol=1e-8)
     assert (np.asarray(found.result) == 0).all()
     assert np.argmax(found.dynamic_factor) == 2
 
     def highest(mass):
         heavier = dataclasses.replace(pair, inertia=gj.MomentOfInertia(mass))
-        return gj.waterfall(heavier, 830.0, SPEEDS[1:2], harmonics=2, steps=64).amplitudes[0, 0]
+        return gj.waterfall(heavier, 830.0, SPEEDS, harmonics=4, steps=STEPS).amplitudes[1, 0]
 
     at, step = jnp.asarray(0.0587), 1e-7
     difference = (highest(at + step) - highest(at - step)) / (2 * step)
@@ -91,8 +98,7 @@ def test_a_torque_reversed_is_the_mirror_image(pair):
 
 
 @pytest.mark.slow
-def test_its_figure(pair, tmp_path):
-    found = gj.waterfall(pair, 830.0, SPEEDS, harmonics=4, steps=32)
+def test_its_figure(pair, found, tmp_path):
     figure = waterfall_figure(found, gj.natural_modes(pair, 830.0))
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels[:3] == ["TE, peak-to-peak [arcmin]", "dynamic factor [-]", "frequency [Hz]"]
