@@ -121,7 +121,7 @@ def test_recordings_without_torque_and_of_other_lengths_go_beside(scene, unit):
     )
     records = [run(unit, 150.0, noise=0.0, rows=400), run(unit, 60.0, noise=0.0, rows=300, speed=200.0), rest]
     own = of_unit(scene, unit)
-    unknowns = unknowns_of(own, "errors.planet_1", back=False, loaded=True)
+    unknowns = unknowns_of(own, None, back=False, loaded=True)
     still = Model.of(unknowns, records, loaded=True)
     model = MovingModel.of_static(still, unknowns, records, own)
     curve, _ = Problem(model, rows_of(records, own)).curve(np.append(unknowns.start, np.zeros(4)))
