@@ -171,7 +171,7 @@ def periodic():
 def test_periodic_motions_agree(periodic):
     """Shooting, harmonic balance and settled steps."""
     scene, period = periodic
-    shot = gj.shooting(scene, TORQUE, period, steps=512)
+    shot = gj.shooting(scene, TORQUE, period, steps=1024)
     balanced = gj.harmonic_balance(scene, TORQUE, period, harmonics=64)
     assert int(shot.result) == int(balanced.result) == 0
     assert bool(shot.stable)
