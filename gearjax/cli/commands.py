@@ -57,6 +57,9 @@ ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML fil
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures", callback=_writable)
 ]
+CopiesOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="folder for the copies", callback=_writable)
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 
 

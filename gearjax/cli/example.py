@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gearjax.checks import MISSING, ParameterError
-from gearjax.cli.commands import app, say
+from gearjax.cli.commands import CopiesOption, app, say
 from gearjax.config.examples import copy_example, examples
 
 
@@ -18,7 +18,7 @@ def example(
             metavar="NAME", help="name of an example, such as two_kv", autocompletion=lambda: list(examples())
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the copies")] = None,
+    out: CopiesOption = None,
 ) -> None:
     """Copy the configurations of an example, with the files that they name: gearjax example two_kv
 
