@@ -68,7 +68,7 @@ def drawn(size):
     return errors
 
 
-reducers = [drawn(0.5) for _ in range(32)]
+reducers = [drawn(0.5) for _ in range(24)]
 
 # %% [markdown]
 # ## For the design alone, and for all of them
@@ -87,7 +87,7 @@ def compensated(error_sets):
         error_sets=error_sets,
         minimum_backlash=LEAST_PLAY,
         require_positive=[lambda one: one.system.tip_clearance - 10 * um],
-        starts=4,
+        starts=2,
     )
 
 
@@ -100,17 +100,17 @@ for words, found in (("the design", alone), (f"{len(reducers)} reducers", togeth
 
 # %% [markdown]
 # ## What the errors leave of it
-# Both compensations are applied to 32 new reducers, which neither search has used. How much backlash is left in each
+# Both compensations are applied to 24 new reducers, which neither search has used. How much backlash is left in each
 # reducer at its worst angle? A reducer with a backlash below zero jams. The compensation for the design alone keeps its
-# required backlash in none of them. The 32 reducers of the search are too few to keep all other reducers free: a larger
+# required backlash in none of them. The 24 reducers of the search are too few to keep all other reducers free: a larger
 # number leaves less to chance.
 
 # %%
 system = dataclasses.replace(scene.system, **{path.split(".")[1]: value for path, value in alone.values.items()})
 optimistic = dataclasses.replace(scene, system=system)
-fine = jnp.linspace(0.0, 2 * jnp.pi, 801)
+fine = jnp.linspace(0.0, 2 * jnp.pi, 401)
 plays = {"compensated for the design": [], "compensated for all": []}
-for errors in [drawn(0.5) for _ in range(32)]:
+for errors in [drawn(0.5) for _ in range(24)]:
     for name, one in zip(plays, (optimistic, together.scene), strict=True):
         play = gj.backlash(dataclasses.replace(one, errors=errors), fine)
         plays[name].append(float(play.backlash.min()) / arcmin)
