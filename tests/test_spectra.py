@@ -228,7 +228,7 @@ def test_shipped_configurations_run_as_a_user_runs_them(tmp_path, word, name):
 def test_shipped_configurations_run_without_a_warning(tmp_path, capsys, monkeypatch, word, name):
     """Within this process, where warnings are errors and programs are shared; with less to compute.
 
-    A motion of a whole cycle, only for its spectrum, is computed for those above. Yields are counted on fewer gear sets.
+    A motion of a whole cycle, only for its spectrum, is computed for those above. Yields are of fewer gear sets.
     """
     monkeypatch.setattr("gearjax.results.tolerance.allocate", functools.partial(gj.allocate, n=256, judged=2048))
     monkeypatch.setattr("gearjax.results.spectra.MOST_SAMPLES", 20_000)
