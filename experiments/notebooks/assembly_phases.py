@@ -41,11 +41,11 @@ planets = ["errors.planet_1.phase", "errors.planet_2.phase"]
 
 # %% [markdown]
 # ## Two phases: a map can be drawn
-# The map shows 36 x 36 assemblies, computed as one batch, and the end points of 20 searches by gradients.
+# The map shows 36 x 36 assemblies, computed as one batch, and the end points of 12 searches by gradients.
 
 # %%
 grid = gj.grid_search("no_load_amplitude", scene, where=planets, step=10 * deg, theta=theta)
-found = gj.minimise("no_load_amplitude", scene, where=planets, theta=theta, starts=20)
+found = gj.minimise("no_load_amplitude", scene, where=planets, theta=theta, starts=12)
 
 
 @jax.jit
@@ -61,7 +61,7 @@ heights = jax.lax.map(lambda pair: amplitude(*pair), pairs.reshape(-1, 2), batch
 figure, axes = plt.subplots(figsize=(6, 5))
 levels = axes.contourf(degrees, degrees, heights.T / arcmin, 20, cmap="viridis")
 ends = np.asarray(found.ends) / deg % 360
-axes.plot(*ends.T, "wo", markersize=4, label="ends of 20 searches")
+axes.plot(*ends.T, "wo", markersize=4, label="ends of 12 searches")
 axes.plot(*(np.asarray(grid.best) / deg % 360), "r+", markersize=12, label="best of the grid")
 axes.set_xlabel("phase of planet 1 [deg]")
 axes.set_ylabel("phase of planet 2 [deg]")

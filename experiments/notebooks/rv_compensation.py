@@ -16,7 +16,7 @@
 # Under load the output of an RV reducer lags. Modifications of the discs can reduce this lag (Hu, Li, Zhu and Cui
 # 2020), but every micrometre of compensation reduces the backlash, and manufacturing errors reduce it further. Which
 # modifications make the lag of the ideal design small? And which modifications still leave backlash in many
-# manufactured reducers? This page runs for under two minutes.
+# manufactured reducers? This page runs for about a minute.
 
 # %%
 import dataclasses
@@ -68,7 +68,7 @@ def drawn(size):
     return errors
 
 
-reducers = [drawn(0.5) for _ in range(24)]
+reducers = [drawn(0.5) for _ in range(16)]
 
 # %% [markdown]
 # ## For the design alone, and for all of them
@@ -102,7 +102,7 @@ for words, found in (("the design", alone), (f"{len(reducers)} reducers", togeth
 # ## What the errors leave of it
 # Both compensations are applied to 24 new reducers, which neither search has used. How much backlash is left in each
 # reducer at its worst angle? A reducer with a backlash below zero jams. The compensation for the design alone keeps its
-# required backlash in none of them. The 24 reducers of the search are too few to keep all other reducers free: a larger
+# required backlash in none of them. The 16 reducers of the search are too few to keep all other reducers free: a larger
 # number leaves less to chance.
 
 # %%

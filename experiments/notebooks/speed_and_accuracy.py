@@ -15,7 +15,7 @@
 #
 # A motion can be computed in time steps of any length, in parallel windows, or in float32. If the static TE is good
 # enough, the motion need not be computed at all. How much time does each choice take, and how large is its error? And
-# how does gearjax behave at extreme stiffness, mass and damping? This page runs for one to two minutes.
+# how does gearjax behave at extreme stiffness, mass and damping? This page runs for about a minute.
 # `gearjax tradeoff CONFIG` answers the first question for a scene of yours.
 
 # %%
