@@ -190,7 +190,8 @@ def test_every_shipped_configuration_has_its_command():
 def test_the_samples_of_shipped_configurations_miss_nothing(word, name):
     """As they are shipped: most of the commands below run shorter ones."""
     scene = gj.load(ROOT / "configs" / name)
-    assert results.remarks(scene) == [] or word == "tolerance"  # whose samples are many gear sets
+    if word != "tolerance":  # whose samples are gear sets, not angles
+        assert results.remarks(scene) == []
     entries = SMALLER.get(name, {}).get("run", {})
     if "duration" in entries:  # a part of the record, with samples as far apart
         times, seconds = scene.run.times, float(entries["duration"].partition(" ")[0])
