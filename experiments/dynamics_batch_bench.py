@@ -2,7 +2,7 @@
 
 C (structure of arrays, 64 lanes, same scheme, ``-O3 -march=native -ffast-math``) and gearjax (one ``vmap``, 1,024
 scenes at a time) on one core, both precisions; diffrax with a fixed classical Runge-Kutta, its steps batched by
-``vmap``; all again with XLA told of wide vectors and whole loops (`XLA`), 128 scenes at a time; then gearjax on one and
+``vmap``; all again with XLA's option for whole loops (`gj.xla_options`), 128 scenes at a time; then gearjax on one and
 on two devices by sharding. 75 ms, 1,200 steps, position at the end. Prints nanoseconds per scene and step, medians of
 interleaved repeats, compile time apart. Needs gcc.
 
@@ -29,12 +29,11 @@ from peers import compiled_c, interleaved, pointer, reducer
 
 import gearjax as gj
 from gearjax.analysis.equation import Equation
-from gearjax.xla import LOOPS, WIDE
+from gearjax.xla import LOOPS
 
 CONFIG = Path(__file__).parents[1] / "configs" / "two_kv" / "wang_2020.toml"
 BODIES = ("planet_1", "planet_2", "revolution", "output_wheel")
 TORQUE, SPACING, EACH, SAMPLES = 100.0, 1e-3, 16, 76
-XLA = f"{WIDE} {LOOPS}"
 STEPS = EACH * (SAMPLES - 1)
 
 C = r"""
@@ -237,14 +236,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="batches of dynamic solves against C and diffrax")
     parser.add_argument("--scenes", type=int, default=10240)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--part", choices=("one_core", "wide", "two_devices"))
+    parser.add_argument("--part", choices=("one_core", "loops", "two_devices"))
     given = parser.parse_args()
     if given.part == "two_devices":
         two_devices(given.scenes, given.repeats)
     elif given.part:
-        one_core(given.scenes, given.repeats, 128 if given.part == "wide" else 1024)
+        one_core(given.scenes, given.repeats, 128 if given.part == "loops" else 1024)
     else:
-        for part, flags in (("one_core", ""), ("wide", XLA), ("two_devices", "")):
+        for part, flags in (("one_core", ""), ("loops", LOOPS), ("two_devices", "")):
             command = [sys.executable, __file__, "--scenes", str(given.scenes), "--repeats", str(given.repeats)]
             subprocess.run([*command, "--part", part], check=True, env={**os.environ, "XLA_FLAGS": flags})
 

@@ -5,7 +5,7 @@ C (``-O3 -march=native -ffast-math``, sequential) with the same scheme and with 
 numba with Runge-Kutta; diffrax with Dopri5; scipy with LSODA on a numba right-hand side. Errors are those of the
 3,001 samples against Runge-Kutta at 12 million steps in C. Prints medians of interleaved repeats, compile time apart.
 The process is held to one core, as C has one thread. The adaptive peers are compared with the fewest steps of gearjax
-whose largest error is smaller than theirs. ``XLA_FLAGS`` works as ever: see `XLA` in ``dynamics_batch_bench.py``. Needs
+whose largest error is smaller than theirs. ``XLA_FLAGS`` works as ever: see `gj.xla_options`. Needs
 gcc and numba (``pip install numba``).
 
     python experiments/dynamics_bench.py [--torque 100] [--repeats 9]

@@ -55,7 +55,7 @@ def _quick_options() -> str:
     """XLA's options that make compiling quicker, as far as this version of it knows them."""
     xla = runpy.run_path(str(ROOT / "gearjax" / "xla.py"))
     quick = xla["QUICK_COMPILER"]
-    return next((options for options in (f"{quick} {ONE_PIECE}", quick) if xla["is_known"](options)), "")
+    return next((options for options in (f"{quick} {ONE_PIECE}", quick) if xla["is_usable"](options)), "")
 
 
 def pytest_configure(config: pytest.Config) -> None:

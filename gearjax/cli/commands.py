@@ -4,13 +4,13 @@ import json
 import math
 import os
 import warnings
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
+import gearjax
 from gearjax.analysis import FewAngles
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
 from gearjax.cli.report import Report, ReportOption
@@ -65,7 +65,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object 
 
 def _show_version(wanted: bool | None) -> None:
     if wanted:
-        print(f"gearjax {metadata.version('gearjax')}")
+        print(f"gearjax {gearjax.__version__}")
         raise typer.Exit
 
 

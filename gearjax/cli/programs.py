@@ -53,12 +53,12 @@ def set_options(folder: Path | None, *, runs_long: bool) -> None:
     """Set XLA's options before XLA starts, unless the user has set them or the shell only completes a word.
 
     Args:
-        folder: folder to keep the list of options that this version of XLA knows: to find them takes a second or two.
+        folder: folder to keep the list of options that suit this version of XLA, which it takes seconds to find.
         runs_long: whether the command computes longer than it compiles.
     """
     if "XLA_FLAGS" in os.environ or "_GEARJAX_COMPLETE" in os.environ:
         return
-    file = folder / f"options-{jaxlib.version.__version__}.txt" if folder is not None else None
+    file = folder / f"usable-options-{jaxlib.version.__version__}.txt" if folder is not None else None
     try:
         known = file.read_text(encoding="utf-8") if file is not None else None
     except OSError:

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
+import gearjax
 from gearjax.plot.report_parts import SCRIPT, STYLE
 
 MOST_VALUES = 20_000  # largest number of values of one axes that the pointer can show
@@ -52,8 +53,10 @@ def report_page(
 
 def _versions() -> dict[str, str]:
     """Versions of gearjax, of Python, and of the packages on which the numbers depend."""
-    packages = ("gearjax", "jax", "jaxlib", "diffrax", "numpy", "scipy")
-    return {name: metadata.version(name) for name in packages} | {
+    packages = ("jax", "jaxlib", "diffrax", "numpy", "scipy")
+    return {
+        "gearjax": gearjax.__version__,
+        **{name: metadata.version(name) for name in packages},
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
     }

@@ -13,12 +13,12 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import gearjax
 from gearjax.checks import GearjaxError, place, writing
 from gearjax.config.tables import flattened
 from gearjax.config.tolerance import sampled
@@ -28,7 +28,7 @@ from gearjax.tolerance.monte_carlo import Evaluated
 from gearjax.units import arcmin
 
 NAME = "samples.zarr"
-_FORMAT = 2
+_FORMAT = 3  # samples of format 2 may come from programs with a wrong arctangent, and are not continued
 _NEW = f".{NAME}.new"
 _MARKS, _CODES = "done", "result"
 _ABOUT = "zarr.json"
@@ -56,7 +56,7 @@ class Store:
 
     def __init__(self, folder: Path, definition: dict[str, Any], work: Work, config: str):
         self.path, self.work = folder / NAME, work
-        wanted = {"format": _FORMAT, "gearjax": metadata.version("gearjax"), "chunk": work.chunk}
+        wanted = {"format": _FORMAT, "gearjax": gearjax.__version__, "chunk": work.chunk}
         wanted |= flattened(sampled(definition))
         self._study = json.dumps(wanted, sort_keys=True)
         self._columns = {name: np.dtype("<f8") for name in work.names} | {_CODES: np.dtype("<i4")}
