@@ -236,7 +236,9 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "chosen_steps": lambda case: gj.chosen_steps(case.moved, case.ts, TORQUE).step,
     "accuracy_grades": lambda case: gj.accuracy_grades(case.scene, case.scene.system.bodies[0]),
     "compare": lambda case: [record.computed for record in gj.compare(case.moved, case.recording).records],
+    "bearing_forces": lambda case: gj.bearing_forces(case.moved, case.te(TORQUE)).forces,
     "contact_pressure": lambda case: gj.contact_pressure(case.moved, case.te(TORQUE), STEEL),
+    "face_load": lambda case: gj.face_load(case.moved, case.te(TORQUE)).factor,
     "identify": lambda case: case.identified.fit.values,
     "interference": lambda case: gj.interference(case.moved, case.theta),
     "joint_model": lambda case: gj.joint_model(case.moved, TORQUE).cosine,
@@ -358,8 +360,13 @@ MOTION = (
 )
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing
     ("accuracy_grades", "", ""): "lists no measured_flank",
+    ("bearing_forces", "", ""): "need supports",
     ("contact_pressure", "two_kv", ""): "line contacts",
     ("contact_pressure", "elliptic_pair", ""): "line contacts",
+    **{
+        ("face_load", kind, ""): "needs slices across the face"
+        for kind in ("two_kv", "rv_cycloidal", "involute_rv", "elliptic_pair")
+    },
     **{
         (name, "elliptic_pair", ""): "needs an output that turns evenly"
         for name in ("one_contact", "joint_model", "export_joint")
@@ -510,7 +517,8 @@ def test_functions_on_supports(name, gear_set):
     assert bodies
     supports, inertia = (dict.fromkeys(bodies, part) for part in (gj.Support(x=2e8, y=3e8), gj.BodyInertia(0.5)))
     case.scene = dataclasses.replace(case.scene, supports=supports, body_inertia=inertia)
-    judge((OF_A_SCENE | OF_NUMBERS)[name], case, refusal(name, gear_set, "amplitude"))
+    refused = None if name == "bearing_forces" else refusal(name, gear_set, "amplitude")
+    judge((OF_A_SCENE | OF_NUMBERS)[name], case, refused)
 
 
 COMMANDS: dict[str, Callable[[Number], dict[str, Any]] | None] = {

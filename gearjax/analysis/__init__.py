@@ -1,7 +1,9 @@
 """Analyses of a scene: quasi-static and dynamic analyses, their metrics and order spectra."""
 
+from gearjax.analysis.bearings import BearingForces, bearing_forces
 from gearjax.analysis.choice import ChosenSteps
 from gearjax.analysis.dynamics import chosen_steps, growth_rate, simulate
+from gearjax.analysis.face_load import FaceLoad, face_load
 from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.harmonic_balance import harmonic_balance
@@ -30,9 +32,11 @@ from gearjax.analysis.waterfall import Waterfall, waterfall
 __all__ = [
     "AdaptiveStep",
     "Backlash",
+    "BearingForces",
     "ChosenSteps",
     "ExponentialFit",
     "ExponentialParabola",
+    "FaceLoad",
     "FewAngles",
     "FixedStep",
     "Interference",
@@ -52,8 +56,10 @@ __all__ = [
     "Waterfall",
     "Windows",
     "backlash",
+    "bearing_forces",
     "chosen_steps",
     "contact_pressure",
+    "face_load",
     "growth_rate",
     "harmonic_balance",
     "interference",

@@ -85,8 +85,8 @@ def recorded(
         return Motion(ts, *states, forces, *extremes, settle, failed, whole, layout)
     place, speed, highest, lowest = (part if part.ndim == 1 else part[:, 0] for part in (*states, *extremes))
     names = equation.structure.names
-    moved = states[0][:, 1:] if len(names) > 1 else None
-    return Motion(ts, place, speed, forces, highest, lowest, settle, failed, whole, layout, None, moved, names)
+    moved, rates = (part[:, 1:] if len(names) > 1 else None for part in states)
+    return Motion(ts, place, speed, forces, highest, lowest, settle, failed, whole, layout, None, moved, names, rates)
 
 
 def even_steps(equation: Motive, ts: Array, state: Array, solver: diffrax.AbstractSolver, steps: int):

@@ -24,6 +24,7 @@ class Motion(eqx.Module):
         carriers: number of pairs that could carry the torque at each time, shape (n,); ``None`` if all could.
         moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` if there are none.
         coordinates: names of the coordinates: the output, then the others.
+        moved_velocity: rates of the displacements in the other coordinates, shape (n, coordinate) [m/s, rad/s].
     """
 
     ts: Float[Array, " n"]
@@ -39,12 +40,19 @@ class Motion(eqx.Module):
     carriers: Int[Array, " n"] | None = None
     moved: Float[Array, "n coordinate"] | None = None
     coordinates: tuple[str, ...] = eqx.field(static=True, default=("output",))
+    moved_velocity: Float[Array, "n coordinate"] | None = None
 
     @property
     def q(self) -> Float[Array, "... n coordinate"]:
         """Displacement from the ideal motion in each coordinate, the output's first [rad, m]."""
         te = self.te[..., None]
         return te if self.moved is None else jnp.concatenate([te, self.moved], axis=-1)
+
+    @property
+    def rates(self) -> Float[Array, "... n coordinate"]:
+        """Rate of the displacement in each coordinate, the output's first [rad/s, m/s]."""
+        rate = self.velocity[..., None]
+        return rate if self.moved_velocity is None else jnp.concatenate([rate, self.moved_velocity], axis=-1)
 
     @property
     def settled(self) -> Array:

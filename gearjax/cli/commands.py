@@ -17,6 +17,7 @@ from gearjax.cli.report import Report, ReportOption
 from gearjax.cli.tables import (
     print_accuracy,
     print_cases,
+    print_face_load,
     print_optimisation,
     print_rows,
     print_shifts,
@@ -28,6 +29,7 @@ from gearjax.reproduce import PAPERS, Row, validation_page
 from gearjax.results import (
     GradedGear,
     clash_of,
+    face_load_factors,
     graded_gears,
     growth_remark,
     remarks,
@@ -129,6 +131,9 @@ def _run(
         told["interference"] = overlap.as_json(scene)
     if graded:
         told["accuracy"] = [gear.as_json() for gear in graded]
+    factors = face_load_factors(scene, cases)
+    if factors:
+        told["face_load_factor"] = factors
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second to import; a run with --json need not wait
 
@@ -141,6 +146,7 @@ def _run(
         print(json.dumps(told, allow_nan=False))
     else:
         print_cases(cases, scene.system.told_of_forces)
+        print_face_load(factors)
         print_accuracy(graded)
 
 

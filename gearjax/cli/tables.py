@@ -46,6 +46,14 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         console.print(f"fastest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
 
 
+def print_face_load(factors: dict[str, float]) -> None:
+    """Print the face load factors of cases; nothing if there are none."""
+    if factors:
+        each = "; ".join(f"{title}: {factor:.3f}" for title, factor in factors.items())
+        words = "highest load per width across the face over the mean, of the loads averaged over the record"
+        output().print(f"face load factor K_Hbeta: {each} ({words})", soft_wrap=True)
+
+
 def print_accuracy(gears: list[GradedGear]) -> None:
     """Print deviations and grades of measured gears; nothing if there are none."""
     if not gears:

@@ -48,10 +48,9 @@ class SlicePoints(NamedTuple):
     gap: Float[Array, "pair slice"]
 
 
-def _middles(pair: InvolutePair, slices: int) -> Float[Array, " slice"]:
+def middles(face_width: Scalar, slices: int) -> Float[Array, " slice"]:
     """Middles of slices of equal width, counted from the middle of the face [m]."""
-    middles = (jnp.arange(slices, dtype=pair.face_width.dtype) + 0.5) / slices
-    return pair.face_width * (middles - 0.5)
+    return face_width * ((jnp.arange(slices, dtype=face_width.dtype) + 0.5) / slices - 0.5)
 
 
 def slice_points(pair: InvolutePair, angle: Scalar, side: int, pairs: int, slices: int, corners: bool) -> SlicePoints:
@@ -75,7 +74,7 @@ def slice_points(pair: InvolutePair, angle: Scalar, side: int, pairs: int, slice
     middle = turned + side * (path.pitch - 0.5 * (path.begin + path.end)) / pitch
     slots = jnp.arange(pairs, dtype=angle.dtype)
     tooth = slots + pairs * jnp.round((middle - slots) / pairs)
-    place, half = _middles(pair, slices), 0.5 * pair.face_width / slices
+    place, half = middles(pair.face_width, slices), 0.5 * pair.face_width / slices
     lean = jnp.tan(pair.base_helix_angle)
     length = path.pitch + side * ((turned - tooth)[:, None] * pitch + place[None, :] * lean)
     before, after = path.begin - length, length - path.end

@@ -6,7 +6,7 @@ from gearjax.plot.involute import pair_figure, save_pair_figure
 from gearjax.plot.noncircular import noncircular_figure, save_noncircular_animation
 from gearjax.plot.optimisation import save_optimisation_figures
 from gearjax.plot.report import report_page
-from gearjax.plot.run import error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
+from gearjax.plot.run import bearing_figure, error_figure, force_figure, mark_multiples, save_figures, spectrum_figure
 from gearjax.plot.schematic import schematic_figure
 from gearjax.plot.stiffness import stiffness_figure
 from gearjax.plot.tolerance import save_tolerance_figures
@@ -14,6 +14,7 @@ from gearjax.plot.tradeoff import save_tradeoff_figure
 from gearjax.plot.waterfall import waterfall_figure
 
 __all__ = [
+    "bearing_figure",
     "draw_curve",
     "error_figure",
     "figures_kept",

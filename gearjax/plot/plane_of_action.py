@@ -24,8 +24,8 @@ PER_MM = 1e-3
 def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) -> Figure:
     """Draw the load per length over the plane of action: along the path of contact, and across the face.
 
-    One drawing shows the contact lines at the first angle, coloured by their load per length. The other shows the
-    highest load per length of all angles at each place.
+    The first drawing shows the contact lines at the first angle, coloured by their load per length. The second shows
+    the highest load per length of all angles at each place, the third the mean load per width across the face.
 
     Args:
         scene: scene with a `HelicalPair`.
@@ -41,8 +41,8 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     ends = float(path.begin) / mm, float(path.end) / mm
     half = 0.5 * float(system.face_width) / mm
     scale = Normalize(0.0, max(float(load.max()), 1e-9))
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    lines, highest = figure.subplots(1, 2, sharey=True)
+    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
+    lines, highest, spread = figure.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 0.5))
     _draw_lines(lines, system, (roll[0], across[0], load[0]), scale)
     edges = np.linspace(*ends, CELLS + 1), np.linspace(-half, half, system.slices + 1)
     cells = [
@@ -52,11 +52,10 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     np.maximum.at(table, tuple(cells), load)
     drawn = highest.pcolormesh(*edges, np.stack([_filled(row) for row in table.T]), norm=scale, cmap="viridis")
     figure.colorbar(drawn, ax=[lines, highest], label="load per length [N/mm]")
+    _draw_mean(spread, system, forces)
     turn = np.degrees(float(theta[0])) % 360
     lines.set_title(f"contact lines, pinion at {turn:.1f} deg", fontsize="medium")
-    mean = float(forces.sum(axis=1).mean()) / float(system.face_width) * PER_MM
-    told = f"maximum of {len(theta)} angles, {load.max():.3g} N/mm; mean total {mean:.3g} N per mm of face"
-    highest.set_title(told, fontsize="medium")
+    highest.set_title(f"maximum of {len(theta)} angles, {load.max():.3g} N/mm", fontsize="medium")
     for axes in (lines, highest):
         axes.add_patch(Rectangle((ends[0], -half), ends[1] - ends[0], 2 * half, fill=False, edgecolor="0.4"))
         axes.axvline(float(path.pitch) / mm, color="0.6", linewidth=0.8, linestyle="--")
@@ -64,6 +63,18 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
         axes.set(xlim=(ends[0] - 1, ends[1] + 1), ylim=(-1.05 * half, 1.05 * half))
     lines.set_ylabel("across the face [mm]")
     return figure
+
+
+def _draw_mean(axes: Axes, system: HelicalPair, forces: np.ndarray) -> None:
+    """Mean load per width across the face, and the face load factor."""
+    width = float(system.face_width) / system.slices
+    mean = forces.reshape(len(forces), -1, system.slices).sum(axis=1).mean(axis=0) / width * PER_MM
+    place = (np.arange(system.slices) + 0.5 - 0.5 * system.slices) * width / mm
+    axes.barh(place, mean, height=width / mm, color="0.75")
+    axes.axvline(mean.mean(), color="C3", linewidth=1.0, label="mean of the face")
+    axes.set_title(f"mean of the angles, K_Hbeta {mean.max() / max(mean.mean(), 1e-12):.3g}", fontsize="medium")
+    axes.set_xlabel("load per width of face [N/mm]")
+    axes.legend(fontsize="small", loc="lower left")
 
 
 def _filled(row: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from gearjax.plot.measured import measured_figure
 from gearjax.plot.noncircular import noncircular_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.plot.schematic import schematic_figure
-from gearjax.results import Case, order_lines, required_run
+from gearjax.results import Case, forces_on_bearings, order_lines, required_run
 from gearjax.scene import Scene
 from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
@@ -98,11 +98,30 @@ def moved_figure(scene: Scene, cases: list[Case]) -> Figure | None:
             rows += [(case, label, own)] if own else []
     if not rows:
         return None
+    return _of_bodies(scene, "Motion of bodies other than the output", rows)
+
+
+def bearing_figure(scene: Scene, cases: list[Case]) -> Figure | None:
+    """Draw the forces and moments of bodies on their supports over time; ``None`` without supports or loads."""
+    rows = []
+    for case in cases:
+        found = forces_on_bearings(scene, case)
+        if found is None:
+            continue
+        for unit, label in (("m", "bearing force [N]"), ("rad", "bearing moment [N m]")):
+            own = [(name, np.asarray(found.of(name))) for name in found.names if unit_of(name) == unit]
+            rows += [(case, label, own)] if own else []
+    return _of_bodies(scene, "Forces of bodies on their supports", rows) if rows else None
+
+
+def _of_bodies(scene: Scene, title: str, rows: list[tuple[Case, str, list[tuple[str, np.ndarray]]]]) -> Figure:
+    """Curves of several bodies over time: case, label of the axis, and the curves by name, in each row."""
     figure, axes = new_figure(len(rows), height=2.6)
     for ax, (case, label, curves) in zip(axes, rows, strict=True):
-        for name, moved in curves:
-            ax.plot(*thin(required_run(scene).times, moved), label=name, linewidth=1.0)
-        finish(ax, f"Motion of bodies other than the output, {case.title}", y=label)
+        for name, values in curves:
+            ax.plot(*thin(required_run(scene).times, values), label=name, linewidth=1.0)
+        finish(ax, f"{title}, {case.title}", y=label)
+    add_input_angle(axes[0], float(scene.system.input_speed))
     return figure
 
 
@@ -208,6 +227,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "contact_forces.png": force_figure(scene, cases),
         "order_spectrum.png": spectrum_figure(scene, cases),
         "support_displacements.png": moved_figure(scene, cases),
+        "bearing_forces.png": bearing_figure(scene, cases),
     }
     if any(isinstance(error, AbstractMeasured) for error in scene.errors.values()):
         figures["measured.png"] = measured_figure(scene)

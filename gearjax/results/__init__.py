@@ -12,6 +12,7 @@ from gearjax.results.cases import (
     save,
     stored_config,
 )
+from gearjax.results.loads_on_parts import face_load_factors, forces_on_bearings
 from gearjax.results.optimisation import Optimisation, optimise, save_optimisation
 from gearjax.results.spectra import OrderLines, order_lines
 from gearjax.results.tradeoff import as_json as tradeoff_as_json
@@ -23,6 +24,8 @@ __all__ = [
     "Optimisation",
     "OrderLines",
     "clash_of",
+    "face_load_factors",
+    "forces_on_bearings",
     "graded_gears",
     "growth_remark",
     "highest_load_sharing",

@@ -18,6 +18,7 @@ from gearjax.analysis import (
     Motion,
     TransmissionError,
     backlash,
+    bearing_forces,
     interference,
     simulate,
     transmission_error,
@@ -265,6 +266,11 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
             variables[f"{name}_moved"] = (("time", "coordinate"), np.asarray(case.result.moved), label)
             coordinates["coordinate"] = ("coordinate", list(moving), {})
             coordinates["coordinate_unit"] = ("coordinate", units, {})
+            if scene.supports and forces is not None:
+                held = bearing_forces(scene, case.result)
+                label = {"units": "N, N m", "long_name": f"forces of bodies on their supports, {case.title}"}
+                variables[f"{name}_bearing_force"] = (("time", "support"), np.asarray(held.forces), label)
+                coordinates["support"] = ("support", list(held.names), {})
         if isinstance(case.result, Backlash):
             for edge in ("lower", "upper"):
                 label = {"units": "rad", "long_name": f"{edge} edge of the backlash"}

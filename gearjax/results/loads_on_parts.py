@@ -1,0 +1,31 @@
+"""What a run tells of the loads on faces and bearings."""
+
+import numpy as np
+
+from gearjax.analysis import BearingForces, Motion, TransmissionError, bearing_forces, face_load
+from gearjax.results.cases import Case
+from gearjax.scene import Scene
+
+
+def face_load_factors(scene: Scene, cases: list[Case]) -> dict[str, float]:
+    """Face load factor K_Hbeta of each loaded case at rest, by its title; empty if the gear set has no slices.
+
+    A record shorter than a mesh has none, as the mean over a part of a mesh depends on the part.
+    """
+    factors = {}
+    for case in cases:
+        te = case.result
+        if not scene.system.has_slices or not isinstance(te, TransmissionError) or te.forces is None:
+            continue
+        span = float(te.theta[-1] - te.theta[0]) * scene.system.orders["mesh"] / (2 * np.pi)
+        if span > 1 - 1e-9:
+            factors[case.title] = float(face_load(scene, te).factor)
+    return {title: factor for title, factor in factors.items() if np.isfinite(factor)}
+
+
+def forces_on_bearings(scene: Scene, case: Case) -> BearingForces | None:
+    """Forces on the supports of a loaded case; ``None`` without supports or forces."""
+    result = case.result
+    if not scene.supports or not isinstance(result, TransmissionError | Motion) or result.forces is None:
+        return None
+    return bearing_forces(scene, result)
