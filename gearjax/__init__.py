@@ -101,6 +101,7 @@ from gearjax.errors import (
     Sizes,
     TipRelief,
 )
+from gearjax.gear_set_checks import UnnamedOrder
 from gearjax.geometry import BasicRack
 from gearjax.identification import (
     Combination,
@@ -333,6 +334,7 @@ __all__ = [
     "Uniform",
     "UniformPhase",
     "Unknowns",
+    "UnnamedOrder",
     "Visible",
     "Waterfall",
     "Windows",

@@ -4,6 +4,8 @@ import contextlib
 import difflib
 import itertools
 import re
+import sys
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -11,6 +13,16 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+CALLED_THROUGH = (
+    "gearjax",
+    "equinox",
+    "jax",
+    "jaxlib",
+    "beartype",
+    "jaxtyping",
+    "dataclasses",
+    "functools",
+)
 _LONGEST_KEY = 100
 _SHOWN = 40  # characters of a given value that an error repeats
 _NAME = re.compile(r"[^\W\d_][\w-]*")
@@ -161,6 +173,14 @@ MISSING = Missing()
 def is_concrete(value: object) -> bool:
     """Whether the numbers of ``value`` are known now, that is, whether none of them is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+
+
+def warn_the_caller(words: str, category: type[Warning]) -> None:
+    """Warn at the line of the caller: the first one outside gearjax and the packages through which it calls itself."""
+    frame, level = sys._getframe(1), 2
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in CALLED_THROUGH:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(words, category, stacklevel=level)
 
 
 def is_batched(value: object) -> bool:

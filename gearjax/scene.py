@@ -87,6 +87,7 @@ class Scene(eqx.Module):
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
+        from gearjax.gear_set_checks import check_gear_set
         from gearjax.scene_checks import check_body, check_coupled, check_moving  # that module imports this one
 
         if not isinstance(self.system, AbstractSystem):
@@ -118,6 +119,7 @@ class Scene(eqx.Module):
 
         check_moving(self)
         check_coupled(self)
+        check_gear_set(self)
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -41,6 +41,7 @@ LAYERS = {
     "run": 1,
     "scene": 2,
     "scene_checks": 2,
+    "gear_set_checks": 2,
     "arguments": 2,
     "analysis": 3,
     "studies": 4,

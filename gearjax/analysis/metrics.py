@@ -1,13 +1,12 @@
 """Metrics of a record."""
 
 import math
-import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import is_concrete
+from gearjax.checks import is_concrete, warn_the_caller
 from gearjax.contact import Layout
 from gearjax.typing import Array, Float, Int
 
@@ -53,7 +52,7 @@ def warn_of_few_angles(theta: Float[Array, "... n"], fastest_order: float) -> No
         return
     words = few_angles(theta, fastest_order)
     if words is not None:
-        warnings.warn(words, FewAngles, stacklevel=3)
+        warn_the_caller(words, FewAngles)
 
 
 @jax.custom_jvp
