@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.results import face_load_factors, run_cases
 from gearjax.units import um
 from tests.helical_pairs import GUO_1, SPUR, TEETH, meshes_of, scene_of
 
@@ -90,6 +91,18 @@ def test_of_a_motion():
     still = gj.face_load(scene, gj.transmission_error(scene, ts * scene.system.input_speed, torque=TORQUE))
     assert moved.load.shape == still.load.shape
     assert moved.factor == pytest.approx(float(still.factor), abs=2e-3)
+
+
+def test_what_a_run_tells():
+    """The factor of each case at rest over a mesh or more; a shorter record has none."""
+    scene = dataclasses.replace(misaligned(6 * um, 9), run=gj.Run(0.06, 65, ("static",), (TORQUE,)))
+    turn = 2 * np.pi / scene.system.pinion_teeth / float(scene.system.input_speed)
+    assert turn < 0.06
+    told = face_load_factors(scene, list(run_cases(scene)))
+    assert list(told) == ["static, 400 N m"]
+    assert told["static, 400 N m"] == pytest.approx(1.165, abs=0.01)
+    short = dataclasses.replace(scene, run=gj.Run(0.9 * turn, 65, ("static",), (TORQUE,)))
+    assert not face_load_factors(short, list(run_cases(short)))
 
 
 def test_refusals(scene):

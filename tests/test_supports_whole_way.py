@@ -36,7 +36,8 @@ def test_from_a_configuration_to_files_and_figures(text, tmp_path):
     assert float(scene.supports["disc_2"].y) == 1.6e8
     cases = list(results.run_cases(scene))
     results.save(scene, cases, text, tmp_path)
-    assert "support_displacements.png" in [path.name for path in plot.save_figures(scene, cases, tmp_path)]
+    written = [path.name for path in plot.save_figures(scene, cases, tmp_path)]
+    assert {"support_displacements.png", "bearing_forces.png"} <= set(written)
     with xr.open_dataset(tmp_path / "results.nc", engine="scipy") as stored:
         moved = stored["static_784_Nm_moved"]
         assert [name.decode() if isinstance(name, bytes) else str(name) for name in moved["coordinate"].values] == [
@@ -45,6 +46,10 @@ def test_from_a_configuration_to_files_and_figures(text, tmp_path):
             "disc_2.y",
         ]
         np.testing.assert_array_equal(moved.values, cases[-1].result.moved)
+        held = stored["static_784_Nm_bearing_force"]  # a disc rests on its crank in proportion to its displacement
+        first, second = scene.supports["disc_1"], scene.supports["disc_2"]
+        stiff = [float(one) for one in (first.x, first.y, second.y)]
+        np.testing.assert_allclose(held.values, moved.values * stiff, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

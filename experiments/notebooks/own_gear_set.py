@@ -15,7 +15,8 @@
 #
 # gearjax describes a gear set by its contacts alone: where they are, how the output moves them, how errors of bodies
 # open them. Two spur gears with run-out need one class of some 40 lines. Every analysis then works for them: TE,
-# backlash, forces, motion, gradients, batches, tolerances, identification. This page runs for some ten seconds.
+# backlash, forces, motion, gradients, batches, tolerances, identification. This page runs for half a minute, mostly to
+# compile.
 #
 # The sketch: the teeth touch along the line of action, which is inclined by the pressure angle. The driving flank is on
 # one side, the back flank on the other. If the output turns by `q`, a contact closes by `lever * q`. An eccentricity
@@ -65,8 +66,10 @@ class TwoSpurWheels(gj.AbstractSystem):
     def bodies(self) -> tuple[str, ...]:
         return ("pinion", "wheel")
 
+    # Cycles per turn of the input of every wave in the gaps, so that angles and time steps resolve it. "mesh" may vary
+    # the stiffness only: gaps that change from tooth to tooth name the teeth again, as "tooth".
     @property
-    def orders(self) -> Mapping[str, float]:  # turns per turn of the input
+    def orders(self) -> Mapping[str, float]:
         return {"output": self.pinion_teeth / self.wheel_teeth, "mesh": float(self.pinion_teeth)}
 
     @property
@@ -79,9 +82,11 @@ class TwoSpurWheels(gj.AbstractSystem):
     def pose(self, theta: Scalar, request: Request) -> Pose:
         side = jnp.asarray(self.layout(request).side, theta.dtype)
         turned = {"pinion": theta, "wheel": -self.pinion_teeth / self.wheel_teeth * theta}
-        sign = {"pinion": -side, "wheel": side}
+        sign = {"pinion": -side, "wheel": side}  # change of the gap per shift of the body along the line of action
+        # angle of the body and of its mark from the line of action, and that sign, for each contact
         views = {body: BodyView(turned[body], side * self.pressure_angle, sign[body]) for body in request.bodies}
-        mesh = jnp.reshape(self.pinion_teeth * theta, (1,)) if request.mesh else None
+        mesh = jnp.reshape(self.pinion_teeth * theta, (1,)) if request.mesh else None  # a phase for each pair of teeth
+        # levers of driving flanks are negative: they close when the output turns back
         return Pose(theta, -side[:, None] * self.wheel_base_radius, jnp.zeros_like(side), views, mesh)
 
 
@@ -169,5 +174,8 @@ figure.savefig(OUT / "own_gear_set.svg")
 
 # %% [markdown]
 # What to change next: several pairs (`Layout.of_flanks(2, ...)`), levers that change with the angle (return them from
-# `pose`), bodies on supports. Test your class against equations that you write down independently, as above. To use the
-# class with the command `gearjax`, put it into a package and list it as an entry point in the group `gearjax.systems`.
+# `pose`), bodies on supports. A pair of teeth that leaves comes back as the pair that enters: with n pairs, contact i
+# stays with every n-th tooth, and the gap may jump where it is wide open. A wave that `orders` does not name is told by
+# a warning (`gj.UnnamedOrder`), also if an error of your own makes it (page "parts of one's own"). Test your class
+# against equations that you write down independently, as above. To use the class with the command `gearjax`, put it
+# into a package and list it as an entry point in the group `gearjax.systems`.

@@ -164,10 +164,11 @@ def print_cases(cases: list[Case], told: str | None = None) -> None:
     part = next((case for case in cases if " of " in case.span), None)
     if part is not None:
         words = f"the record has {part.window:g} s of the {part.cycle:g} s after which all errors repeat"
-        console.print(f"{part.span}: {words}: extremes may lie outside the record", style="dim", soft_wrap=True)
+        words += f': extremes may lie outside the record; [run] duration = "{part.cycle:g} s" has all of it'
+        console.print(f"{part.span}: {words}", style="dim", soft_wrap=True)
     console.print("amplitude: largest absolute value", style="dim", soft_wrap=True)
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):
-        titles = ", ".join(case.title for case in cases if case.published and case.published.note == note)
+        titles = "; ".join(case.title for case in cases if case.published and case.published.note == note)
         console.print(f"{titles}: {note}", style="dim", soft_wrap=True)
     if told is not None and any(getattr(case.result, "forces", None) is not None for case in cases):
         console.print(told, style="dim", soft_wrap=True)

@@ -117,7 +117,8 @@ def read_tables(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as fault:
         words = " ".join(str(fault).split(";")[0].split())[:120] or "nested too deeply"
-        raise GearjaxError(f"not a TOML configuration: {words}") from fault
+        hint = ' (values with units are in quotes: module = "2.5 mm")' if "after a statement" in words else ""
+        raise GearjaxError(f"not a TOML configuration: {words}{hint}") from fault
 
 
 def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:

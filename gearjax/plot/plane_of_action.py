@@ -42,7 +42,7 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     half = 0.5 * float(system.face_width) / mm
     scale = Normalize(0.0, max(float(load.max()), 1e-9))
     figure = Figure(figsize=(13.0, 4.2), layout="constrained")
-    lines, highest, spread = figure.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 0.5))
+    lines, highest, spread = figure.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 0.6))
     _draw_lines(lines, system, (roll[0], across[0], load[0]), scale)
     edges = np.linspace(*ends, CELLS + 1), np.linspace(-half, half, system.slices + 1)
     cells = [
@@ -72,8 +72,8 @@ def _draw_mean(axes: Axes, system: HelicalPair, forces: np.ndarray) -> None:
     place = (np.arange(system.slices) + 0.5 - 0.5 * system.slices) * width / mm
     axes.barh(place, mean, height=width / mm, color="0.75")
     axes.axvline(mean.mean(), color="C3", linewidth=1.0, label="mean of the face")
-    axes.set_title(f"mean of the angles, K_Hbeta {mean.max() / max(mean.mean(), 1e-12):.3g}", fontsize="medium")
-    axes.set_xlabel("load per width of face [N/mm]")
+    axes.set_title(f"K_Hbeta {mean.max() / max(mean.mean(), 1e-12):.3g}", fontsize="medium")
+    axes.set_xlabel("mean load per width of face [N/mm]")
     axes.legend(fontsize="small", loc="lower left")
 
 

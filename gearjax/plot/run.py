@@ -1,6 +1,6 @@
 """Figures of a run."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -140,7 +140,8 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     """Draw order spectra per turn of the output: errors of the bodies, and up to the mesh order for a motion.
 
     The spectra are of whole cycles if possible (`order_lines`); then they have no leakage between the lines. The crank
-    order and its multiples are marked; for a motion, and in a system without crank, the mesh order.
+    order and its multiples are marked; for a motion, and in a system without crank, the mesh order. The orders of other
+    bodies are marked too, for a motion as sidebands of the mesh order.
     """
     groups = [
         (title, [case for case in cases if case.analysis in kinds])
@@ -168,12 +169,13 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         ax.set_ylim(1e-5 * top, 2 * top)
         mark = orders["mesh"] if dynamic else orders[name]
         mark_multiples(ax, mark / orders["output"], "mesh" if dynamic else name)
+        _mark_others(ax, orders, mark, dynamic)
         window = "whole cycles" if all(lines.whole for _, lines in spectra) else "Hann window"
         apart = f"{spectra[0][1].order[1]:.2g}"
         finish(
             ax,
-            f"Order spectrum, {title} ({window}, lines {apart} order{'s' * (apart != '1')} apart)",
-            x="order [cycles per turn of the output]",
+            f"Order spectrum, {title}",
+            x=f"order [cycles per turn of the output], lines {apart} order{'s' * (apart != '1')} apart ({window})",
             y="amplitude [arcmin]",
         )
     return figure
@@ -184,6 +186,26 @@ def mark_multiples(ax: Axes, base: float, name: str) -> None:
     for number in range(1, int(ax.get_xlim()[1] / base) + 1):
         label = f"{name} order {base:g}\nand multiples" if number == 1 else None
         ax.axvline(number * base, color="0.5", linestyle=":", linewidth=0.8, label=label)
+
+
+def _mark_others(ax: Axes, orders: Mapping[str, float], marked: float, sidebands: bool) -> None:
+    """Draw dashed lines at the other named orders, in a spectrum up to the mesh order at its sidebands by them."""
+    known = {round(marked, 9), round(orders["output"], 9), round(orders["mesh"], 9)}
+    others: dict[float, str] = {}
+    for name, order in orders.items():
+        if round(order, 9) not in known:
+            others.setdefault(round(order, 9), name)
+    if sidebands and round(marked, 9) != round(orders.get("crank", marked), 9):
+        others.setdefault(round(orders["crank"], 9), "crank")
+    for number, (order, name) in enumerate(others.items()):
+        places = [marked - order, marked + order] if sidebands else [order]
+        size = f"{order / orders['output']:g}"
+        label = f"sidebands: mesh\n+- {size} ({name})" if sidebands else f"{name} order {size}"
+        for place in places:
+            style = {"color": f"C{7 + number % 3}", "linestyle": "--", "linewidth": 0.7, "alpha": 0.8}
+            if 0 < place / orders["output"] < ax.get_xlim()[1]:
+                ax.axvline(place / orders["output"], label=label, **style)
+                label = None
 
 
 def _stage(scene: Scene, te: TransmissionError) -> Figure:
