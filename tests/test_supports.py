@@ -50,7 +50,8 @@ class Bearings(AbstractSystem):
 
     @property
     def orders(self) -> Mapping[str, float]:
-        return {"output": self.pinion_teeth / self.wheel_teeth, "mesh": float(self.pinion_teeth)}
+        teeth = float(self.pinion_teeth)  # gaps change with the teeth
+        return {"output": teeth / self.wheel_teeth, "tooth": teeth, "mesh": teeth}
 
     @property
     def cycle(self) -> float:
