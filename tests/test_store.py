@@ -229,7 +229,7 @@ def test_what_is_foreign_is_refused_and_left_as_it_is(finished, tmp_path, foreig
 
 
 def test_samples_of_another_version_are_another_study(finished, monkeypatch):
-    monkeypatch.setattr("gearjax.results.store.metadata.version", lambda _: "0.0.1")
+    monkeypatch.setattr("gearjax.__version__", "0.0.1")
     with pytest.raises(GearjaxError, match=r'another study \(gearjax: ".*" there, "0.0.1" now\)'):
         Store(finished.folder, finished.tables, finished.work, "")
 

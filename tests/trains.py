@@ -56,7 +56,9 @@ class SpurTrain(AbstractSystem):
 
     @property
     def orders(self) -> Mapping[str, float]:
-        return {"output": self.ratios[1], "mesh": float(self.teeth[0]), "intermediate": self.ratios[0]}
+        first, second = float(self.teeth[0]), self.teeth[2] * self.ratios[0]  # of the teeth, with which gaps change
+        own = {"intermediate": self.ratios[0], "first_teeth": first, "second_teeth": second}
+        return {"output": self.ratios[1], "mesh": first, **own}
 
     @property
     def cycle(self) -> float:

@@ -59,10 +59,13 @@ for name, te in {"without load": free, **{f"{torque:g} N m": te for torque, te i
     axes[0].plot(turns, te.te / arcmin, label=name, linewidth=1)
 axes[0].set_ylabel("transmission error [arcmin]")
 axes[0].legend(loc="upper right", ncols=4, fontsize=8)
-axes[1].plot(turns, loaded[100.0].forces[:, : scene.layout.teeth] / 1e3, linewidth=1)
+for pair, forces in enumerate(loaded[100.0].pair_forces.T):
+    axes[1].plot(turns, forces / 1e3, linewidth=1, color=f"C{4 + pair}", label=f"planet wheel {pair + 1}")
+axes[1].legend(loc="upper right", ncols=2, fontsize=8)
 axes[1].set_ylabel("tooth forces at 100 N m [kN]")
 axes[1].set_xlabel("turns of the input")
 figure.savefig(OUT / "first_te.svg")
+print(f"figures are written to {OUT}")
 
 # %% [markdown]
 # ## The gear set

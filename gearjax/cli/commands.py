@@ -145,7 +145,7 @@ def _run(
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
-        print_cases(cases, scene.system.told_of_forces)
+        print_cases(cases, 1 / scene.system.orders["output"], scene.system.told_of_forces)
         print_face_load(factors)
         print_accuracy(graded)
 

@@ -148,10 +148,17 @@ def _print_stages(console: Console, optimisation: Optimisation) -> None:
     console.print(table)
 
 
-def print_cases(cases: list[Case], told: str | None = None) -> None:
-    """Print the metrics of the cases, and a note for readers of their contact forces."""
+def print_cases(cases: list[Case], ratio: float, told: str | None = None) -> None:
+    """Print the metrics of the cases, and a note for readers of their contact forces.
+
+    Args:
+        cases: cases of the run.
+        ratio: turns of the input for a turn of the output.
+        told: the note.
+    """
     compared = any(case.published.metrics for case in cases if case.published)
-    table = Table(title="Transmission error in arcmin" + (", published values in brackets" if compared else ""))
+    title = f"Transmission error in arcmin, reduction ratio {ratio:.6g}"
+    table = Table(title=title + (", published values in brackets" if compared else ""))
     for column in ("case", "window [s]", *(name.replace("_", " ") for name in METRICS), "highest load sharing"):
         table.add_column(column, justify="left" if column == "case" else "right")
     for case in cases:
