@@ -35,8 +35,9 @@ def check_gear_set(scene: "Scene") -> None:
     own = scene.system, dict(scene.errors)
     known = is_concrete(own)
     leaves, structure = jax.tree.flatten(own)
-    zeros = tuple(bool(np.any(leaf)) for leaf in leaves) if known else ()  # what is zero hides what it would do
-    if (structure, with_back, zeros) in _passed:
+    numbers = [leaf for leaf in leaves if isinstance(leaf, int | float | np.ndarray | jax.Array)]
+    shown = tuple(bool(np.any(leaf)) for leaf in numbers) if known else ()  # what is zero hides what it would do
+    if (structure, with_back, shown) in _passed:
         return
     _check_orders(scene)
     bodies = tuple(dict.fromkeys(error.body for error in scene.errors.values()))
@@ -45,7 +46,7 @@ def check_gear_set(scene: "Scene") -> None:
         with jax.ensure_compile_time_eval():
             _check_signs(scene)
             _look_for_fast_waves(scene)
-        _passed.add((structure, with_back, zeros))
+        _passed.add((structure, with_back, shown))
 
 
 def _check_orders(scene: "Scene") -> None:
@@ -91,6 +92,8 @@ def _check_signs(scene: "Scene") -> None:
 def _look_for_fast_waves(scene: "Scene") -> None:
     """Warn if gaps change faster than the fastest order: curves through some nodes of half a wave then miss them."""
     system = scene.system
+    if system.fastest_order <= 0:
+        return
     nodes = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
     points = np.linspace(-0.97, 0.97, POINTS)
     through = np.polynomial.chebyshev.chebvander(points, NODES - 1) @ np.linalg.inv(
