@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import ClassVar
 
 import equinox as eqx
@@ -62,7 +63,8 @@ class SpurTrain(AbstractSystem):
 
     @property
     def cycle(self) -> float:
-        return 2 * math.pi * self.teeth[1] * self.teeth[3]
+        first, second = (Fraction(driver, driven) for driver, driven in (self.teeth[:2], self.teeth[2:]))
+        return 2 * math.pi * math.lcm(first.denominator, (first * second).denominator)
 
     def layout(self, request: gj.Request) -> Layout:
         one = Layout.of_flanks(self.pairs, request.back)
