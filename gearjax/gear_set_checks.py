@@ -60,15 +60,14 @@ def _check_shapes(scene: "Scene", request: Request) -> None:
     angle = jax.ShapeDtypeStruct((), scene.dtype)
     pose: Pose = jax.eval_shape(lambda angle: scene.system.pose(angle, request), angle)
     contacts, pairs = len(layout.side), max(layout.pair) + 1
-    wanted = {"gap": (contacts,), "mesh_angle": (pairs,)}
-    words = {"gap": "a gap for each contact", "mesh_angle": "a phase for each pair"}
+    wanted = {"gap": (contacts, "a gap for each contact"), "mesh_angle": (pairs, "a phase for each pair")}
     if pose.jacobian.ndim != 2 or pose.jacobian.shape[0] != contacts:
         told = f"({contacts}, 1) or more columns, a row for each contact of its layout"
         raise SceneError(f"{kind}: the jacobian of its pose has shape {pose.jacobian.shape}; must be {told}")
-    for name, shape in wanted.items():
+    for name, (number, words) in wanted.items():
         part = getattr(pose, name)
-        if part is not None and part.shape != shape:
-            told = f"must be {shape}, {words[name]} of its layout"
+        if part is not None and part.shape != (number,):
+            told = f"must be ({number},), {words} of its layout"
             raise SceneError(f"{kind}: {name} of its pose has shape {part.shape}; {told}")
     missing = [body for body in request.bodies if body not in pose.views]
     if missing:

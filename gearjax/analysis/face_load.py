@@ -72,8 +72,13 @@ def face_load(scene: Scene, result: TransmissionError | Motion) -> FaceLoad:
         raise SceneError(f"the load across the face needs slices across the face, which {system.kind} does not have")
     if result.forces is None:
         raise SceneError("the load across the face needs a torque: transmission_error(scene, theta, torque=...)")
-    slices = pose_of(system, jnp.zeros((), scene.dtype), Request(back=False, slices=True)).slices
+    return across_face(scene, result.forces)
+
+
+def across_face(scene: Scene, forces: Float[Array, "... n contact"]) -> FaceLoad:
+    """Load across the face from the forces of a gear set with slices, shape (n, contact) [N]; see `face_load`."""
+    slices = pose_of(scene.system, jnp.zeros((), scene.dtype), Request(back=False, slices=True)).slices
     assert slices is not None  # the system has them
     number, face_width = slices.share.shape[-1], slices.pair.face_width
-    forces = result.forces.reshape(*result.forces.shape[:-1], -1, number).sum(axis=-2)
-    return FaceLoad(middles(face_width, number), forces * (number / face_width))
+    of_slices = forces.reshape(*forces.shape[:-1], -1, number).sum(axis=-2)
+    return FaceLoad(middles(face_width, number), of_slices * (number / face_width))

@@ -10,6 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from gearjax.analysis.face_load import FaceLoad, across_face
 from gearjax.contact import Request
 from gearjax.scene import Scene
 from gearjax.systems import HelicalPair
@@ -34,6 +35,7 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     """
     system = scene.system
     assert isinstance(system, HelicalPair)
+    face = across_face(scene, jnp.nan_to_num(jnp.atleast_2d(jnp.asarray(forces))))
     every = -(-len(np.atleast_1d(theta)) // MOST_ANGLES)
     theta, forces = np.atleast_1d(theta)[::every], np.nan_to_num(np.atleast_2d(forces))[::every]
     roll, across, load = _lines(scene, system, theta, forces)
@@ -52,7 +54,7 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     np.maximum.at(table, tuple(cells), load)
     drawn = highest.pcolormesh(*edges, np.stack([_filled(row) for row in table.T]), norm=scale, cmap="viridis")
     figure.colorbar(drawn, ax=[lines, highest], label="load per length [N/mm]")
-    _draw_mean(spread, system, forces)
+    _draw_mean(spread, face, float(system.face_width) / system.slices)
     turn = np.degrees(float(theta[0])) % 360
     lines.set_title(f"contact lines, pinion at {turn:.1f} deg", fontsize="medium")
     highest.set_title(f"maximum of {len(theta)} angles, {load.max():.3g} N/mm", fontsize="medium")
@@ -65,14 +67,18 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     return figure
 
 
-def _draw_mean(axes: Axes, system: HelicalPair, forces: np.ndarray) -> None:
-    """Mean load per width across the face, and the face load factor."""
-    width = float(system.face_width) / system.slices
-    mean = forces.reshape(len(forces), -1, system.slices).sum(axis=1).mean(axis=0) / width * PER_MM
-    place = (np.arange(system.slices) + 0.5 - 0.5 * system.slices) * width / mm
-    axes.barh(place, mean, height=width / mm, color="0.75")
+def _draw_mean(axes: Axes, face: FaceLoad, width: float) -> None:
+    """Mean load per width across the face, and the face load factor.
+
+    Args:
+        axes: axes to draw in.
+        face: load across the face.
+        width: width of a slice [m].
+    """
+    mean = np.asarray(face.mean) * PER_MM
+    axes.barh(np.asarray(face.across) / mm, mean, height=width / mm, color="0.75")
     axes.axvline(mean.mean(), color="C3", linewidth=1.0, label="mean of the face")
-    axes.set_title(f"K_Hbeta {mean.max() / max(mean.mean(), 1e-12):.3g}", fontsize="medium")
+    axes.set_title(f"K_Hbeta {float(face.factor):.3g}", fontsize="medium")
     axes.set_xlabel("mean load per width of face [N/mm]")
     axes.legend(fontsize="small", loc="lower left")
 

@@ -23,6 +23,7 @@ from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
+NO_BODIES = ("curve", "waves")  # orders that steps have to resolve, at which no body turns
 MOST_NAMES = 9  # contacts of an image that are named beside it
 
 
@@ -105,7 +106,7 @@ def bearing_figure(scene: Scene, cases: list[Case]) -> Figure | None:
     """Draw the forces and moments of bodies on their supports over time; ``None`` without supports or loads."""
     rows = []
     for case in cases:
-        found = forces_on_bearings(scene, case)
+        found = forces_on_bearings(scene, case.result)
         if found is None:
             continue
         for unit, label in (("m", "bearing force [N]"), ("rad", "bearing moment [N m]")):
@@ -193,10 +194,8 @@ def _mark_others(ax: Axes, orders: Mapping[str, float], marked: float, sidebands
     known = {round(marked, 9), round(orders["output"], 9), round(orders["mesh"], 9)}
     others: dict[float, str] = {}
     for name, order in orders.items():
-        if round(order, 9) not in known:
+        if round(order, 9) not in known and name not in NO_BODIES:
             others.setdefault(round(order, 9), name)
-    if sidebands and round(marked, 9) != round(orders.get("crank", marked), 9):
-        others.setdefault(round(orders["crank"], 9), "crank")
     for number, (order, name) in enumerate(others.items()):
         places = [marked - order, marked + order] if sidebands else [order]
         size = f"{order / orders['output']:g}"

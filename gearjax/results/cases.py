@@ -18,7 +18,6 @@ from gearjax.analysis import (
     Motion,
     TransmissionError,
     backlash,
-    bearing_forces,
     interference,
     simulate,
     transmission_error,
@@ -31,6 +30,7 @@ from gearjax.checks import GearjaxError, SceneError
 from gearjax.compliance import couples
 from gearjax.coordinates import unit_of
 from gearjax.files import write_file
+from gearjax.results.loads_on_parts import forces_on_bearings
 from gearjax.results.profile import FORMATS, export_profile
 from gearjax.run import METRICS, Published, Run
 from gearjax.scene import Scene
@@ -266,11 +266,11 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
             variables[f"{name}_moved"] = (("time", "coordinate"), np.asarray(case.result.moved), label)
             coordinates["coordinate"] = ("coordinate", list(moving), {})
             coordinates["coordinate_unit"] = ("coordinate", units, {})
-            if scene.supports and forces is not None:
-                held = bearing_forces(scene, case.result)
-                label = {"units": "N, N m", "long_name": f"forces of bodies on their supports, {case.title}"}
-                variables[f"{name}_bearing_force"] = (("time", "support"), np.asarray(held.forces), label)
-                coordinates["support"] = ("support", list(held.names), {})
+        held = forces_on_bearings(scene, case.result)
+        if held is not None:
+            label = {"units": "N, N m", "long_name": f"forces of bodies on their supports, {case.title}"}
+            variables[f"{name}_bearing_force"] = (("time", "support"), np.asarray(held.forces), label)
+            coordinates["support"] = ("support", list(held.names), {})
         if isinstance(case.result, Backlash):
             for edge in ("lower", "upper"):
                 label = {"units": "rad", "long_name": f"{edge} edge of the backlash"}

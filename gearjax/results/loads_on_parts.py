@@ -1,13 +1,17 @@
 """What a run tells of the loads on faces and bearings."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from gearjax.analysis import BearingForces, Motion, TransmissionError, bearing_forces, face_load
-from gearjax.results.cases import Case
+from gearjax.analysis import Backlash, BearingForces, Motion, TransmissionError, bearing_forces, face_load
 from gearjax.scene import Scene
 
+if TYPE_CHECKING:
+    from gearjax.results.cases import Case  # that module imports this one
 
-def face_load_factors(scene: Scene, cases: list[Case]) -> dict[str, float]:
+
+def face_load_factors(scene: Scene, cases: "list[Case]") -> dict[str, float]:
     """Face load factor K_Hbeta of each loaded case at rest, by its title; empty if the gear set has no slices.
 
     A record shorter than a mesh has none, as the mean over a part of a mesh depends on the part.
@@ -23,9 +27,8 @@ def face_load_factors(scene: Scene, cases: list[Case]) -> dict[str, float]:
     return {title: factor for title, factor in factors.items() if np.isfinite(factor)}
 
 
-def forces_on_bearings(scene: Scene, case: Case) -> BearingForces | None:
-    """Forces on the supports of a loaded case; ``None`` without supports or forces."""
-    result = case.result
+def forces_on_bearings(scene: Scene, result: TransmissionError | Backlash | Motion) -> BearingForces | None:
+    """Forces on the supports under the loads of a result; ``None`` without supports or forces."""
     if not scene.supports or not isinstance(result, TransmissionError | Motion) or result.forces is None:
         return None
     return bearing_forces(scene, result)
