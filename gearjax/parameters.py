@@ -28,7 +28,8 @@ class Parameter:
 
     Args:
         dimension: physical dimension; ``None`` for tooth numbers and names.
-        kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"``, ``"name"`` or ``"list"`` (of names).
+        kind: ``"number"``, ``"series"`` (a list of numbers), ``"count"``, ``"counts"`` (a list of whole numbers),
+            ``"name"`` or ``"list"`` (of names).
         above, at_least, below, at_most: bounds, in SI units.
         names: words that are allowed in place of a number, or the words that are allowed as a name.
         periodic: whether the number is an angle to which full turns may be added without effect.
@@ -193,6 +194,16 @@ def count(
     return _field(parameter, static=True, **keywords)
 
 
+def counts(*, at_least: int = 1, at_most: int = 100_000, example: list[int] | None = None) -> Any:
+    """A static field for a list of whole numbers, such as tooth numbers; a change of it compiles the program again."""
+
+    def keep(given: Any) -> Any:
+        return tuple(given) if isinstance(given, list) else given
+
+    parameter = Parameter(None, "counts", at_least=float(at_least), at_most=float(at_most), example=example)
+    return _field(parameter, static=True, converter=keep)
+
+
 def name(*, default: Any = dataclasses.MISSING, names: tuple[str, ...] = ()) -> Any:
     """A static field for a word; one of ``names``, if these are given."""
     keywords = {} if default is dataclasses.MISSING else {"default": default}
@@ -251,6 +262,12 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
             raise ParameterError(key, value, "must be a list of names in quotes")
         return
     if not is_concrete(value):
+        return
+    if parameter.kind == "counts":
+        if not isinstance(value, tuple) or not value:
+            raise ParameterError(key, value, "must be a list of whole numbers")
+        for index, each in enumerate(value):
+            check_value(f"{key}[{index}]", dataclasses.replace(parameter, kind="count"), each)
         return
     if parameter.kind != "count" and not is_numeric(value):
         raise ParameterError(key, value, "must be a number, in SI")

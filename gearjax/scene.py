@@ -62,7 +62,8 @@ class Scene(eqx.Module):
         inertia: inertia of the output, for the dynamic transmission error.
         damping: damping of the pairs, for the dynamic transmission error.
         supports: elastic supports, by body; bodies without a support are held rigidly.
-        shafts: shafts on which bodies of a train turn together, by name.
+        shafts: shafts on which bodies of a train turn together, by name; those of the gear set itself are rigid if they
+            are not listed.
         body_inertia: inertia of bodies that move on their own, by body, for the dynamic transmission error.
         run: analyses that the configuration asked for; not part of the physics.
 
@@ -94,6 +95,13 @@ class Scene(eqx.Module):
             is_path = isinstance(self.system, str | Path)
             words = "is a path: give gj.load(path)" if is_path else "must be a gear set, such as gj.TwoKV(...)"
             raise ParameterError("system", str(self.system) if is_path else self.system, words)
+        rigid = {
+            name: Shaft(bodies)
+            for name, bodies in self.system.rigid_shafts.items()
+            if name not in self.shafts and not any(set(bodies) & set(own.bodies) for own in self.shafts.values())
+        }
+        if rigid:
+            object.__setattr__(self, "shafts", {**self.shafts, **rigid})
         check_offered(self.system.kind, self.system.coordinates, self.supports, self.shafts)
         for key, error in self.errors.items():
             check_name("errors", key)
@@ -322,7 +330,7 @@ class Scene(eqx.Module):
             places = self._shown(pose, pose.places, Request(back, places=True)).places
             return CoupledSprings(self.compliance.blocks(places))
         if isinstance(self.compliance, AbstractSliceCompliance):
-            return self.compliance.springs(self._shown(pose, pose.slices, Request(back, slices=True)).slices)
+            return self.compliance.of_meshes(self._shown(pose, pose.slices, Request(back, slices=True)).slices)
         if stiffness == "mean":
             return LinearSprings(layout.per_contact(layout.apiece(self.compliance.mean_stiffness(layout.teeth))))
         angle = self._shown(pose, pose.mesh_angle, Request(back, mesh=True)).mesh_angle

@@ -119,7 +119,8 @@ def _check_slices(scene: Scene, compliance: AbstractSliceCompliance) -> None:
         with jax.ensure_compile_time_eval():  # also inside the trace of something else
             slices = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(slices=True)).slices
             assert slices is not None  # the system has them
-            compliance.check(slices)
+            for mesh in slices:
+                compliance.check(mesh)
 
 
 @eqx.filter_jit  # one program, since otherwise each operation would be compiled separately

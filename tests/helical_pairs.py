@@ -84,6 +84,6 @@ def stiffness_of(system, law, angles):
     """Of all that is on the path of contact, along the normals [N/m]."""
 
     def total(angle):
-        return law.springs(system.pose(angle, gj.Request(slices=True)).slices).stiffness.sum()
+        return law.of_meshes(system.pose(angle, gj.Request(slices=True)).slices).stiffness.sum()
 
     return np.asarray(jax.jit(jax.vmap(total))(jnp.asarray(angles)))

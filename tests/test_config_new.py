@@ -75,6 +75,7 @@ def test_each_option_loads_when_it_is_put_in(text):
         "rv_cycloidal": ['#kind = "hertz_line_contact"', '#kind = "hu_line_contact"'],
         "involute_rv": ['#kind = "elastic_teeth"'],
         "helical_pair": [],
+        "helical_train": [],
         "elliptic_pair": [],
         "noncircular_pair": [],
     }
@@ -175,4 +176,4 @@ def test_what_it_writes_runs_without_a_warning(kind, tmp_path, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["run", str(tmp_path / "mine.toml"), "--json"])
     assert not stopped.value.code
-    assert ('"dynamic"' in capsys.readouterr().out) == (kind != "helical_pair")
+    assert ('"dynamic"' in capsys.readouterr().out) == (not kind.startswith("helical_"))

@@ -130,7 +130,7 @@ def test_shares_of_slices_make_up_the_contact_lines(name, rng):
     """Partial slices lose nothing: their length is the closed form's at any angle, of both flanks."""
     system = system_of(PAIRS[name], slices=7)
     angles = jnp.asarray(rng.uniform(-9, 9, 40))
-    slices = jax.vmap(lambda angle: system.pose(angle, gj.Request(back=True, slices=True)).slices)(angles)
+    slices = jax.vmap(lambda angle: system.pose(angle, gj.Request(back=True, slices=True)).slices[0])(angles)
     found = np.asarray(jax.vmap(lambda one: one.lengths)(slices)).reshape(40, 2, -1).sum(axis=-1)
     expected = system.pair.contact_line_length(angles)
     if system.pair.overlap_ratio > 0.1:  # the sum of spur gears jumps: what is a slice in it is a jump's width

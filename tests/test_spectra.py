@@ -103,6 +103,7 @@ COMMANDS = [
     ("run", "helical/guo_2018.toml"),
     ("run", "helical/blankenship_1995.toml"),
     ("run", "helical/guo_2018_measured.toml"),
+    ("run", "helical/two_stage.toml"),
     ("optimise", "two_kv/wang_2020_phases.toml"),
     ("optimise", "rv_cycloidal/hu_2020_phases.toml"),
     ("tolerance", "two_kv/wang_2020_tolerance.toml"),
@@ -127,6 +128,7 @@ SMALLER = {
     # one of 47 turns of the pinion, and one of three meshes
     "helical/guo_2018.toml": {"run": {"duration": "1.1811023617 s", "samples": 381}},
     "helical/guo_2018_measured.toml": {"run": {"duration": "0.0285171103830 s", "samples": 609}},
+    "helical/two_stage.toml": {"run": {"duration": "0.02 s", "samples": 401}},
     "helical/blankenship_1995.toml": {"run": {"duration": "0.0004 s", "samples": 65}},
     "two_kv/wang_2020_phases.toml": {
         "run": {"duration": "1.58 s", "samples": 1581, "torques": ["100 N*m"]},

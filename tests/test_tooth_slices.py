@@ -145,7 +145,7 @@ def test_hertz_contact_gives_the_pressure_and_the_approach_of_textbooks():
     curvature = 1 / first + 1 / (float(pair.tangent_length) - first)
     modulus = 206e9 / (1 - 0.09)
     assert pressure == pytest.approx(math.sqrt(force / (25 * mm) * modulus * curvature / (2 * math.pi)), rel=1e-9)
-    slices = scene.system.pose(jnp.asarray(0.0), gj.Request(slices=True)).slices
+    slices = scene.system.pose(jnp.asarray(0.0), gj.Request(slices=True)).slices[0]
     springs, carrying = law.springs(slices), int(np.argmax(np.asarray(te.forces[0])))
     soft = dataclasses.replace(law, contact="constant").springs(slices)
     whole = float(springs.approach(jnp.full(springs.slope.shape, force))[carrying])

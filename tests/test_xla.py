@@ -74,6 +74,7 @@ EXAMPLES = (
     "rv_cycloidal/hu_2020",
     "involute_rv/yang_2019",
     "helical/blankenship_1995",
+    "helical/two_stage",
     "elliptic/dong_2020",
 )
 GEAR_SETS = """

@@ -2,11 +2,12 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.quasi_static import TransmissionError
-from gearjax.checks import SceneError
+from gearjax.checks import ParameterError, SceneError
 from gearjax.contact import Request
 from gearjax.geometry.plane_of_action import middles
 from gearjax.scene import Scene
@@ -38,9 +39,10 @@ class FaceLoad(eqx.Module):
 
 
 @arguments.checked(
-    result=arguments.an((TransmissionError, Motion), "must be a result of transmission_error or simulate")
+    result=arguments.an((TransmissionError, Motion), "must be a result of transmission_error or simulate"),
+    mesh=arguments.whole(0),
 )
-def face_load(scene: Scene, result: TransmissionError | Motion) -> FaceLoad:
+def face_load(scene: Scene, result: TransmissionError | Motion, mesh: int = 0) -> FaceLoad:
     """Load across the face of a pair of gears with slices, from the forces of a loaded or moving pair.
 
     The face load factor K_Hbeta of ISO 6336-1 is the highest load per width over the mean. Here it comes from the
@@ -72,13 +74,17 @@ def face_load(scene: Scene, result: TransmissionError | Motion) -> FaceLoad:
         raise SceneError(f"the load across the face needs slices across the face, which {system.kind} does not have")
     if result.forces is None:
         raise SceneError("the load across the face needs a torque: transmission_error(scene, theta, torque=...)")
-    return across_face(scene, result.forces)
+    if mesh >= len(system.meshes):
+        raise ParameterError("mesh", mesh, f"must be below {len(system.meshes)}, the number of meshes")
+    return across_face(scene, result.forces, mesh)
 
 
-def across_face(scene: Scene, forces: Float[Array, "... n contact"]) -> FaceLoad:
+def across_face(scene: Scene, forces: Float[Array, "... n contact"], mesh: int = 0) -> FaceLoad:
     """Load across the face from the forces of a gear set with slices, shape (n, contact) [N]; see `face_load`."""
+    if scene.layout.mesh:
+        forces = forces[..., np.flatnonzero(np.asarray(scene.layout.mesh) == mesh)]
     slices = pose_of(scene.system, jnp.zeros((), scene.dtype), Request(back=False, slices=True)).slices
     assert slices is not None  # the system has them
-    number, face_width = slices.share.shape[-1], slices.pair.face_width
+    number, face_width = slices[mesh].share.shape[-1], slices[mesh].pair.face_width
     of_slices = forces.reshape(*forces.shape[:-1], -1, number).sum(axis=-2)
     return FaceLoad(middles(face_width, number), of_slices * (number / face_width))

@@ -6,7 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 
 from gearjax.compliance.line_contact import AbstractLineContact
-from gearjax.contact import Layout, Places, Slices, Springs
+from gearjax.contact import Layout, Places, Slices, Springs, join_springs
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Array, Float, Scalar
 
@@ -128,6 +128,10 @@ class AbstractSliceCompliance(eqx.Module):
         Args:
             slices: the slices of contact lines that the contacts represent.
         """
+
+    def of_meshes(self, slices: tuple[Slices, ...]) -> Springs:
+        """Springs of the contacts of all meshes, one mesh after the other."""
+        return join_springs([self.springs(mesh) for mesh in slices])
 
     def check(self, slices: Slices) -> None:
         """Refuse gears that the compliance does not suit.

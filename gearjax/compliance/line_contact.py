@@ -77,15 +77,17 @@ class AbstractLineContact(eqx.Module):
         even = jnp.where(carries, line / jnp.where(carries, along[..., None], 1.0), 0.0)
         return jnp.maximum(hertz, even).ravel()
 
-    def slice_pressure(self, slices: Slices, forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        """Highest pressure in each slice of contact lines, shape (contact,) [Pa].
+    def slice_pressure(self, slices: tuple[Slices, ...], forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Highest pressure in each slice of the contact lines of all meshes, shape (contact,) [Pa].
 
         It is the Hertzian pressure ``sqrt(F' E' kappa / (2 pi))`` under the force F' per length of the contact line, as
         in `flank_pressure`.
         """
-        carries = (forces > 0) & (slices.lengths > 0)
-        line = jnp.where(carries, forces, 1.0) / jnp.where(carries, slices.lengths, 1.0)
-        square = line * self.plane_modulus / (2 * math.pi) * slices.curvature.ravel()
+        lengths = jnp.concatenate([mesh.lengths for mesh in slices])
+        curvature = jnp.concatenate([mesh.curvature.ravel() for mesh in slices])
+        carries = (forces > 0) & (lengths > 0)
+        line = jnp.where(carries, forces, 1.0) / jnp.where(carries, lengths, 1.0)
+        square = line * self.plane_modulus / (2 * math.pi) * curvature
         return jnp.where(carries, jnp.sqrt(jnp.where(carries, square, 1.0)), 0.0)
 
 

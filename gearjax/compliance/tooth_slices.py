@@ -68,8 +68,8 @@ class ToothSlices(AbstractSliceCompliance):
         contact: contact stiffness of the flanks: ``"constant"``, or ``"hertz"``, which grows with the force.
         coupling_length: length l over which deflections decay along the face, in normal modules [-]; without it, the
             slices are independent.
-        pinion_bore: diameter at which the pinion is held [m]; without it, a third of its root diameter.
-        wheel_bore: diameter at which the wheel is held [m]; without it, a third of its root diameter. An internal gear
+        pinion_bore: diameter at which each pinion is held [m]; without it, a third of its root diameter.
+        wheel_bore: diameter at which each wheel is held [m]; without it, a third of its root diameter. An internal gear
             needs none.
 
     Raises:

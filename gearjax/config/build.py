@@ -331,6 +331,10 @@ def _value(key: str, given: Any, parameter: Parameter) -> Any:
         if not isinstance(given, list) or not all(isinstance(word, str) for word in given):
             raise ParameterError(key, given, 'must be a list of names such as ["wheel_1", "pinion_2"]')
         return given
+    if parameter.kind == "counts":
+        if not isinstance(given, list) or len(given) > _LONGEST_SERIES:
+            raise ParameterError(key, given, "must be a list of whole numbers such as [19, 21]")
+        return given
     if parameter.kind == "count":
         if isinstance(given, bool) or not isinstance(given, int):
             raise ParameterError(key, given, "must be a whole number")

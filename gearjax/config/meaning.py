@@ -73,6 +73,8 @@ def limits(parameter: Parameter) -> str:
     words = [f'"{name}"' for name in parameter.names]
     if parameter.kind == "count":
         words.append("a whole number")
+    elif parameter.kind == "counts":
+        words.append("a list of whole numbers")
     elif parameter.kind == "list":
         words.append("a list of names")
     elif parameter.kind == "series" and parameter.dimension is not None:

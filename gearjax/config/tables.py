@@ -77,6 +77,8 @@ def in_words(parameter: Parameter, *, own_example: bool = False) -> str:
     quoted = [f'"{name}"' for name in parameter.names]
     if parameter.kind == "count":
         return "a whole number"
+    if parameter.kind == "counts":
+        return "a list of whole numbers"
     if parameter.kind == "list":
         return "a list of names"
     if parameter.kind == "name":

@@ -2,6 +2,7 @@
 
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
+from gearjax.contact.helical_mesh import HelicalMesh
 from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
 from gearjax.contact.layout import Layout
@@ -18,7 +19,7 @@ from gearjax.contact.pose import (
     even_parts,
 )
 from gearjax.contact.slices import Slices
-from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs
+from gearjax.contact.springs import CoupledSprings, LinearSprings, LineSprings, Springs, join_springs
 
 __all__ = [
     "AbstractContact",
@@ -28,6 +29,7 @@ __all__ = [
     "Equilibrium",
     "GearSize",
     "HardContact",
+    "HelicalMesh",
     "Layout",
     "LineSprings",
     "LinearSprings",
@@ -46,5 +48,6 @@ __all__ = [
     "equilibrium",
     "even_parts",
     "first_contact",
+    "join_springs",
     "least_overlap",
 ]

@@ -56,7 +56,8 @@ class Pose(eqx.Module):
         mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` if not requested.
         radii: radii of curvature of the line contacts, shape (contact,); ``None`` if not requested.
         places: places of the contacts on their teeth; ``None`` if not requested.
-        slices: slices of contact lines that the contacts are; ``None`` if not requested.
+        slices: slices of contact lines that the contacts of each mesh are, in their order; ``None`` if not
+            requested.
     """
 
     theta: Scalar
@@ -66,7 +67,7 @@ class Pose(eqx.Module):
     mesh_angle: Float[Array, " pair"] | None = None
     radii: Radii | None = None
     places: "Places | None" = None
-    slices: Slices | None = None
+    slices: tuple[Slices, ...] | None = None
 
 
 class Places(eqx.Module):
@@ -157,7 +158,8 @@ class ProfilePlace(eqx.Module):
         across: place of each contact from the middle of the face, shape (contact,) [m]; ``None`` if the gear set does
             not give it.
         width: face width [m]; ``None`` if the gear set does not give it.
-        normal: change of gap per material in a transverse section, ``cos beta_b``; ``None`` for spur gears.
+        normal: change of gap per material in a transverse section, ``cos beta_b``, one for all contacts or shape
+            (contact,); ``None`` for spur gears.
         roll: length of roll of each contact from the base circle, shape (contact,) [m]; ``None`` if the gear set does
             not give it.
         side: side of each contact, 1 on driving flanks, -1 on back flanks, shape (contact,); ``None`` if the gear set
@@ -170,7 +172,7 @@ class ProfilePlace(eqx.Module):
     length: Scalar
     across: Float[Array, " contact"] | None = None
     width: Scalar | None = None
-    normal: Scalar | None = None
+    normal: Scalar | Float[Array, " contact"] | None = None
     roll: Float[Array, " contact"] | None = None
     side: Float[Array, " contact"] | None = None
     ahead: Float[Array, " contact"] | None = None

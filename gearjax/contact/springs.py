@@ -1,5 +1,7 @@
 """Types of springs of the contacts: independent linear springs, independent line contacts, and coupled springs."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -90,3 +92,8 @@ class LineSprings(eqx.Module):
 
 
 Springs = LinearSprings | LineSprings | CoupledSprings
+
+
+def join_springs(parts: Sequence[Springs]) -> Springs:
+    """Springs of several groups of contacts, which must be of one type, as the springs of all, in the same order."""
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *own: jnp.concatenate(own), *parts)

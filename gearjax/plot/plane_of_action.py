@@ -1,4 +1,6 @@
-"""Figure of the load over the plane of action of helical and spur pairs."""
+"""Figure of the load over the planes of action of helical and spur pairs, and of trains of them."""
+
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -11,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from gearjax.analysis.face_load import FaceLoad, across_face
-from gearjax.contact import Request
+from gearjax.contact import HelicalMesh
 from gearjax.scene import Scene
-from gearjax.systems import HelicalPair
+from gearjax.systems import HelicalPair, HelicalTrain
 from gearjax.typing import Array, ArrayLike
 from gearjax.units import mm
 
@@ -23,48 +25,68 @@ PER_MM = 1e-3
 
 
 def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) -> Figure:
-    """Draw the load per length over the plane of action: along the path of contact, and across the face.
+    """Draw the load per length over the plane of action of each mesh: along the path of contact, and across the face.
 
-    The first drawing shows the contact lines at the first angle, coloured by their load per length. The second shows
-    the highest load per length of all angles at each place, the third the mean load per width across the face.
+    The first drawing of a mesh shows the contact lines at the first angle, coloured by their load per length. The
+    second shows the highest load per length of all angles at each place, the third the mean load per width across the
+    face.
 
     Args:
-        scene: scene with a `HelicalPair`.
+        scene: scene with a `HelicalPair` or a `HelicalTrain`.
         theta: input angles, shape (n,) [rad].
         forces: contact forces under a torque, shape (n, contact) [N].
     """
     system = scene.system
-    assert isinstance(system, HelicalPair)
-    face = across_face(scene, jnp.nan_to_num(jnp.atleast_2d(jnp.asarray(forces))))
+    assert isinstance(system, HelicalPair | HelicalTrain)
     every = -(-len(np.atleast_1d(theta)) // MOST_ANGLES)
-    theta, forces = np.atleast_1d(theta)[::every], np.nan_to_num(np.atleast_2d(forces))[::every]
-    roll, across, load = _lines(scene, system, theta, forces)
-    path = system.pair.contact_path
+    all_forces = np.nan_to_num(np.atleast_2d(forces))
+    angles, some = np.atleast_1d(theta)[::every], all_forces[::every]
+    meshes = len(system.stages)
+    figure = Figure(figsize=(13.0, 4.2 * meshes), layout="constrained")
+    rows = figure.subplots(meshes, 3, sharey="row", width_ratios=(1.0, 1.0, 0.6), squeeze=False)
+    of_contacts = np.array(scene.layout.mesh or (0,) * all_forces.shape[1])
+    for mesh, (row, stage) in enumerate(zip(rows, system.stages, strict=True)):
+        turned = angles * (system.mesh_orders[mesh] / stage.pair.teeth[0])
+        loads = _lines(scene, stage, turned, some[:, of_contacts == mesh])
+        of = "" if meshes == 1 else f"mesh {mesh + 1}: "
+        _draw_mesh(figure, row, stage, loads, of, float(turned[0]))
+        face = across_face(scene, jnp.asarray(all_forces), mesh)
+        _draw_mean(row[2], face, float(stage.pair.face_width) / stage.slices)
+    return figure
+
+
+def _draw_mesh(
+    figure: Figure,
+    row: Sequence[Axes],
+    stage: HelicalMesh,
+    loads: tuple[np.ndarray, np.ndarray, np.ndarray],
+    of: str,
+    turn: float,
+) -> None:
+    """The contact lines of a mesh at the first angle, and the highest loads of all angles."""
+    roll, across, load = loads
+    lines, highest, _ = row
+    path = stage.pair.contact_path
     ends = float(path.begin) / mm, float(path.end) / mm
-    half = 0.5 * float(system.face_width) / mm
+    half = 0.5 * float(stage.pair.face_width) / mm
     scale = Normalize(0.0, max(float(load.max()), 1e-9))
-    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
-    lines, highest, spread = figure.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 0.6))
-    _draw_lines(lines, system, (roll[0], across[0], load[0]), scale)
-    edges = np.linspace(*ends, CELLS + 1), np.linspace(-half, half, system.slices + 1)
+    _draw_lines(lines, stage, (roll[0], across[0], load[0]), scale)
+    edges = np.linspace(*ends, CELLS + 1), np.linspace(-half, half, stage.slices + 1)
     cells = [
         np.clip(np.digitize(part, edge) - 1, 0, len(edge) - 2) for part, edge in zip((roll, across), edges, strict=True)
     ]
-    table = np.zeros((CELLS, system.slices))
+    table = np.zeros((CELLS, stage.slices))
     np.maximum.at(table, tuple(cells), load)
     drawn = highest.pcolormesh(*edges, np.stack([_filled(row) for row in table.T]), norm=scale, cmap="viridis")
     figure.colorbar(drawn, ax=[lines, highest], label="load per length [N/mm]")
-    _draw_mean(spread, face, float(system.face_width) / system.slices)
-    turn = np.degrees(float(theta[0])) % 360
-    lines.set_title(f"contact lines, pinion at {turn:.1f} deg", fontsize="medium")
-    highest.set_title(f"maximum of {len(theta)} angles, {load.max():.3g} N/mm", fontsize="medium")
+    lines.set_title(f"{of}contact lines, pinion at {np.degrees(turn) % 360:.1f} deg", fontsize="medium")
+    highest.set_title(f"{of}maximum of {len(load)} angles, {load.max():.3g} N/mm", fontsize="medium")
     for axes in (lines, highest):
         axes.add_patch(Rectangle((ends[0], -half), ends[1] - ends[0], 2 * half, fill=False, edgecolor="0.4"))
         axes.axvline(float(path.pitch) / mm, color="0.6", linewidth=0.8, linestyle="--")
         axes.set_xlabel("length of roll of the pinion [mm], dashed: pitch point")
         axes.set(xlim=(ends[0] - 1, ends[1] + 1), ylim=(-1.05 * half, 1.05 * half))
     lines.set_ylabel("across the face [mm]")
-    return figure
 
 
 def _draw_mean(axes: Axes, face: FaceLoad, width: float) -> None:
@@ -91,38 +113,40 @@ def _filled(row: np.ndarray) -> np.ndarray:
     return np.interp(places, known, row[known], left=np.nan, right=np.nan)
 
 
-def _lines(scene: Scene, system: HelicalPair, theta: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, ...]:
+def _lines(
+    scene: Scene, stage: HelicalMesh, turned: np.ndarray, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position and load of all slices on the side that carries, shape (n, contact) each.
 
     These are lengths of roll of the pinion [mm], places across the face [mm] and loads per length [N/mm].
     """
-    slices = _slices(system, jnp.asarray(theta, scene.dtype), scene.backlash is not None)
-    shape = (len(theta), -1)
+    slices = _slices(stage, jnp.asarray(turned, scene.dtype), scene.backlash is not None)
+    shape = (len(turned), -1)
     line = np.asarray(slices[2]).reshape(shape)
     load = np.where(line > 0, forces / np.where(line > 0, line, 1.0), 0.0) * PER_MM
     half = line.shape[1] // (2 if scene.backlash is not None else 1)
     back = load[:, half:].sum() > load[:, :half].sum()
     side = slice(half, None) if back else slice(half)
-    return tuple(part[:, side] for part in (*(np.asarray(one).reshape(shape) / mm for one in slices[:2]), load))
+    roll, across = (np.asarray(one).reshape(shape)[:, side] / mm for one in slices[:2])
+    return roll, across, load[:, side]
 
 
 @eqx.filter_jit
-def _slices(system: HelicalPair, theta: Array, back: bool) -> tuple[Array, Array, Array]:
+def _slices(stage: HelicalMesh, turned: Array, back: bool) -> tuple[Array, Array, Array]:
     def at(angle: Array) -> tuple[Array, Array, Array]:
-        slices = system.pose(angle, Request(back, slices=True)).slices
-        assert slices is not None  # they were asked for
+        slices = stage.contacts(angle, back).slices
         return slices.roll[0], slices.across, slices.lengths
 
-    return jax.vmap(at)(theta)
+    return jax.vmap(at)(turned)
 
 
 def _draw_lines(
-    axes: Axes, system: HelicalPair, at: tuple[np.ndarray, np.ndarray, np.ndarray], scale: Normalize
+    axes: Axes, stage: HelicalMesh, at: tuple[np.ndarray, np.ndarray, np.ndarray], scale: Normalize
 ) -> None:
     """The slices that carry, each over its whole width, even if only a part of it is on the path of contact."""
     roll, across, load = at
-    half = 0.5 * float(system.face_width) / mm / system.slices
-    lean = float(np.tan(system.pair.base_helix_angle))
+    half = 0.5 * float(stage.pair.face_width) / mm / stage.slices
+    lean = float(np.tan(stage.pair.base_helix_angle))
     ends = [[(x - half * lean, z - half), (x + half * lean, z + half)] for x, z in zip(roll, across, strict=True)]
     carrying = load > 0
     shown = [end for end, carries in zip(ends, carrying, strict=True) if carries]

@@ -1,6 +1,6 @@
 """Figures of a run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.plot.schematic import schematic_figure
 from gearjax.results import Case, forces_on_bearings, order_lines, required_run
 from gearjax.scene import Scene
-from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, InvoluteRV, RVCycloidal
+from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, HelicalTrain, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
 
 MOST_LINES = 12
@@ -170,7 +170,7 @@ def spectrum_figure(scene: Scene, cases: list[Case]) -> Figure | None:
         ax.set_ylim(1e-5 * top, 2 * top)
         mark = orders["mesh"] if dynamic else orders[name]
         mark_multiples(ax, mark / orders["output"], "mesh" if dynamic else name)
-        _mark_others(ax, orders, mark, dynamic)
+        _mark_others(ax, scene.system, mark, dynamic)
         window = "whole cycles" if all(lines.whole for _, lines in spectra) else "Hann window"
         apart = f"{spectra[0][1].order[1]:.2g}"
         finish(
@@ -189,17 +189,22 @@ def mark_multiples(ax: Axes, base: float, name: str) -> None:
         ax.axvline(number * base, color="0.5", linestyle=":", linewidth=0.8, label=label)
 
 
-def _mark_others(ax: Axes, orders: Mapping[str, float], marked: float, sidebands: bool) -> None:
-    """Draw dashed lines at the other named orders, in a spectrum up to the mesh order at its sidebands by them."""
+def _mark_others(ax: Axes, system: AbstractSystem, marked: float, sidebands: bool) -> None:
+    """Draw dashed lines at the other named orders, in a spectrum up to the mesh order at its sidebands by them.
+
+    The other meshes of a train have lines of their own in both.
+    """
+    orders, meshes = system.orders, {round(order, 9) for order in system.mesh_orders}
     known = {round(marked, 9), round(orders["output"], 9), round(orders["mesh"], 9)}
     others: dict[float, str] = {}
     for name, order in orders.items():
         if round(order, 9) not in known and name not in NO_BODIES:
             others.setdefault(round(order, 9), name)
     for number, (order, name) in enumerate(others.items()):
-        places = [marked - order, marked + order] if sidebands else [order]
+        beside = sidebands and order not in meshes
+        places = [marked - order, marked + order] if beside else [order]
         size = f"{order / orders['output']:g}"
-        label = f"sidebands: mesh\n+- {size} ({name})" if sidebands else f"{name} order {size}"
+        label = f"sidebands: mesh\n+- {size} ({name})" if beside else f"{name} order {size}"
         for place in places:
             style = {"color": f"C{7 + number % 3}", "linestyle": "--", "linewidth": 0.7, "alpha": 0.8}
             if 0 < place / orders["output"] < ax.get_xlim()[1]:
@@ -231,6 +236,7 @@ OF_GEAR_SETS: dict[type[AbstractSystem], tuple[str, Callable[[Scene, Transmissio
     RVCycloidal: ("stage.png", _stage),
     InvoluteRV: ("pair.png", _pair),
     HelicalPair: ("plane_of_action.png", _plane_of_action),
+    HelicalTrain: ("plane_of_action.png", _plane_of_action),
     AbstractNoncircularPair: ("pair.png", _noncircular),
 }
 """File name and drawing function of each gear set under static torque."""

@@ -1,5 +1,6 @@
 """Schematic of a gear set: its bodies, where the phases of their errors begin, lines of action, torque and TE."""
 
+import math
 from typing import Literal
 
 import jax.numpy as jnp
@@ -89,11 +90,15 @@ def _draw_bodies(ax: Axes, sketch: Sketch, colours: dict[str, str]) -> None:
 def _name_bodies(ax: Axes, sketch: Sketch, colours: dict[str, str]) -> None:
     """Names of the bodies: of wheels on cranks at their rim, of what shares the central axis in a corner."""
     central = [body for body in sketch.bodies if sketch.throws and body.axis == MIDDLE]
+    named: list[tuple[float, float]] = []
     for body in sketch.bodies:
         if body in central:
             continue
+        below = 12 * sum(math.dist(body.axis, other) < 1e-6 for other in named)  # bodies on one shaft share their axis
+        named.append(body.axis)
         place = beyond(body.axis, body.frame - 0.35 * np.pi, 0.78 * body.radius) if sketch.throws else body.axis
-        text = ax.annotate(body.name, place, (4, -6), textcoords="offset points", color=colours[body.name], va="top")
+        colour = colours[body.name]
+        text = ax.annotate(body.name, place, (4, -6 - below), textcoords="offset points", color=colour, va="top")
         text.set_fontsize("small")
     if central:
         ax.text(-1.35, -0.8, "on the central axis:", fontsize="small", color="0.35")

@@ -12,18 +12,21 @@ if TYPE_CHECKING:
 
 
 def face_load_factors(scene: Scene, cases: "list[Case]") -> dict[str, float]:
-    """Face load factor K_Hbeta of each loaded case at rest, by its title; empty if the gear set has no slices.
+    """Face load factor K_Hbeta of each loaded case at rest, by its title, and by mesh if there are several.
 
-    A record shorter than a mesh has none, as the mean over a part of a mesh depends on the part.
+    The result is empty if the gear set has no slices. A record shorter than a mesh has
+    none, as the mean over a part of a mesh depends on the part.
     """
     factors = {}
     for case in cases:
         te = case.result
         if not scene.system.has_slices or not isinstance(te, TransmissionError) or te.forces is None:
             continue
-        span = float(te.theta[-1] - te.theta[0]) * scene.system.orders["mesh"] / (2 * np.pi)
-        if span > 1 - 1e-9:
-            factors[case.title] = float(face_load(scene, te).factor)
+        orders = scene.system.mesh_orders
+        for mesh, order in enumerate(orders):
+            if float(te.theta[-1] - te.theta[0]) * order / (2 * np.pi) > 1 - 1e-9:
+                title = case.title if len(orders) == 1 else f"{case.title}, mesh {mesh + 1}"
+                factors[title] = float(face_load(scene, te, mesh).factor)
     return {title: factor for title, factor in factors.items() if np.isfinite(factor)}
 
 

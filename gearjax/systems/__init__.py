@@ -2,6 +2,7 @@
 
 from gearjax.systems.base import AbstractSystem, DiscProfile, GearOutlines, flank_radii
 from gearjax.systems.helical_pair import HelicalPair
+from gearjax.systems.helical_train import HelicalTrain
 from gearjax.systems.involute_rv import InvoluteRV
 from gearjax.systems.noncircular import AbstractNoncircularPair, EllipticPair, NoncircularPair
 from gearjax.systems.rv_cycloidal import RVCycloidal
@@ -12,6 +13,7 @@ SYSTEMS: tuple[type[AbstractSystem], ...] = (
     RVCycloidal,
     InvoluteRV,
     HelicalPair,
+    HelicalTrain,
     EllipticPair,
     NoncircularPair,
 )
@@ -24,6 +26,7 @@ __all__ = [
     "EllipticPair",
     "GearOutlines",
     "HelicalPair",
+    "HelicalTrain",
     "InvoluteRV",
     "NoncircularPair",
     "RVCycloidal",

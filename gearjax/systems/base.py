@@ -100,6 +100,11 @@ class AbstractSystem(eqx.Module):
         return ()
 
     @property
+    def rigid_shafts(self) -> Mapping[str, tuple[str, ...]]:
+        """Shafts that are rigid unless a scene lists their bodies on shafts of its own: the bodies of each, by name."""
+        return {}
+
+    @property
     def orbits(self) -> Mapping[str, Orbit]:
         """Orbits of the bodies that a crank carries; the axes of all other bodies stand still."""
         return {}
@@ -112,6 +117,11 @@ class AbstractSystem(eqx.Module):
         The ``mesh`` of a train is its fastest mesh. Every other frequency that the gaps contain is named too, so that
         time steps and samples resolve it.
         """
+
+    @property
+    def mesh_orders(self) -> tuple[float, ...]:
+        """Order of each mesh, in the order of `meshes`."""
+        return (self.orders["mesh"],)
 
     @property
     def fastest_order(self) -> float:

@@ -7,23 +7,20 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
-from gearjax.contact import BodyView, GearSize, Layout, Pose, ProfilePlace, Request, Rim, Slices
+from gearjax.contact import GearSize, Layout, Pose, Request
+from gearjax.contact.helical_mesh import MARGIN, WAYS, HelicalMesh, helical_layout, pairs_of_teeth
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
-from gearjax.geometry.plane_of_action import SlicePoints, slice_points
+from gearjax.geometry.plane_of_action import SlicePoints
 from gearjax.parameters import angle, check_parameters, count, length, name, number
 from gearjax.sketch import ANTICLOCKWISE, CLOCKWISE, Sketch, SketchedBody
 from gearjax.systems.base import AbstractSystem
-from gearjax.typing import Array, Number, Scalar
+from gearjax.typing import Number, Scalar
 
 PINION, WHEEL = "pinion", "wheel"
-SHARED = ("x", "y", "z", "rx", "ry")
-ROUNDING = 1e-6  # rounding of the total contact ratio
-MARGIN = {"ends": 0.2, "corner": 0.7}  # pairs beyond the total contact ratio that other designs and loads may need
 
 
 class HelicalPair(AbstractSystem):
@@ -120,11 +117,8 @@ class HelicalPair(AbstractSystem):
         with jax.ensure_compile_time_eval():
             for key, shown, words in faults(pair):
                 raise ParameterError(_own_key(key), shown, words)
+            touching, looked_at = pairs_of_teeth(pair, self.tip_contact)
             ratio = float(pair.total_contact_ratio)
-        touching, looked_at = (
-            min(math.floor(ratio + margin) + 1, self.pinion_teeth, self.wheel_teeth)
-            for margin in (-ROUNDING, MARGIN[self.tip_contact])
-        )
         if self.pairs is None:
             object.__setattr__(self, "pairs", looked_at)
         elif self.pairs < touching:  # possible in a copy with a wider face, which keeps the old number
@@ -162,7 +156,7 @@ class HelicalPair(AbstractSystem):
 
     @property
     def coordinates(self) -> Mapping[str, tuple[str, ...]]:
-        return dict.fromkeys(self.bodies, (*SHARED, "rz"))
+        return dict.fromkeys(self.bodies, WAYS)
 
     @property
     def meshes(self) -> tuple[tuple[str, str], ...]:
@@ -189,108 +183,44 @@ class HelicalPair(AbstractSystem):
         return 2 * math.pi * self.wheel_teeth / math.gcd(self.pinion_teeth, self.wheel_teeth)
 
     def gear_size(self, body: str) -> GearSize:
-        pair, number = self.pair, self.bodies.index(body)
-        ends = pair.contact_path.begin, pair.contact_path.end
-        rolls = ends if number == 0 else tuple(pair.other_roll(end) for end in ends)
-        roll = jnp.minimum(*rolls), jnp.maximum(*rolls)
-        gear, diameter, angle = pair.gears[number], pair.reference_diameters[number], pair.transverse_pressure_angle
-        return GearSize(gear.teeth, self.normal_module, diameter, self.face_width, angle, roll, gear.internal)
+        return self.stages[0].gear_size(self.bodies.index(body))
 
     def contact_name(self, contact: int) -> str:
-        block, place = divmod(contact, self._pairs * self.slices)
-        pair, part = divmod(place, self.slices)
-        side = ("driving", "back")[block]
-        return f"slice {part + 1} of {self.slices} of the {side} flanks, pair {pair + 1} of {self._pairs}"
+        return self.stages[0].contact_name(contact)
 
     @property
     def _pairs(self) -> int:
         assert self.pairs is not None  # `__check_init__` sets it if it was not given
         return self.pairs
 
+    @property
+    def stages(self) -> tuple[HelicalMesh, ...]:
+        """The only mesh, cut into slices."""
+        return (HelicalMesh(self.pair, self._pairs, self.slices, self.tip_contact == "corner"),)
+
     def layout(self, request: Request) -> Layout:
-        return _layout(self._pairs, self.slices, request.back)
+        return helical_layout((self._pairs,), self.slices, request.back)
 
     def points(self, theta: Scalar, side: int) -> SlicePoints:
         """Slices of the pairs of teeth that may touch on one side, 1 or -1, at an input angle [rad]."""
-        return slice_points(self.pair, theta, side, self._pairs, self.slices, self.tip_contact == "corner")
+        return self.stages[0].points(theta, side)
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
-        pair, sides = self.pair, (1, -1) if request.back else (1,)
-        blocks = [self.points(theta, side) for side in sides]
-        at = jax.tree.map(lambda *parts: jnp.stack(parts), *blocks)
-        side = jnp.asarray(sides, theta.dtype)[:, None, None]
-        normal = jnp.cos(pair.base_helix_angle)
-        jacobian = [-side * normal * pair.gears[1].base_radius]
+        contacts = self.stages[0].contacts(theta, request.back)
+        columns = [contacts.lever]
         for coordinate in request.coordinates:
             body, _, way = coordinate.partition(".")
-            jacobian.append(self._column(body, way, pair, side, at))
-        gap = normal * (at.gap + jnp.where(side < 0, pair.backlash, 0.0))
-        if not request.moving or self.tip_contact == "corner":
-            gap = gap + at.beyond  # slices off the path of contact stay open
-        views = {body: self._view(body, theta, pair, sides, at) for body in request.bodies}
-        mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (at.tooth.size,)) if request.mesh else None
-        slices = Slices(pair, at.roll, at.across, at.share) if request.slices else None
-        columns = jnp.stack([jnp.broadcast_to(column, at.across.shape).ravel() for column in jacobian], axis=1)
-        return Pose(theta, columns, gap.ravel(), views, mesh, slices=slices)
+            columns.append(contacts.column(self._number(body), way))
+        views = {body: contacts.view(self._number(body)) for body in request.bodies}
+        teeth = len(contacts.sides) * self._pairs
+        mesh = jnp.broadcast_to(self.orders["mesh"] * theta, (teeth,)) if request.mesh else None
+        slices = (contacts.slices,) if request.slices else None
+        return Pose(theta, jnp.stack(columns, axis=1), contacts.gap(request.moving), views, mesh, slices=slices)
 
-    def _column(self, body: str, way: str, pair: InvolutePair, side: Array, at: SlicePoints) -> Array:
-        """Change of overlap per displacement of a gear; the pinion closes the contact by moving along the normal."""
-        alpha, beta = pair.working_pressure_angle, pair.base_helix_angle
-        flat, lean = jnp.cos(beta), jnp.sin(beta)
-        normal = jnp.sin(alpha) * flat, side * jnp.cos(alpha) * flat, -side * lean
-        sign = 1.0 if body == PINION else -1.0
-        if way in ("x", "y", "z"):
-            return sign * normal[("x", "y", "z").index(way)]
-        base = pair.gears[0].base_radius
-        along = at.roll[0]
-        arm = base * jnp.cos(alpha) + along * jnp.sin(alpha), side * (along * jnp.cos(alpha) - base * jnp.sin(alpha))
-        internal = self.wheel_kind == "internal"
-        if body == WHEEL:
-            arm = arm[0] + (pair.centre_distance if internal else -pair.centre_distance), arm[1]
-        arm = *arm, at.across
-        first, second = {"rx": (1, 2), "ry": (2, 0), "rz": (0, 1)}[way]
-        turned = arm[first] * normal[second] - arm[second] * normal[first]
-        ahead = -1.0 if way == "rz" and body == WHEEL and not internal else 1.0  # an external wheel turns the other way
-        return sign * ahead * turned
-
-    def _view(self, body: str, theta: Scalar, pair: InvolutePair, sides: tuple[int, ...], at: SlicePoints) -> BodyView:
-        """View of a displacement fixed on a gear, from the normals of the flanks."""
+    def _number(self, body: str) -> int:
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
-        number, internal = self.bodies.index(body), self.wheel_kind == "internal"
-        gear, roll = pair.gears[number], at.roll[number]
-        side = jnp.asarray(sides, theta.dtype)[:, None, None]
-        # a displacement e at the phase p has the component e sin(turn + p +- alpha) along the line of action
-        outer = number == 1 and not internal
-        turn = theta * (self.orders["output"] if number else 1.0)
-        place = (-side if outer else side) * pair.working_pressure_angle
-        normal = jnp.cos(pair.base_helix_angle)
-        away = normal if number else -normal  # change of the gap per displacement along the normal
-        # a back flank of the pinion faces the next tooth of the wheel
-        tooth = at.tooth + np.array([int(one < 0) for one in sides])[:, None] if number else at.tooth
-        tooth = jnp.broadcast_to(jnp.mod(tooth, gear.teeth)[..., None], roll.shape)
-        slant = jnp.arctan(roll / gear.base_radius)
-        outward = normal * jnp.sin(slant) * (1.0 if number and internal else -1.0)
-        around = away * side * jnp.cos(slant)
-        spread = [jnp.broadcast_to(part, roll.shape).ravel() for part in (place, away * side, outward, around)]
-        eta = tooth.ravel().astype(roll.dtype) * (2 * math.pi / gear.teeth)
-        rim = Rim(eta, spread[2], spread[3], gear.teeth, tooth.ravel())
-        path = pair.contact_path
-        tip = gear.base_radius * gear.tip_roll
-        to_tip = jnp.abs(tip - roll).ravel()
-        # a turn moves a flank by r_b along the base tangent, and by r along the reference circle
-        ahead = spread[1] * (2 * gear.base_radius / pair.reference_diameters[number])
-        flank = ProfilePlace(
-            to_tip,
-            path.end - path.begin,
-            at.across.ravel(),
-            pair.face_width,
-            normal,
-            roll.ravel(),
-            jnp.broadcast_to(side, roll.shape).ravel(),
-            ahead,
-        )
-        return BodyView(turn, spread[0], spread[1], rim, flank=flank)
+        return self.bodies.index(body)
 
 
 def _own_key(key: str) -> str:
@@ -298,12 +228,3 @@ def _own_key(key: str) -> str:
     base, _, place = key.partition("[")
     own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
     return key if own is None else f"{(PINION, WHEEL)[int(place[0])]}_{own}"
-
-
-@functools.cache  # analyses ask for the layout at each call
-def _layout(pairs: int, slices: int, back: bool) -> Layout:
-    """Layout in which every flank is a pair of its own: driving and back flanks touch on different teeth."""
-    sides = (1, -1) if back else (1,)
-    side = tuple(side for side in sides for _ in range(pairs * slices))
-    pair = tuple(pair for pair in range(len(sides) * pairs) for _ in range(slices))
-    return Layout(side, pair, across=slices)

@@ -12,6 +12,7 @@ from gearjax import arguments
 from gearjax.analysis.metrics import deviation
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.progress import Progress, silent
+from gearjax.scene_checks import require_output_alone
 from gearjax.studies.descent import default_optimiser, descend
 from gearjax.studies.select import numbers
 from gearjax.timing import Stopwatch
@@ -189,6 +190,7 @@ class _Search:
         theta = np.linspace(float(work.one.theta[0]), float(work.one.theta[-1]), number)
         self.measures = Measures([measure], population, jnp.asarray(theta, population.scene.dtype), "samples")
         if self.measures.curves is None:
+            require_output_alone(population.scene, "matched assembly")
             raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
         self._program = over_rows(self, work.devices, TOGETHER)
 

@@ -176,7 +176,7 @@ class StructureEquation(eqx.Module):
     def drag(self, stiffness: Float[Array, " contact"]) -> Float[Array, " damper"]:
         """Coefficients of the dampers [N s/m]."""
         assert self.coefficient is not None
-        return self.coefficient * stiffness if self.springs.sliced else self.coefficient
+        return self.springs.per_mesh(self.coefficient) * stiffness if self.springs.sliced else self.coefficient
 
     def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " damper"]:
         """How far each damper acts, 0 to 1: while its slice or any flank of its pair is in contact, or always."""

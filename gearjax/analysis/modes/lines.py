@@ -65,9 +65,9 @@ class Lines(eqx.Module):
         contacts, coordinates = jacobian.shape
         apart = not equation.levers_turn and contacts <= coordinates and not springs.sliced
         unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
-        if springs.matrix is not None:
-            held = springs.matrix
-            damping = None if coefficient is None else coefficient * held
+        if springs.matrices is not None:
+            held = springs.matrices.sum(axis=0)
+            damping = None if coefficient is None else jnp.tensordot(coefficient, springs.matrices, 1)
             return cls(equation, unit, unit, held, damping, apart)
         if layout.sides_turn:
             carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0

@@ -2,7 +2,7 @@
 
 The stiffness of a pair of teeth varies about a mean, and each pair has one damper, along its first flank. Slices of
 contact lines enter and leave the path of contact, and their stiffness depends on the angle. Their mean is that of the
-whole mesh over a mesh period, and each slice has its own damper, in proportion to its stiffness.
+whole mesh over its mesh period, and each slice has its own damper, in proportion to its stiffness.
 """
 
 import math
@@ -30,21 +30,21 @@ class MeanSprings(eqx.Module):
     Args:
         mean: mean stiffness of each contact, shape (contact,) [N/m]; for slices averaged over the mesh period, with
             zero while the flanks do not touch and for flanks that do not carry the torque.
-        peak: for slices the highest stiffness of the mesh over its mean [-], otherwise the peak stiffness of a pair
-            [N/m].
-        pairs: for slices the total contact ratio, the mean number of pairs in contact [-].
+        peak: for slices the highest stiffness of each mesh over its mean, shape (mesh,) [-], otherwise the peak
+            stiffness of a pair [N/m].
+        pairs: for slices the total contact ratio of each mesh, the mean number of pairs in contact, shape (mesh,) [-].
         carries: 1 for slices on the flanks that carry the torque, 0 for others, shape (contact,).
-        matrix: for slices, mean of ``J^T k J`` over those flanks, shape (coordinate, coordinate) [N m/rad, N/m];
-            ``None`` for other springs.
+        matrices: for slices, mean of ``J^T k J`` over those flanks of each mesh, shape (mesh, coordinate, coordinate)
+            [N m/rad, N/m]; ``None`` for other springs.
         harmonics: number of harmonics of the mesh frequency that steps resolve.
         layout: sides and pairs of the contacts.
     """
 
     mean: Float[Array, " contact"]
-    peak: Scalar
-    pairs: Scalar
+    peak: Float[Array, "*mesh"]
+    pairs: Float[Array, "*mesh"]
     carries: Float[Array, " contact"]
-    matrix: Float[Array, "coordinate coordinate"] | None
+    matrices: Float[Array, "mesh coordinate coordinate"] | None
     harmonics: int = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
 
@@ -57,35 +57,41 @@ class MeanSprings(eqx.Module):
             mean = layout.per_contact(layout.apiece(compliance.mean_stiffness(layout.teeth)))
             numbers = mean, compliance.peak_stiffness(), jnp.ones_like(mean[0]), jnp.ones_like(mean), None
             return cls(*numbers, compliance.harmonics, layout)
-        period = 2 * math.pi / scene.system.orders["mesh"]
-        angles = jnp.asarray(period / ANGLES * np.arange(ANGLES), scene.dtype)
+        period = 2 * math.pi / np.array(scene.system.mesh_orders)
+        angles = jnp.asarray(period[:, None] / ANGLES * np.arange(ANGLES), scene.dtype)
+        own = jnp.asarray(_mesh(layout) == np.arange(len(period))[:, None], scene.dtype)
         drives = jnp.asarray(np.asarray(layout.side) > 0)
         if layout.has_back:
             drives = drives == (torque >= 0)
 
         back = np.asarray(layout.side) < 0
 
-        def at(theta: Scalar) -> tuple[Array, Array, Array]:
+        def at(theta: Scalar, own: Float[Array, " contact"]) -> tuple[Array, Array, Array]:
             pose = scene.pose(theta, "varying")
             # the smallest gap of back flanks is the gear set's own backlash: these flanks touch there
             room = jnp.where(jnp.asarray(np.asarray(layout.side) > 0), 0.0, pose.gap.min(where=back, initial=jnp.inf))
             contacts = scene.contacts(pose, "varying")
             assert contacts.linear is not None
             assert pose.slices is not None
-            stiffness = jnp.where(drives & (pose.gap - room < TOUCHING), contacts.linear, 0.0)
+            stiffness = own * jnp.where(drives & (pose.gap - room < TOUCHING), contacts.linear, 0.0)
             matrix = contacts.jacobian.T @ (stiffness[:, None] * contacts.jacobian)
-            return stiffness, matrix, pose.slices.pair.total_contact_ratio
+            return stiffness, matrix, jnp.stack([mesh.pair.total_contact_ratio for mesh in pose.slices])
 
-        stiffness, matrices, ratio = jax.vmap(at)(angles)
-        whole = stiffness.sum(axis=1)
+        stiffness, matrices, ratios = jax.vmap(jax.vmap(at, (0, None)))(angles, own)
+        whole = stiffness.sum(axis=2)
         carries = drives.astype(whole.dtype)
-        numbers = stiffness.mean(axis=0), whole.max() / whole.mean(), ratio[0], carries, matrices.mean(axis=0)
+        peak = whole.max(axis=1) / whole.mean(axis=1)
+        numbers = stiffness.mean(axis=1).sum(axis=0), peak, ratios[0, 0], carries, matrices.mean(axis=1)
         return cls(*numbers, HARMONICS, layout)
 
     @property
     def sliced(self) -> bool:
         """Whether the contacts are slices of contact lines, which enter and leave the path of contact."""
-        return self.matrix is not None
+        return self.matrices is not None
+
+    def per_mesh(self, of_meshes: Float[Array, " mesh"]) -> Float[Array, "..."]:
+        """Numbers of the meshes at their contacts, shape (contact,); the number itself if there is one mesh."""
+        return of_meshes if len(of_meshes) == 1 else of_meshes[_mesh(self.layout)]
 
     @property
     def damped(self) -> Place:
@@ -107,24 +113,27 @@ class MeanSprings(eqx.Module):
         return least
 
     def damping(self, damping: DampingRatio, mass: Array) -> Float[Array, "*pair"]:
-        """Damping coefficients of the pairs [N s/m]; for slices one coefficient over stiffness, shape () [s].
+        """Damping coefficients of the pairs [N s/m]; for slices the coefficient over stiffness of each mesh [s].
 
-        For slices the whole mesh has, on average, as many dampers of a pair as pairs touch.
+        For slices a whole mesh has, on average, as many dampers of a pair as pairs touch.
 
         Args:
             damping: damping of each pair.
-            mass: equivalent mass on the line of action [kg].
+            mass: equivalent mass on the line of action, one for all or of each pair [kg].
         """
         if not self.sliced:
             first = self.layout.flanks[0]
             return damping.coefficient(self.mean[first] * self.layout.across, mass)
-        whole = self.mean.sum()
+        meshes, of_pair = np.arange(len(self.pairs)), _mesh(self.layout)[self.layout.flanks[0]]
+        whole = jnp.stack([self.mean.sum(where=_mesh(self.layout) == mesh) for mesh in meshes])
+        if mass.ndim:  # all pairs of a mesh have the same
+            mass = mass[np.array([np.argmax(of_pair == mesh) for mesh in meshes])]
         return damping.coefficient(self.pairs * whole, mass) / whole
 
     def stiffest(self, jacobian: Float[Array, "contact coordinate"]) -> Float[Array, "coordinate coordinate"]:
         """Stiffness matrix of the coordinates from all contacts at peak stiffness [N m/rad, N/m]."""
-        if self.matrix is not None:
-            return self.peak * self.matrix
+        if self.matrices is not None:
+            return jnp.tensordot(self.peak, self.matrices, 1)
         first = jacobian[self.layout.flanks[0]]
         return self.peak * first.T @ first
 
@@ -135,7 +144,12 @@ class MeanSprings(eqx.Module):
 
         Arguments are those of the equation of motion.
         """
-        if self.matrix is not None:
-            return coefficient * self.peak * self.matrix
+        if self.matrices is not None:
+            return jnp.tensordot(coefficient * self.peak, self.matrices, 1)
         first = jacobian[self.layout.flanks[0]]
         return first.T @ (coefficient[:, None] * first)
+
+
+def _mesh(layout: Layout) -> np.ndarray:
+    """Number of the mesh of each contact."""
+    return np.array(layout.mesh or (0,) * len(layout.side))
