@@ -270,6 +270,9 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
     "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
     "synthetic_measurement": lambda case: case.recording.output,
+    "torque_sweep": lambda case: gj.torque_sweep(
+        case.moved, np.arange(12) * np.pi / 6 / case.scene.system.orders["mesh"], np.array([0.5 * TORQUE, TORQUE])
+    ),
     "torsion": lambda case: gj.torsion(case.moved, case.theta[:3], np.array([-TORQUE, TORQUE])),
     "transmission_error": lambda case: [case.te(), case.te(TORQUE)],
     "waterfall": lambda case: (

@@ -26,6 +26,7 @@ from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
 from gearjax.analysis.stiffness import MeshStiffness, mesh_stiffness
+from gearjax.analysis.torque_sweep import TorqueSweep, torque_sweep
 from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost_motion, torsion
 from gearjax.analysis.waterfall import Waterfall, waterfall
 
@@ -51,6 +52,7 @@ __all__ = [
     "RungeKutta4",
     "Spectrum",
     "Sweep",
+    "TorqueSweep",
     "Torsion",
     "TransmissionError",
     "Waterfall",
@@ -74,6 +76,7 @@ __all__ = [
     "shooting",
     "simulate",
     "speed_sweep",
+    "torque_sweep",
     "torsion",
     "transmission_error",
     "waterfall",

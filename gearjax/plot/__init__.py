@@ -10,6 +10,7 @@ from gearjax.plot.run import bearing_figure, error_figure, force_figure, mark_mu
 from gearjax.plot.schematic import schematic_figure
 from gearjax.plot.stiffness import stiffness_figure
 from gearjax.plot.tolerance import save_tolerance_figures
+from gearjax.plot.torque_sweep import torque_sweep_figure
 from gearjax.plot.tradeoff import save_tradeoff_figure
 from gearjax.plot.waterfall import waterfall_figure
 
@@ -38,5 +39,6 @@ __all__ = [
     "stage_figure",
     "stiffness_figure",
     "thin",
+    "torque_sweep_figure",
     "waterfall_figure",
 ]

@@ -17,7 +17,8 @@ from gearjax.plot.measured import measured_figure
 from gearjax.plot.noncircular import noncircular_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.plot.schematic import schematic_figure
-from gearjax.results import Case, forces_on_bearings, order_lines, required_run
+from gearjax.plot.torque_sweep import torque_sweep_figure
+from gearjax.results import Case, against_torque, forces_on_bearings, order_lines, required_run
 from gearjax.scene import Scene
 from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, HelicalTrain, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
@@ -255,6 +256,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "order_spectrum.png": spectrum_figure(scene, cases),
         "support_displacements.png": moved_figure(scene, cases),
         "bearing_forces.png": bearing_figure(scene, cases),
+        "torque_sweep.png": None if (sweep := against_torque(scene, cases)) is None else torque_sweep_figure(sweep),
     }
     if any(isinstance(error, AbstractMeasured) for error in scene.errors.values()):
         figures["measured.png"] = measured_figure(scene)

@@ -15,6 +15,7 @@ from gearjax.results.cases import (
 from gearjax.results.loads_on_parts import face_load_factors, forces_on_bearings
 from gearjax.results.optimisation import Optimisation, optimise, save_optimisation
 from gearjax.results.spectra import OrderLines, order_lines
+from gearjax.results.torques import against_torque
 from gearjax.results.tradeoff import as_json as tradeoff_as_json
 from gearjax.results.tradeoff import save_tradeoff
 
@@ -23,6 +24,7 @@ __all__ = [
     "GradedGear",
     "Optimisation",
     "OrderLines",
+    "against_torque",
     "clash_of",
     "face_load_factors",
     "forces_on_bearings",
