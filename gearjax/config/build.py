@@ -18,6 +18,7 @@ from gearjax.config.run import read_published, read_run
 from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys, written
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
+from gearjax.errors import AbstractError, MeasuredFlank
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
@@ -25,8 +26,9 @@ from gearjax.registry import kinds
 from gearjax.scene import Scene
 from gearjax.shafts import Shaft
 from gearjax.supports import Support
-from gearjax.systems import flank_radii
+from gearjax.systems import AbstractSystem, flank_radii
 
+CONTAINS = "contains"  # key of a measured flank: the errors that its values contain by design
 _LARGEST_FILE = 8_000_000  # bytes; 250,000 measured values written out in the file take 5 million
 _LONGEST_SERIES = 1_000_000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
@@ -188,9 +190,15 @@ def _scene(tables: dict[str, Any]) -> Scene:
         raise GearjaxError('no [system]: a configuration needs one, such as kind = "two_kv"')
     system = _one_of("system", tables["system"], kinds("gearjax.systems"))
     errors = {}
+    contains: dict[str, Any] = {}
     for name, table in _tables("errors", tables).items():
         check_name("errors", name)
+        if table.get("kind") == MeasuredFlank.kind and CONTAINS in table:
+            contains[name] = table[CONTAINS]
+            table = {key: value for key, value in table.items() if key != CONTAINS}
         errors[name] = _one_of(f"errors.{name}", table, kinds("gearjax.errors"))
+    for name, design in contains.items():
+        errors[name] = _without_design(name, design, errors, system)
     parts: dict[str, Any] = {}
     for section, known in (("compliance", kinds("gearjax.compliances")), ("load", LOADS), ("contact", CONTACTS)):
         if section in tables:
@@ -219,6 +227,25 @@ def _scene(tables: dict[str, Any]) -> Scene:
     if "run" in tables:
         scene = dataclasses.replace(scene, run=read_run(tables["run"], published, scene))
     return scene
+
+
+def _without_design(name: str, design: Any, errors: dict[str, AbstractError], system: AbstractSystem) -> MeasuredFlank:
+    """A measured flank without the designed modifications that its values contain, which are errors of their own."""
+    key, measured = f"errors.{name}.{CONTAINS}", errors[name]
+    assert isinstance(measured, MeasuredFlank)
+    if not isinstance(design, list) or not all(isinstance(one, str) for one in design):
+        raise ParameterError(key, design, 'must be a list of names of [errors.NAME], such as ["tip", "crowning"]')
+    others = [one for one in errors if one != name]
+    for one in design:
+        if one not in others:
+            raise ParameterError(key, one, nearest(one, others))
+    size = system.gear_size(measured.body)
+    if size is None:
+        raise ParameterError(key, design, f"is not for a {system.kind}, which does not give the sizes of its gears")
+    try:
+        return measured.without([errors[one] for one in design], size)
+    except ParameterError as fault:
+        raise ParameterError(key, fault.given, fault.right) from fault
 
 
 def _apart(section: str, tables: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

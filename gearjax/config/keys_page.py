@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from gearjax.clearance import InitialBacklash, ZeroAtStart
-from gearjax.config.build import CONTACTS, REFERENCE_KEYS
+from gearjax.config.build import CONTACTS, CONTAINS, REFERENCE_KEYS
 from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
 from gearjax.config.identify import IDENTIFY_KEYS
 from gearjax.config.meaning import both, limits, meanings, summary
@@ -22,6 +22,7 @@ from gearjax.config.tolerance import (
     Assembly,
     ToleranceSection,
 )
+from gearjax.errors import MeasuredFlank
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.markdown import plain
@@ -43,6 +44,7 @@ A configuration is a TOML file. Physical values are strings with their unit, suc
 are numbers or `"5 %"`. A key without a default must be given, unless the table says "may be left out". Bounds are in
 SI units or in usual units such as `deg` and `rpm`.
 """
+OF_DESIGN = "names of the errors of the same gear that the measured values contain by design"
 FILE = "the name of a CSV file in quotes, in place of the values"
 
 
@@ -112,6 +114,8 @@ def _part(title: str, part: Any) -> str:
     rows = _rows(_of_fields(part), part)
     if getattr(part, "kind", "") in READERS:
         rows.append(("file", FILE, "may be left out"))
+    if getattr(part, "kind", "") == MeasuredFlank.kind:
+        rows.append((CONTAINS, OF_DESIGN, "may be left out"))
     return _section(title, summary(part), rows)
 
 

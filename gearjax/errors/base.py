@@ -17,6 +17,8 @@ class AbstractError(eqx.Module):
     body: eqx.AbstractVar[str]
     on_rim: ClassVar[bool] = False
     """Whether it is an error of single pins or teeth, which not every body has."""
+    on_flank: ClassVar[bool] = False
+    """Whether it is material along the profile or across the face of a tooth, which a design may ask for."""
 
     @abc.abstractmethod
     def gap(self, view: BodyView) -> Float[Array, " contact"]:

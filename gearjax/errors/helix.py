@@ -28,6 +28,7 @@ class HelixSlope(AbstractError):
 
     kind: ClassVar[str] = "helix_slope"
     on_rim: ClassVar[bool] = True
+    on_flank: ClassVar[bool] = True
     body: str = name()
     slope: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["2 um"])
 
@@ -51,6 +52,7 @@ class Crowning(AbstractError):
 
     kind: ClassVar[str] = "crowning"
     on_rim: ClassVar[bool] = True
+    on_flank: ClassVar[bool] = True
     body: str = name()
     amount: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["5 um"])
 
@@ -78,6 +80,7 @@ class EndRelief(AbstractError):
 
     kind: ClassVar[str] = "end_relief"
     on_rim: ClassVar[bool] = True
+    on_flank: ClassVar[bool] = True
     body: str = name()
     amount: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["5 um"])
     length: Number = length(at_least=1e-9, at_most=10.0, example="5 mm")

@@ -1,6 +1,7 @@
 """Flanks and pitches of single teeth from a measuring machine (ISO 1328-1; Guo and Fang 2018)."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete
-from gearjax.contact import BodyView, GearSize, ProfilePlace
+from gearjax.contact import BodyView, GearSize, ProfilePlace, Rim
 from gearjax.errors.base import AbstractError
 from gearjax.errors.profile import profile_of
 from gearjax.errors.rim import spread
@@ -62,6 +63,10 @@ class MeasuredFlank(AbstractMeasured):
     Bicubic splines interpolate between the places of the grid (Guo and Fang 2018, section 2.1). A configuration may
     name a CSV file instead of roll, across, deviation and teeth: file = "pinion.csv", with the columns roll in mm,
     deviation in um and, if needed, across in mm, tooth and flank.
+
+    If the values were measured from the involute, they contain the designed reliefs and crowning. In a configuration,
+    ``contains = ["tip", "crowning"]`` with the names of these errors takes them out of the measured values, so that
+    each counts once, and so that grades (`accuracy_grades`) are those of the deviations from the design.
 
     Beyond the grid, the deviation is the deviation at the nearest measured place. A tooth that was not measured has the
     mean of the measured teeth. With one place across the face, the profile is the same over the whole face. With one
@@ -118,6 +123,42 @@ class MeasuredFlank(AbstractMeasured):
     def grid(self) -> Float[Array, "tooth row column"]:
         """Deviations by tooth, length of roll and place across the face [m]."""
         return self.deviation.reshape(self.grids, self.roll.size, self.across.size)
+
+    def without(self, design: Sequence[AbstractError], gear: GearSize) -> "MeasuredFlank":
+        """The measured deviations from the designed flank, which ISO 1328-1 grades, not from the involute.
+
+        Add the designed modifications to the errors of the scene then: together they are what was measured.
+
+        Args:
+            design: modifications of the same gear that the measured values contain, such as `TipRelief` and `Crowning`.
+            gear: sizes of the gear, from `AbstractSystem.gear_size`.
+
+        Raises:
+            ParameterError: an error is of another gear, or is no modification along the profile or across the face.
+        """
+        roll, across = jnp.meshgrid(self.roll, self.across, indexing="ij")
+        known = self.teeth if self.teeth.size else jnp.arange(self.grids, dtype=self.roll.dtype)
+        shape = self.grids, *roll.shape
+        places = [jnp.broadcast_to(part[None], shape).ravel() for part in (roll, across)]
+        nothing = jnp.zeros_like(places[0])
+        tooth = jnp.broadcast_to(known[:, None, None], shape).ravel().astype(int)
+        rim = Rim(nothing, nothing, nothing, gear.teeth, tooth)
+        low, high = gear.roll
+        tip = low if gear.internal else high
+        side = FLANKS.get(self.flank, 1) * jnp.ones_like(nothing)
+        place = ProfilePlace(
+            jnp.abs(tip - places[0]), high - low, places[1], gear.width, roll=places[0], side=side, ahead=nothing
+        )
+        view = BodyView(nothing[0], nothing, nothing, rim, flank=place)
+        removed = nothing
+        for error in design:
+            if error.body != self.body:
+                raise ParameterError("design", error.body, f'must be modifications of "{self.body}"')
+            if not error.on_flank:
+                words = "is no modification along the profile or across the face, such as tip_relief or crowning"
+                raise ParameterError("design", error.kind, words)
+            removed = removed + error.gap(view)
+        return dataclasses.replace(self, deviation=self.deviation + removed)
 
     def check_places(self, gear: GearSize) -> None:
         low, high = (float(end) / mm for end in gear.roll)

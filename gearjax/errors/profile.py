@@ -18,6 +18,7 @@ class AbstractRelief(AbstractError):
     """Material removed towards one end of the profile; a subclass defines this end."""
 
     on_rim: ClassVar[bool] = True
+    on_flank: ClassVar[bool] = True
     body: str = name()
     amount: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["2 um"])
     length: Number = length(at_least=1e-9, at_most=1.0, example="0.5 mm")
@@ -89,6 +90,7 @@ class ProfileSlope(AbstractError):
 
     kind: ClassVar[str] = "profile_slope"
     on_rim: ClassVar[bool] = True
+    on_flank: ClassVar[bool] = True
     body: str = name()
     slope: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["2 um"])
 
@@ -114,6 +116,7 @@ class ProfileForm(AbstractError):
 
     kind: ClassVar[str] = "profile_form"
     on_rim: ClassVar[bool] = True
+    on_flank: ClassVar[bool] = True
     body: str = name()
     amplitude: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["1 um"])
     waves: int = count(default=1, at_most=100)

@@ -46,7 +46,8 @@ def accuracy_grades(scene: Scene, body: str, flank: str = "driving") -> dict[str
     """Deviations of a measured gear, and their accuracy grades (ISO 1328-1:2013).
 
     Profiles are evaluated in the middle of the face, helices in the middle of the profile, both over the whole measured
-    range. Designed reliefs and crowning are not subtracted: they count as deviations. Slope deviations are those of the
+    range. Values measured from the involute contain designed reliefs and crowning, which then count as deviations; take
+    them out before (`MeasuredFlank.without`, in a configuration ``contains``). Slope deviations are those of the
     least-squares line, positive with more material at the tip, or at the high end of the face. Form deviations are the
     range about this line, total deviations the range of the trace. If several measured flanks are added, such as a grid
     of profiles and a grid of helices, each is graded by itself and the largest deviation counts.
