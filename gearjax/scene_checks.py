@@ -150,12 +150,14 @@ def require(scene: Scene, what: str, *slots: str) -> None:
             f"{scene.compliance.kind} is nonlinear"
         )
     if scene.compliance is not None and couples(scene.compliance):
-        words = f"{scene.compliance.kind} couples the contacts; gj.one_contact(scene, torque) reduces them to one"
-        raise SceneError(f'"{what}" needs independent springs: {words}')
+        hint = "" if scene.is_train else "; gj.one_contact(scene, torque) reduces them to one"
+        raise SceneError(f'"{what}" needs independent springs: {scene.compliance.kind} couples the contacts{hint}')
     own = scene.compliance
     if scene.system.has_slices and own is not None and not (isinstance(own, AbstractSliceCompliance) and own.linear):
         words = "[compliance] of slices that are linear springs, such as line_stiffness, or tooth_slices with contact ="
-        words = f'{words} "constant"; gj.one_contact(scene, torque) reduces all to one contact'
+        words = f'{words} "constant"'
+        if not scene.is_train:
+            words += "; gj.one_contact(scene, torque) reduces all to one contact"
         raise SceneError(f'"{what}" of a {scene.system.kind} needs {words}')
     coordinates = scene.moving.coordinates
     if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:

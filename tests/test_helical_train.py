@@ -83,6 +83,24 @@ def test_a_train_is_its_pairs_in_series(torque):
         np.testing.assert_allclose(both.forces, forces, rtol=0, atol=1e-11 * forces.max())
 
 
+@pytest.mark.parametrize(
+    "compliance",
+    [
+        gj.ToothSlices(206e9, 0.3, contact="hertz"),
+        gj.ToothSlices(206e9, 0.3, coupling_length=1.5),
+        gj.Iso6336Teeth(),
+        gj.HarmonicStiffness(2e8, [0.1], [0.0]),
+    ],
+    ids=["hertz", "coupled", "iso_6336", "harmonic"],
+)
+def test_springs_of_every_type_join(compliance):
+    first, second = (teeth[0] / teeth[1] for teeth in zip(*TEETH, strict=True))
+    both = gj.transmission_error(scene_of(compliance=compliance), THETA[:7], TORQUE).te
+    one = gj.transmission_error(stage_of(0, compliance=compliance), THETA[:7], TORQUE * second).te
+    two = gj.transmission_error(stage_of(1, compliance=compliance), THETA[:7] * first, TORQUE).te
+    np.testing.assert_allclose(both, two + second * one, rtol=0, atol=1e-10 * np.abs(both).max())
+
+
 def test_a_train_of_one_mesh_is_a_pair():
     own = {key: values[:1] for key, values in GIVEN.items() if key != "line_angle"}
     system = gj.HelicalTrain((20,), (50,), **own, input_speed=120.0, slices=5)

@@ -103,6 +103,12 @@ def print_optimisation(optimisation: Optimisation) -> None:
         soft_wrap=True,
     )
     _print_choice(console, optimisation)
+    if optimisation.others is not None:
+        before, after = (value / unit.per_shown for value in optimisation.others)
+        words = (
+            f"mean of {optimisation.section.scatter} gear sets drawn from [tolerance]; of {optimisation.judging} others"
+        )
+        console.print(f"{words}: before {before:.5f} {unit.shown}, after {after:.5f} {unit.shown}", soft_wrap=True)
     if not search.improved:
         console.print(f"gradients: {UNIMPROVED}", soft_wrap=True)
     around = optimisation.sensitivity

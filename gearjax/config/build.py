@@ -15,7 +15,7 @@ from gearjax.config.identify import IdentifySection, read_identify
 from gearjax.config.measured import READERS
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
-from gearjax.config.tables import Key, keys_of, known_keys, read_parameter, require_keys, written
+from gearjax.config.tables import Key, as_toml, keys_of, known_keys, read_parameter, require_keys, written
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import AbstractError, MeasuredFlank
@@ -27,6 +27,7 @@ from gearjax.scene import Scene
 from gearjax.shafts import Shaft
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem, flank_radii
+from gearjax.tolerance import Tolerances
 
 CONTAINS = "contains"  # key of a measured flank: the errors that its values contain by design
 _LARGEST_FILE = 8_000_000  # bytes; 250,000 measured values written out in the file take 5 million
@@ -131,7 +132,7 @@ def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
     """
     scene = _scene(with_files(tables, Path(folder)))
     if "optimise" in tables:
-        read_optimise(tables["optimise"], scene)
+        _read_optimise(tables, scene, Path(folder))
     if "tolerance" in tables:
         read_tolerance(tables["tolerance"], scene, Path(folder))
     return scene
@@ -280,7 +281,14 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
             "the configuration has no [optimise]: add a section with objective and where, such as this line before the "
             'first section: optimise = {objective = "no_load_amplitude", where = ["errors.planet_1.phase"]}'
         )
-    return scene, read_optimise(tables["optimise"], scene)
+    return scene, _read_optimise(tables, scene, Path(folder))
+
+
+def _read_optimise(tables: dict[str, Any], scene: Scene, folder: Path) -> OptimiseSection:
+    def population() -> Tolerances | None:
+        return read_tolerance(tables["tolerance"], scene, folder).tolerances if "tolerance" in tables else None
+
+    return read_optimise(tables["optimise"], scene, population)
 
 
 def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, IdentifySection]:
@@ -367,8 +375,11 @@ def _value(key: str, given: Any, parameter: Parameter) -> Any:
             raise ParameterError(key, given, "must be a whole number")
         return given
     if parameter.kind == "series":
-        if not isinstance(given, list) or len(given) > _LONGEST_SERIES:
-            raise ParameterError(key, given, f"must be a list of at most {_LONGEST_SERIES} values, [] for none")
+        if not isinstance(given, list):
+            example = as_toml([given]) if isinstance(given, str | int | float) else "[] for none"
+            raise ParameterError(key, given, f"must be a list of values, such as {example}")
+        if len(given) > _LONGEST_SERIES:
+            raise ParameterError(key, given, f"must be a list of at most {_LONGEST_SERIES} values")
         return [_number(f"{key}[{index}]", value, parameter) for index, value in enumerate(given)]
     worded = parameter.names or parameter.words
     if worded and isinstance(given, str) and given.isidentifier():

@@ -1,6 +1,7 @@
 """The optimise section: which numbers are free, what is minimised, and how the search is done."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,8 +15,11 @@ from gearjax.scene import Scene
 from gearjax.studies import Objective, Term
 from gearjax.studies.select import numbers, pick
 from gearjax.studies.terms import NAMES, SHARES
+from gearjax.tolerance import Tolerances
 
 MOST_STARTS = 1_000_000
+MOST_DRAWN = 10_000
+FRESH = 256  # least number of other gear sets on which a result is judged
 OPTIMISE_KEYS = {
     "objective": Key('a name such as "no_load_amplitude", or a list of terms', '"no_load_amplitude"', required=True),
     "where": Key('a list of paths such as "errors.planet_1.phase"', required=True),
@@ -27,6 +31,7 @@ OPTIMISE_KEYS = {
     "bounds": Key("a table of pairs [lowest, highest]; required for numbers that are not angles"),
     "starts": Key(f"a whole number from 1 to {MOST_STARTS}", default="300"),
     "window": Key('a time such as "3 s"; if left out, the duration of [run]', '"3 s"'),
+    "scatter": Key(f"number of gear sets drawn from [tolerance], a whole number from 1 to {MOST_DRAWN}", "32"),
     "seed": Key("a whole number from 0", default="0"),
 }
 TERM_KEYS = {  # keys of one term, if the objective is a list of terms
@@ -48,7 +53,10 @@ class OptimiseSection:
         grid_step: spacing of the grid search, by path; without a step there is no grid search.
         bounds: lowest and highest value of each free number, by path.
         starts: number of starting points of the gradient search.
-        seed: seed of the random starting points.
+        seed: seed of the random starting points, and of the drawn gear sets.
+        scatter: number of gear sets as they are made, drawn from the tolerance section, whose mean objective is
+            minimised; without it, the scene alone counts.
+        judged: the same objective on other drawn gear sets, which judges the result; ``None`` without ``scatter``.
     """
 
     objective: Objective
@@ -58,10 +66,19 @@ class OptimiseSection:
     bounds: dict[str, tuple[float, float]]
     starts: int
     seed: int
+    scatter: int | None = None
+    judged: Objective | None = None
 
 
-def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
+def read_optimise(
+    table: dict[str, Any], scene: Scene, population: Callable[[], Tolerances | None] = lambda: None
+) -> OptimiseSection:
     """Read the optimise section of a configuration.
+
+    Args:
+        table: the section.
+        scene: the scene.
+        population: function that reads the population of the tolerance section, ``None`` if there is no such section.
 
     Raises:
         ParameterError: a value is wrong.
@@ -86,7 +103,17 @@ def read_optimise(table: dict[str, Any], scene: Scene) -> OptimiseSection:
     objective, window = _objective(table, scene)
     starts = read_whole("optimise.starts", table.get("starts", 300), 1, MOST_STARTS)
     seed = read_whole("optimise.seed", table.get("seed", 0), 0, 2**31 - 1)
-    return OptimiseSection(objective, window, where, grid_step, bounds, starts, seed)
+    if "scatter" not in table:
+        return OptimiseSection(objective, window, where, grid_step, bounds, starts, seed)
+    number = read_whole("optimise.scatter", table["scatter"], 1, MOST_DRAWN)
+    drawn = population()
+    if drawn is None:
+        raise ParameterError("optimise.scatter", number, "needs [tolerance], from whose numbers gear sets are drawn")
+    around = [path for path in where if path in drawn.paths]
+    sets = drawn.scatter(number, around=around, seed=seed)
+    others = drawn.scatter(max(FRESH, number), around=around, seed=seed + 1)
+    objective, judged = (dataclasses.replace(objective, scatter=part) for part in (sets, others))
+    return OptimiseSection(objective, window, where, grid_step, bounds, starts, seed, number, judged)
 
 
 def _where(given: Any, scene: Scene) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class Optimisation:
         best: the better point of both searches, shape (free,), SI.
         sensitivity: local sensitivity around the best point.
         cases: analyses of the run section by stage: ``before``, ``grid`` and ``after`` (the best of both searches).
+        others: mean objective before and after on other drawn gear sets, if the objective is one of drawn gear sets.
     """
 
     section: OptimiseSection
@@ -48,12 +49,19 @@ class Optimisation:
     best: np.ndarray
     sensitivity: LocalSensitivity
     cases: dict[str, list[Case]]
+    others: tuple[float, float] | None = None
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Declarations of the free numbers."""
         known = numbers(self.scene)
         return {path: known[path] for path in self.gradient.paths}
+
+    @property
+    def judging(self) -> int:
+        """Number of the other drawn gear sets that judge the result; 0 without any."""
+        judged = self.section.judged
+        return 0 if judged is None or judged.scatter is None else len(judged.scatter.values)
 
     def shown(self, path: str, value: float) -> float:
         """A free number in the unit in which it is shown."""
@@ -83,6 +91,10 @@ class Optimisation:
             "after": _metrics(self.cases["after"]),
             "sensitivity": self._sensitivity(),
         }
+        if self.others is not None:
+            before, after = (value / self.unit.per_shown for value in self.others)
+            words = {self._key("other_gear_sets_before"): before, self._key("other_gear_sets_after"): after}
+            entries["scatter"] = {"gear_sets": self.section.scatter, "other_gear_sets": self.judging} | words
         if self.grid is not None:
             entries["grid"] = {
                 **self._point(self.grid.objective, self.grid.best),
@@ -215,7 +227,10 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
             cases[stage].append(case)
     point = np.asarray(free.get(scene), dtype=float)
     before = float(values(section.objective, scene, free)(point[None])[0])
-    return Optimisation(section, scene, before, grid, gradient, best, around, cases)
+    others = None
+    if section.judged is not None:
+        others = tuple(values(section.judged, scene, free)(np.stack([point, np.asarray(best, dtype=float)])).tolist())
+    return Optimisation(section, scene, before, grid, gradient, best, around, cases, others)
 
 
 def save_optimisation(optimisation: Optimisation, config: str, folder: Path, base: Path) -> list[Path]:

@@ -5,6 +5,7 @@ from gearjax.studies.compensation import Compensation
 from gearjax.studies.grid import GridSearch, grid_search
 from gearjax.studies.minimise import Minimisation, minimise
 from gearjax.studies.objective import Objective
+from gearjax.studies.scatter import Scatter
 from gearjax.studies.sensitivity import LocalSensitivity, local_sensitivity
 from gearjax.studies.terms import Term
 
@@ -14,6 +15,7 @@ __all__ = [
     "LocalSensitivity",
     "Minimisation",
     "Objective",
+    "Scatter",
     "Term",
     "compensate",
     "grid_search",

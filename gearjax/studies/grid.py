@@ -131,7 +131,7 @@ def grid_search(
 
 def _is_structured(objective: Objective, scene: Scene, free: Free) -> bool:
     names = ("no_load_amplitude", "no_load_peak_to_peak")
-    alone = len(objective.terms) == 1 and objective.terms[0].name in names
+    alone = objective.scatter is None and len(objective.terms) == 1 and objective.terms[0].name in names
     return alone and isinstance(scene.contact, HardContact) and separable.is_separable(scene, free)
 
 

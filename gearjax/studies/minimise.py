@@ -313,6 +313,8 @@ def _in_chunks(
     most = max(1, min(MOST_STARTS, MOST_NUMBERS // search.polishing.theta.shape[0]))
     if search.descent.is_dynamic:
         most = min(most, MOST_MOTIONS)
+    if search.descent.scatter is not None:
+        most = max(1, most // len(search.descent.scatter.values))
     chunks = -(-len(points) // most)
     size = -(-len(points) // chunks)
     progress(f"{len(points)} starts, {size} at once")

@@ -29,6 +29,7 @@ from gearjax.contact import Pose, QuadraticContact
 from gearjax.run import NEEDS
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
+from gearjax.studies.scatter import Scatter
 from gearjax.studies.select import Free
 from gearjax.studies.terms import ANGLE, SHARE, SHARES, SLOTS, Term
 from gearjax.studies.turning_points import slope_and_value, tangent_bounds, turning_points
@@ -75,6 +76,7 @@ class Objective(eqx.Module):
         function: ``function(scene) -> number``.
         stepper, start, settle: time steps, start and settling time of dynamic terms.
         table: poses of the samples, if they were computed before.
+        scatter: gear sets over which the mean is taken; without it, the scene alone counts.
     """
 
     name: str = eqx.field(static=True)
@@ -85,6 +87,7 @@ class Objective(eqx.Module):
     start: str = eqx.field(static=True, default="equilibrium")
     settle: float = eqx.field(static=True, default=0.0)
     table: Table | None = None
+    scatter: Scatter | None = None
 
     @classmethod
     def of(
@@ -93,15 +96,18 @@ class Objective(eqx.Module):
         scene: Scene,
         theta: ArrayLike | None = None,
         torque: float | None = None,
+        scatter: Scatter | None = None,
     ) -> "Objective":
         """An objective from a name, terms, or a function, over the given angles, the scene's run, or one cycle.
+
+        With ``scatter`` it is the mean over gear sets as they are made, `gearjax.Tolerances.scatter`.
 
         Raises:
             ParameterError: a name is unknown, or something that it needs is missing.
             SceneError: the scene lacks a part that the objective needs.
         """
         if isinstance(loss, Objective):
-            return loss
+            return loss if scatter is None else dataclasses.replace(loss, scatter=scatter)
         if theta is None and scene.run is not None:
             theta = scene.system.input_speed * jnp.asarray(scene.run.times)
         elif theta is None:
@@ -112,7 +118,7 @@ class Objective(eqx.Module):
         if isinstance(loss, Term):
             loss = (loss,)
         if callable(loss):
-            return cls(getattr(loss, "__name__", "function"), angles, function=loss)
+            return cls(getattr(loss, "__name__", "function"), angles, function=loss, scatter=scatter)
         terms = jax.tree.map(lambda leaf: leaf.astype(scene.dtype), tuple(loss))
         if not terms:
             raise ParameterError("objective", (), "needs at least one term")
@@ -122,7 +128,7 @@ class Objective(eqx.Module):
             require(scene, term.name, *NEEDS[term.analysis])
             if term.metric == "order":
                 term.require_resolved(scene, angles)
-        objective = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms)
+        objective = cls(terms[0].name if len(terms) == 1 else "weighted_sum", angles, terms, scatter=scatter)
         if objective.is_dynamic:
             ts = np.asarray(angles) / float(scene.system.input_speed)
             steps = suitable_step(scene, float(ts[-1] - ts[0])).steps(jnp.asarray(ts))
@@ -136,7 +142,7 @@ class Objective(eqx.Module):
         slots = {slot for term in self.terms for slot in SLOTS[term.analysis]}
         if self.function is not None:
             slots = set(SLOTS["dynamic"])
-        return scene.physics(*slots, *(path.split(".")[0] for path in free.paths))
+        return scene.physics(*slots, *(path.split(".")[0] for path in (*free.paths, *self._drawn)))
 
     def at(self, theta: Float[Array, " n"]) -> "Objective":
         """The same objective over other angles; with dynamic terms it keeps its own angles."""
@@ -144,7 +150,7 @@ class Objective(eqx.Module):
 
     def tabulated(self, scene: Scene, free: Free) -> "Objective":
         """The same objective with a table of its samples, if no number of the system is free."""
-        if self.function is not None or any(path.startswith("system.") for path in free.paths):
+        if self.function is not None or any(path.startswith("system.") for path in (*free.paths, *self._drawn)):
             return self
         return dataclasses.replace(self, table=_tabulate(self.physics(scene, free), self.theta))
 
@@ -181,8 +187,22 @@ class Objective(eqx.Module):
 
         return jax.vmap(at)(self.theta if self.table is None else self.table.pose).ravel()
 
+    @property
+    def _drawn(self) -> tuple[str, ...]:
+        """Paths of the numbers that differ from one drawn gear set to another."""
+        return () if self.scatter is None else self.scatter.free.paths
+
+    def _mean(self, of: "Callable[[Objective, Scene], Scalar]", scene: Scene) -> Scalar:
+        """A number of the scene, or its mean over the drawn gear sets."""
+        if self.scatter is None:
+            return of(self, scene)
+        alone = dataclasses.replace(self, scatter=None)
+        return self.scatter.mean(lambda scene: of(alone, scene), scene)
+
     def hard(self, scene: Scene) -> Scalar:
         """The objective by the scene's own contact law, with the extremes between samples."""
+        if self.scatter is not None:
+            return self._mean(Objective.hard, scene)
         if self.function is not None:
             return self.function(scene)
         return self._sum(lambda term: self._metric(scene, term))
@@ -225,6 +245,8 @@ class Objective(eqx.Module):
             temperature: smoothing of the largest values, in the unit of the objective: rad, or a share of load for load
                 sharing. A share of load gives no width of contacts, which then stay hard.
         """
+        if self.scatter is not None:
+            return self._mean(lambda alone, scene: alone.smooth(scene, temperature), scene)
         smoothed = functools.partial(_soft_largest, temperature)
         hard_alone = couples(scene.compliance)
         if hard_alone or any(term.name in SHARES for term in self.terms):
@@ -236,7 +258,7 @@ class Objective(eqx.Module):
 
     def sampled(self, scene: Scene) -> Scalar:
         """The objective of the samples, without the extremes between them, which takes less time."""
-        return self._of_samples(scene, jnp.max)  # never differentiated
+        return self._mean(lambda alone, scene: alone._of_samples(scene, jnp.max), scene)  # never differentiated
 
     def _of_samples(self, scene: Scene, largest: Callable[[Float[Array, " n"]], Scalar]) -> Scalar:
         if self.function is not None:
@@ -264,15 +286,20 @@ class Objective(eqx.Module):
 
     def refined(self, scene: Scene) -> Scalar:
         """The objective from its `pieces`: close to `hard`, and faster if the samples have a table."""
-        tops = [piece.weight * piece.values.max() for piece in self.pieces(scene)]  # never differentiated
-        return jnp.stack(tops).sum()
+
+        def alone(objective: Objective, scene: Scene) -> Scalar:
+            return jnp.stack([piece.weight * piece.values.max() for piece in objective.pieces(scene)]).sum()
+
+        return self._mean(alone, scene)
 
     def pieces(self, scene: Scene) -> list[Pieces]:
         """The parts of the objective by the scene's own contact law: it is the sum of their weighted largest values.
 
         The values are local extremes of curves. The input angle of each extreme is held fixed in derivatives, so that
-        each value has a derivative of its own.
+        each value has a derivative of its own. The mean over drawn gear sets has no kinks to speak of: it is one part.
         """
+        if self.scatter is not None:
+            return [Pieces(jnp.atleast_1d(self.refined(scene)), jnp.ones((), self.theta.dtype))]
         if self.function is not None:
             return [Pieces(jnp.atleast_1d(self.function(scene)), jnp.ones((), self.theta.dtype))]
         anchored = scene.anchored()
@@ -315,7 +342,7 @@ class Objective(eqx.Module):
     @property
     def is_bent(self) -> bool:
         """Whether a part of the objective is smooth: its curvature then has to be added to its linearised pieces."""
-        return any(term.metric == "std" and term.analysis != "dynamic" for term in self.terms)
+        return self.scatter is None and any(t.metric == "std" and t.analysis != "dynamic" for t in self.terms)
 
     def smooth_part(self, scene: Scene) -> Scalar:
         """The weighted sum of the smooth terms."""

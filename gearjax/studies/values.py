@@ -55,6 +55,8 @@ def _at_once(objective: Objective, physics: Scene) -> int:
         most = MOST_SAMPLES // samples
     else:
         most = MOST_GAPS // (samples * jax.eval_shape(_contacts, physics, objective.theta[0]).gap.shape[0])
+    if objective.scatter is not None:
+        most //= len(objective.scatter.values)
     return 1 << (max(1, min(MOST_AT_ONCE, most)).bit_length() - 1)
 
 

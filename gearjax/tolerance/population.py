@@ -10,6 +10,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene
+from gearjax.studies.scatter import Scatter
 from gearjax.studies.select import Free, members, numbers, pick
 from gearjax.tolerance.distributions import AbstractDistribution
 from gearjax.tolerance.sampling import points
@@ -139,6 +140,36 @@ class Tolerances:
         points = self._correlated(np.asarray(points, dtype=float))
         columns = [spread.quantile(points[:, i]) for i, spread in enumerate(self.distributions.values())]
         return np.stack(columns, axis=1)
+
+    def scatter(self, number: int = 32, *, around: Sequence[str] = (), seed: int = 0) -> Scatter:
+        """Gear sets drawn from the population, for objectives of gear sets as they are made (`gearjax.Objective.of`).
+
+        Args:
+            number: number of gear sets (Latin hypercube).
+            around: paths of numbers that the study changes: their deviations from the mean of their distribution are
+                added to what the study tries. All other numbers have the drawn values.
+            seed: seed of the random numbers.
+
+        Raises:
+            ParameterError: a path is not toleranced, or the number is below 1.
+
+        Example:
+            >>> import gearjax as gj
+            >>> scene = gj.load("configs/two_kv/wang_2020.toml")
+            >>> tolerances = gj.Tolerances(scene, {"errors.planet_1.amplitude": gj.Rayleigh(6e-6)})
+            >>> loss = gj.Objective.of("no_load_amplitude", scene, scatter=tolerances.scatter(16))
+            >>> found = gj.minimise(loss, scene, where=["errors.planet_1.phase"], starts=4)
+        """
+        arguments.whole(1)("number", number)
+        for path in around:
+            if path not in self.paths:
+                raise ParameterError("around", path, f"is not toleranced; {nearest(path, self.paths)}")
+        drawn = self.values(points("latin_hypercube", seed, self.paths, number, 0, number))
+        shifted = tuple(path in around for path in self.paths)
+        means = np.array([spread.expected for spread in self.distributions.values()])
+        drawn = np.where(shifted, drawn - means, drawn)
+        low, high = (np.where(shifted, end, bound) for end, bound in zip((-np.inf, np.inf), self.bounds, strict=True))
+        return Scatter(self.free, jnp.asarray(np.clip(drawn, low, high), self.scene.dtype), shifted)
 
     def with_values(self, values: Float[Array, " free"]) -> Scene:
         """The gear set with given numbers, shape (free,), SI."""
