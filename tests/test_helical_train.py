@@ -79,7 +79,8 @@ def test_a_train_is_its_pairs_in_series(torque):
         apart = gj.backlash(stage_of(1), THETA * first).backlash + second * gj.backlash(stage_of(0), THETA).backlash
         np.testing.assert_allclose(clear, apart, rtol=1e-12)
     else:
-        forces = np.concatenate([one.forces, two.forces], axis=1)
+        forces = np.concatenate([np.asarray(te.forces).reshape(len(THETA), 2, -1) for te in (one, two)], axis=2)
+        forces = forces.reshape(len(THETA), -1)
         np.testing.assert_allclose(both.forces, forces, rtol=0, atol=1e-11 * forces.max())
 
 
@@ -340,11 +341,26 @@ def test_lists_of_other_lengths_are_refused():
         gj.HelicalTrain((20, 18.5), (50, 54), **GIVEN, input_speed=1.0)
 
 
-def test_contacts_are_named_by_their_mesh():
+@pytest.mark.parametrize("back", [True, False])
+def test_contacts_are_named_by_their_mesh(back):
     system = train()
-    layout = system.layout(gj.Request(back=True))
-    assert system.contact_name(0).endswith("mesh 1")
-    assert system.contact_name(len(layout.side) - 1).endswith("mesh 2")
+    layout = system.layout(gj.Request(back=back))
+    for contact, (side, mesh) in enumerate(zip(layout.side, layout.mesh, strict=True)):
+        flank = "driving" if side > 0 else "back"
+        assert system.contact_name(contact).endswith(f"mesh {mesh + 1}")
+        assert f"of the {flank} flanks" in system.contact_name(contact)
+    assert len({system.contact_name(contact) for contact in range(len(layout.side))}) == len(layout.side)
+
+
+def test_back_flanks_of_meshes_of_different_backlash_have_their_own_stiffness():
+    """The other torque presses the back flanks of both meshes, the one of which has more room than the other."""
+    system = train(centre_distance=[74.1 * mm, 111.0 * mm])
+    room = [float(stage.pair.backlash) for stage in system.stages]
+    assert abs(room[0] - room[1]) > 20 * um
+    scene = moving(system=system, damping=gj.DampingRatio(0.07), errors={})
+    ahead, behind = (StructureEquation.of(scene, jnp.asarray(torque)) for torque in (TORQUE, -TORQUE))
+    np.testing.assert_allclose(behind.coefficient, ahead.coefficient, rtol=2e-3)
+    np.testing.assert_allclose(behind.frequency, ahead.frequency, rtol=2e-3)
 
 
 def test_orders_and_cycle():

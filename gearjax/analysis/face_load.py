@@ -54,12 +54,14 @@ def face_load(scene: Scene, result: TransmissionError | Motion, mesh: int = 0) -
         scene: the scene.
         result: its transmission error under a torque, or its motion, over one or more whole meshes: the mean over a
             part of a mesh depends on the part.
+        mesh: number of the mesh of a train, counted from 0 at the input.
 
     Returns:
         Load per width at each angle or time [N/m]; it is differentiable in all numbers of the scene and in the torque.
 
     Raises:
         SceneError: the teeth of the gear set are not cut into slices, or the result is without load.
+        ParameterError: there is no such mesh.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -74,8 +76,8 @@ def face_load(scene: Scene, result: TransmissionError | Motion, mesh: int = 0) -
         raise SceneError(f"the load across the face needs slices across the face, which {system.kind} does not have")
     if result.forces is None:
         raise SceneError("the load across the face needs a torque: transmission_error(scene, theta, torque=...)")
-    if mesh >= len(system.meshes):
-        raise ParameterError("mesh", mesh, f"must be below {len(system.meshes)}, the number of meshes")
+    if mesh >= len(system.mesh_orders):
+        raise ParameterError("mesh", mesh, f"must be below {len(system.mesh_orders)}, the number of meshes")
     return across_face(scene, result.forces, mesh)
 
 

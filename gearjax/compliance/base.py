@@ -130,8 +130,8 @@ class AbstractSliceCompliance(eqx.Module):
         """
 
     def of_meshes(self, slices: tuple[Slices, ...]) -> Springs:
-        """Springs of the contacts of all meshes, one mesh after the other."""
-        return join_springs([self.springs(mesh) for mesh in slices])
+        """Springs of the contacts of all meshes, in the order of the contacts."""
+        return join_springs([self.springs(mesh) for mesh in slices], slices[0].share.shape[0])
 
     def check(self, slices: Slices) -> None:
         """Refuse gears that the compliance does not suit.

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from gearjax import units
 from gearjax.contact import LineSprings, Places, Slices
+from gearjax.contact.slices import by_side
 from gearjax.geometry.line_contact import Radii
 from gearjax.parameters import check_parameters, length, number
 from gearjax.typing import Array, Float, Number, Scalar
@@ -83,8 +84,9 @@ class AbstractLineContact(eqx.Module):
         It is the Hertzian pressure ``sqrt(F' E' kappa / (2 pi))`` under the force F' per length of the contact line, as
         in `flank_pressure`.
         """
-        lengths = jnp.concatenate([mesh.lengths for mesh in slices])
-        curvature = jnp.concatenate([mesh.curvature.ravel() for mesh in slices])
+        sides = slices[0].share.shape[0]
+        lengths = by_side([mesh.lengths for mesh in slices], sides)
+        curvature = by_side([mesh.curvature.ravel() for mesh in slices], sides)
         carries = (forces > 0) & (lengths > 0)
         line = jnp.where(carries, forces, 1.0) / jnp.where(carries, lengths, 1.0)
         square = line * self.plane_modulus / (2 * math.pi) * curvature

@@ -193,12 +193,12 @@ def pairs_of_teeth(pair: InvolutePair, tip_contact: str) -> tuple[int, int]:
 
 @functools.cache  # analyses ask for the layout at each call
 def helical_layout(pairs: tuple[int, ...], slices: int, back: bool) -> Layout:
-    """Layout of meshes one after the other, each with its own number of pairs, in the order side, pair, slice.
+    """Layout of meshes, each with its own number of pairs, in the order side, mesh, pair, slice (`slices.by_side`).
 
     Every flank is a pair of its own, because driving and back flanks touch on different teeth.
     """
     sides = (1, -1) if back else (1,)
-    blocks = [(side, mesh) for mesh, number in enumerate(pairs) for side in sides for _ in range(number)]
+    blocks = [(side, mesh) for side in sides for mesh, number in enumerate(pairs) for _ in range(number)]
     side, mesh = (tuple(block[i] for block in blocks for _ in range(slices)) for i in (0, 1))
     pair = tuple(pair for pair in range(len(blocks)) for _ in range(slices))
     return Layout(side, pair, mesh, slices) if len(pairs) > 1 else Layout(side, pair, across=slices)

@@ -56,8 +56,7 @@ class Pose(eqx.Module):
         mesh_angle: mesh phase of each pair, ``2 pi`` per tooth, shape (pair,) [rad]; ``None`` if not requested.
         radii: radii of curvature of the line contacts, shape (contact,); ``None`` if not requested.
         places: places of the contacts on their teeth; ``None`` if not requested.
-        slices: slices of contact lines that the contacts of each mesh are, in their order; ``None`` if not
-            requested.
+        slices: slices of contact lines that the contacts of each mesh are; ``None`` if not requested.
     """
 
     theta: Scalar

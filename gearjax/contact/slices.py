@@ -1,10 +1,27 @@
 """Slices of contact lines: places of the contacts of a pair on parallel axes on its plane of action."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax.geometry.helical_pair import InvolutePair
 from gearjax.typing import Array, Float
+
+
+def by_side(parts: Sequence[Array], sides: int) -> Array:
+    """Numbers of the contacts or pairs of several meshes, each in the order of its sides, as one array, sides first.
+
+    In this order the number of a contact does not depend on whether back flanks are modelled.
+
+    Args:
+        parts: numbers of each mesh, the contacts or pairs along the first axis.
+        sides: number of sides, 1 or 2.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    apart = [part.reshape(sides, -1, *part.shape[1:]) for part in parts]
+    return jnp.concatenate(apart, axis=1).reshape(-1, *parts[0].shape[1:])
 
 
 class Slices(eqx.Module):

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gearjax.contact.slices import by_side
 from gearjax.typing import Array, Float
 
 STEPS = 6  # steps of Newton's method, from a start within a few per cent
@@ -94,6 +95,6 @@ class LineSprings(eqx.Module):
 Springs = LinearSprings | LineSprings | CoupledSprings
 
 
-def join_springs(parts: Sequence[Springs]) -> Springs:
-    """Springs of several groups of contacts, which must be of one type, as the springs of all, in the same order."""
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *own: jnp.concatenate(own), *parts)
+def join_springs(parts: Sequence[Springs], sides: int) -> Springs:
+    """Springs of several meshes, which must be of one type, as the springs of all contacts in the order `by_side`."""
+    return jax.tree.map(lambda *own: by_side(own, sides), *parts)

@@ -120,7 +120,7 @@ class AbstractSystem(eqx.Module):
 
     @property
     def mesh_orders(self) -> tuple[float, ...]:
-        """Order of each mesh, in the order of `meshes`."""
+        """Order of each mesh with slices, in order from the input."""
         return (self.orders["mesh"],)
 
     @property

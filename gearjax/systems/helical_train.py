@@ -15,6 +15,7 @@ from gearjax import units
 from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, GearSize, Layout, Pose, ProfilePlace, Request
 from gearjax.contact.helical_mesh import MARGIN, WAYS, HelicalMesh, MeshContacts, helical_layout, pairs_of_teeth
+from gearjax.contact.slices import by_side
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, InvolutePair, rack_of
 from gearjax.parameters import check_parameters, count, counts, name, number, series
@@ -252,13 +253,13 @@ class HelicalTrain(AbstractSystem):
         return self.stages[mesh].gear_size(gear)
 
     def contact_name(self, contact: int) -> str:
-        layout = self.layout(Request(back=True))
+        numbers = [stage.pairs * stage.slices for stage in self.stages]
+        back, place = divmod(contact, sum(numbers))
         for mesh, stage in enumerate(self.stages):
-            number = 2 * stage.pairs * stage.slices
-            if contact < number:
-                return f"{stage.contact_name(contact)}, mesh {mesh + 1}"
-            contact -= number
-        raise IndexError(f"contact of {len(layout.side)} contacts")
+            if place < numbers[mesh]:
+                return f"{stage.contact_name(back * numbers[mesh] + place)}, mesh {mesh + 1}"
+            place -= numbers[mesh]
+        raise IndexError(f"contact {contact}")
 
     def layout(self, request: Request) -> Layout:
         return helical_layout(tuple(stage.pairs for stage in self.stages), self.slices, request.back)
@@ -276,9 +277,9 @@ class HelicalTrain(AbstractSystem):
         views = {body: _view(meshes, *divmod(self._number(body), 2)) for body in request.bodies}
         phases = None
         if request.mesh:
-            of_pairs = [len(mesh.sides) * mesh.mesh.pairs for mesh in meshes]
-            phases = jnp.asarray(np.repeat(self.mesh_orders, of_pairs), theta.dtype) * theta
-        gaps = jnp.concatenate([mesh.gap(request.moving) for mesh in meshes])
+            of_pairs = np.repeat(self.mesh_orders, [mesh.mesh.pairs for mesh in meshes])
+            phases = jnp.asarray(np.tile(of_pairs, len(meshes[0].sides)), theta.dtype) * theta
+        gaps = by_side([mesh.gap(request.moving) for mesh in meshes], len(meshes[0].sides))
         slices = tuple(mesh.slices for mesh in meshes) if request.slices else None
         return Pose(theta, jnp.stack(columns, axis=1), gaps, views, phases, slices=slices)
 
@@ -307,7 +308,8 @@ class HelicalTrain(AbstractSystem):
 
 def _spread(meshes: list[MeshContacts], mesh: int, part: Array) -> Array:
     """Numbers of the contacts of one mesh, zero at those of the others."""
-    return jnp.pad(part, [sum(one.number for one in others) for others in (meshes[:mesh], meshes[mesh + 1 :])])
+    parts = [part if i == mesh else jnp.zeros((one.number,), part.dtype) for i, one in enumerate(meshes)]
+    return by_side(parts, len(meshes[mesh].sides))
 
 
 def _view(meshes: list[MeshContacts], mesh: int, gear: int) -> BodyView:

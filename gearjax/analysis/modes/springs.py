@@ -68,8 +68,9 @@ class MeanSprings(eqx.Module):
 
         def at(theta: Scalar, own: Float[Array, " contact"]) -> tuple[Array, Array, Array]:
             pose = scene.pose(theta, "varying")
-            # the smallest gap of back flanks is the gear set's own backlash: these flanks touch there
-            room = jnp.where(jnp.asarray(np.asarray(layout.side) > 0), 0.0, pose.gap.min(where=back, initial=jnp.inf))
+            # the smallest gap of back flanks is the backlash of the mesh itself: these flanks touch there
+            least = jnp.where(jnp.asarray(back) & (own > 0), pose.gap, jnp.inf).min()
+            room = jnp.where(jnp.asarray(back), least, 0.0)
             contacts = scene.contacts(pose, "varying")
             assert contacts.linear is not None
             assert pose.slices is not None
