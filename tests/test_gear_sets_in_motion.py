@@ -14,7 +14,7 @@ import gearjax as gj
 from gearjax.studies.select import pick
 from gearjax.units import arcmin
 from tests.helical_pairs import GUO_1, TEETH, scene_of
-from tests.test_matrix import KINDS, MOVES, TORQUE, Case
+from tests.test_matrix import KINDS, MOVES, TORQUE, Case, on_supports
 
 APART = 2e-3  # of the peak-to-peak
 
@@ -38,11 +38,7 @@ def test_the_output_alone(gear_set):
 @pytest.mark.slow
 @pytest.mark.parametrize("gear_set", MOVES)
 def test_bodies_on_supports(gear_set):
-    scene = Case(gear_set, "amplitude").scene
-    supports, inertia = (
-        dict.fromkeys(scene.system.coordinates, part) for part in (gj.Support(x=2e8, y=3e8), gj.BodyInertia(0.5))
-    )
-    assert off(dataclasses.replace(scene, supports=supports, body_inertia=inertia), 0.005, TORQUE) < APART
+    assert off(on_supports(Case(gear_set, "amplitude").scene), 0.005, TORQUE) < APART
 
 
 @pytest.mark.slow

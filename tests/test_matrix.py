@@ -515,6 +515,15 @@ def test_functions_of_numbers(name, kind, gear_set):
     check(name, OF_NUMBERS[name], gear_set, kind)
 
 
+def on_supports(scene: gj.Scene) -> gj.Scene:
+    """All bodies free in x and y, with the inertia that they then need."""
+    supports = dict.fromkeys(scene.system.coordinates, gj.Support(x=2e8, y=3e8))
+    held = dataclasses.replace(scene, supports=supports, body_inertia={})
+    needs = {body: held.moving.coordinates.needs(body) for body in supports}
+    inertia = {body: gj.BodyInertia(0.5, 1e-3 if "polar" in own else None) for body, own in needs.items()}
+    return dataclasses.replace(held, body_inertia=inertia)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
 @pytest.mark.parametrize(
@@ -529,13 +538,8 @@ def test_functions_of_numbers(name, kind, gear_set):
 def test_functions_on_supports(name, gear_set):
     """Bodies that give way: still an answer, or a refusal that names the section."""
     case = Case(gear_set, "amplitude")
-    bodies = case.scene.system.coordinates
-    assert bodies
-    supports = dict.fromkeys(bodies, gj.Support(x=2e8, y=3e8))
-    held = dataclasses.replace(case.scene, supports=supports, body_inertia={})
-    needs = {body: held.moving.coordinates.needs(body) for body in bodies}
-    inertia = {body: gj.BodyInertia(0.5, 1e-3 if "polar" in own else None) for body, own in needs.items()}
-    case.scene = dataclasses.replace(held, body_inertia=inertia)
+    assert case.scene.system.coordinates
+    case.scene = on_supports(case.scene)
     refused = None if name == "bearing_forces" else refusal(name, gear_set, "amplitude")
     judge((OF_A_SCENE | OF_NUMBERS)[name], case, refused)
 

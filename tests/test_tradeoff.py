@@ -52,7 +52,7 @@ def test_tradeoff(short, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gear_set", [name for name in MOVES if name != "two_kv"])  # whose report is that above
+@pytest.mark.parametrize("gear_set", [name for name in MOVES if name not in ("two_kv", "helical_train")])
 def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     """Every kind of setting, one of each, and gradients of one gear set beside the 2K-V.
 
@@ -83,6 +83,14 @@ def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     code, out, err = command(capsys, "tradeoff", path, "--json")
     assert code == 0, err
     assert json.loads(out)
+
+
+def test_a_train_is_refused(tmp_path, capsys):
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps(GEAR_SETS["helical_train"].tables | {"run": RUN}), encoding="utf-8")
+    code, out, err = command(capsys, "tradeoff", path)
+    assert (code, out) == (2, "")
+    assert '"tradeoff" needs a scene in which only the output moves; in a train, shafts move too' in err
 
 
 def test_slices_do_not_move_with_a_stiffness_per_pair(tmp_path, capsys):

@@ -49,7 +49,7 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
         turned = angles * (system.mesh_orders[mesh] / stage.pair.teeth[0])
         loads = _lines(scene, stage, turned, some[:, of_contacts == mesh])
         of = "" if meshes == 1 else f"mesh {mesh + 1}: "
-        _draw_mesh(figure, row, stage, loads, of, float(turned[0]))
+        _draw_mesh(figure, list(row), stage, loads, of, float(turned[0]))
         face = across_face(scene, jnp.asarray(all_forces), mesh)
         _draw_mean(row[2], face, float(stage.pair.face_width) / stage.slices)
     return figure

@@ -166,7 +166,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeof
 def _dynamic(scene: Scene) -> Run:
     if scene.run is None or "dynamic" not in scene.run.analyses:
         raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
-    require_springs_apart(scene, "accuracy")
+    require_springs_apart(scene, "tradeoff")
     return scene.run
 
 
