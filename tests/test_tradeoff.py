@@ -85,20 +85,19 @@ def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     assert json.loads(out)
 
 
-def test_a_train_is_refused(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("gear_set", "words"),
+    [
+        ("helical_train", '"tradeoff" needs a scene in which only the output moves; in a train, shafts move too'),
+        ("helical_pair", "one_contact(scene, torque)"),  # slices do not move with a stiffness per pair
+    ],
+)
+def test_gear_sets_without_a_report_are_refused(gear_set, words, tmp_path, capsys):
     path = tmp_path / "mine.toml"
-    path.write_text(tomli_w.dumps(GEAR_SETS["helical_train"].tables | {"run": RUN}), encoding="utf-8")
+    path.write_text(tomli_w.dumps(GEAR_SETS[gear_set].tables | {"run": RUN}), encoding="utf-8")
     code, out, err = command(capsys, "tradeoff", path)
     assert (code, out) == (2, "")
-    assert '"tradeoff" needs a scene in which only the output moves; in a train, shafts move too' in err
-
-
-def test_slices_do_not_move_with_a_stiffness_per_pair(tmp_path, capsys):
-    path = tmp_path / "mine.toml"
-    path.write_text(tomli_w.dumps(GEAR_SETS["helical_pair"].tables | {"run": RUN}), encoding="utf-8")
-    code, out, err = command(capsys, "tradeoff", path)
-    assert (code, out) == (2, "")
-    assert "one_contact(scene, torque)" in err
+    assert words in err
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ along the axis about which the pinion turns.
 
 import functools
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -177,6 +178,22 @@ class MeshContacts(eqx.Module):
         )
         rim = Rim(eta, outward, around, gear.teeth, tooth)
         return BodyView(turn, self._all(place), seen, rim, flank=flank)
+
+
+def with_tips(made: Callable[..., InvolutePair], tips: tuple[Scalar | None, Scalar | None]) -> InvolutePair:
+    """A pair with the tip diameters that are given [m]; the others follow from its rack and profile shifts."""
+    plain = made()
+    if tips == (None, None):
+        return plain
+    each = zip(tips, plain.tip_diameters, strict=True)
+    return made(tip_diameters=[own if given is None else given for given, own in each])
+
+
+def key_of_gears(key: str) -> str:
+    """Name of a parameter of a gear set, from its name in `InvolutePair`."""
+    base, _, place = key.partition("[")
+    own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
+    return key if own is None else f"{('pinion', 'wheel')[int(place[0])]}_{own}"
 
 
 def pairs_of_teeth(pair: InvolutePair, tip_contact: str) -> tuple[int, int]:

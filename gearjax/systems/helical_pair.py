@@ -11,7 +11,15 @@ import jax.numpy as jnp
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
 from gearjax.contact import GearSize, Layout, Pose, Request
-from gearjax.contact.helical_mesh import MARGIN, WAYS, HelicalMesh, helical_layout, pairs_of_teeth
+from gearjax.contact.helical_mesh import (
+    MARGIN,
+    WAYS,
+    HelicalMesh,
+    helical_layout,
+    key_of_gears,
+    pairs_of_teeth,
+    with_tips,
+)
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
 from gearjax.geometry.plane_of_action import SlicePoints
@@ -116,7 +124,7 @@ class HelicalPair(AbstractSystem):
             return
         with jax.ensure_compile_time_eval():
             for key, shown, words in faults(pair):
-                raise ParameterError(_own_key(key), shown, words)
+                raise ParameterError(key_of_gears(key), shown, words)
             touching, looked_at = pairs_of_teeth(pair, self.tip_contact)
             ratio = float(pair.total_contact_ratio)
         if self.pairs is None:
@@ -144,11 +152,7 @@ class HelicalPair(AbstractSystem):
             rack=rack,
             internal=self.wheel_kind == "internal",
         )
-        tips = self.pinion_tip_diameter, self.wheel_tip_diameter
-        if tips == (None, None):
-            return pair()
-        plain = pair().tip_diameters
-        return pair(tip_diameters=[own if given is None else given for given, own in zip(tips, plain, strict=True)])
+        return with_tips(pair, (self.pinion_tip_diameter, self.wheel_tip_diameter))
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -221,10 +225,3 @@ class HelicalPair(AbstractSystem):
         if body not in self.bodies:
             raise ParameterError("body", body, nearest(body, self.bodies))
         return self.bodies.index(body)
-
-
-def _own_key(key: str) -> str:
-    """Name of a parameter of the gear set, from its name in `InvolutePair`."""
-    base, _, place = key.partition("[")
-    own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
-    return key if own is None else f"{(PINION, WHEEL)[int(place[0])]}_{own}"

@@ -14,7 +14,16 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, GearSize, Layout, Pose, ProfilePlace, Request
-from gearjax.contact.helical_mesh import MARGIN, WAYS, HelicalMesh, MeshContacts, helical_layout, pairs_of_teeth
+from gearjax.contact.helical_mesh import (
+    MARGIN,
+    WAYS,
+    HelicalMesh,
+    MeshContacts,
+    helical_layout,
+    key_of_gears,
+    pairs_of_teeth,
+    with_tips,
+)
 from gearjax.contact.slices import by_side
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, InvolutePair, rack_of
@@ -111,7 +120,7 @@ class HelicalTrain(AbstractSystem):
         with jax.ensure_compile_time_eval():
             for mesh, pair in enumerate(self._gears):
                 for key, shown, words in faults(pair):
-                    raise ParameterError(_own_key(key), shown, f"mesh {mesh + 1}: {words}")
+                    raise ParameterError(key_of_gears(key), shown, f"mesh {mesh + 1}: {words}")
                 at_once, modelled = pairs_of_teeth(pair, self.tip_contact)
                 touching.append(at_once)
                 looked_at.append(modelled)
@@ -157,13 +166,7 @@ class HelicalTrain(AbstractSystem):
                 own("centre_distance"),
                 rack=rack,
             )
-            tips = own("pinion_tip_diameter"), own("wheel_tip_diameter")
-            if tips != (None, None):
-                plain = pair().tip_diameters
-                tips = [one if given is None else given for given, one in zip(tips, plain, strict=True)]
-                made.append(pair(tip_diameters=tips))
-            else:
-                made.append(pair())
+            made.append(with_tips(pair, (own("pinion_tip_diameter"), own("wheel_tip_diameter"))))
         return tuple(made)
 
     @property
@@ -330,12 +333,3 @@ def _view(meshes: list[MeshContacts], mesh: int, gear: int) -> BodyView:
     )
     turned = eqx.tree_at(lambda view: view.flank, own, None)
     return eqx.tree_at(lambda view: view.flank, jax.tree.map(spread, turned), place, is_leaf=lambda part: part is None)
-
-
-def _own_key(key: str) -> str:
-    """Name of a parameter of the gear set, from its name in `InvolutePair`."""
-    base, _, place = key.partition("[")
-    own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
-    if own is not None:
-        return f"{('pinion', 'wheel')[int(place[0])]}_{own}"
-    return base
