@@ -26,11 +26,25 @@ def outcome(path) -> gj.Scene | None:
         return None
 
 
+@pytest.mark.slow
 def test_a_few_of_the_attacks(tmp_path):
     path = tmp_path / "attack.toml"
     for raw in attacks(40, 17):
         path.write_bytes(raw)
         outcome(path)
+
+
+@pytest.mark.parametrize(("given", "shown"), [("9e7 N/m", '["9e7 N/m"]'), ("x" * 10_000, "[]"), ("\x1b[31m", "[]")])
+def test_a_value_that_should_be_a_list_is_repeated_if_it_is_short(tmp_path, given, shown):
+    tables = tomllib.loads(SHIPPED[0].read_text(encoding="utf-8"))
+    tables["compliance"] = {"kind": "harmonic_stiffness", "mean": "9e7 N/m", "relative_amplitudes": given, "phases": []}
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    with pytest.raises(gj.GearjaxError) as fault:
+        gj.load(path)
+    assert f"must be a list of values, such as {shown}" in str(fault.value)
+    assert len(str(fault.value)) < LONGEST
+    assert str(fault.value).isprintable()
 
 
 @pytest.mark.slow
@@ -71,6 +85,7 @@ def test_attacks(tmp_path, capsys):
     assert (loaded > 50, refused > 250, ran) == (True, True, RUNS)
 
 
+@pytest.mark.slow
 def test_what_the_attacks_start_from_loads():
     assert len(SHIPPED) >= 5
     for path in SHIPPED:

@@ -31,6 +31,7 @@ from gearjax.tolerance import Tolerances
 
 CONTAINS = "contains"  # key of a measured flank: the errors that its values contain by design
 _LARGEST_FILE = 8_000_000  # bytes; 250,000 measured values written out in the file take 5 million
+_SHORT = 40  # characters of a value that a message repeats as the only one of a list
 _LONGEST_SERIES = 1_000_000
 _DOTTED = re.compile(r"[^\s0-9]\s{0,3}\.|\.\s{0,3}\d{1,9}\s{0,3}\.")
 CONTACTS = (HardContact, SoftplusContact, QuadraticContact)
@@ -376,7 +377,8 @@ def _value(key: str, given: Any, parameter: Parameter) -> Any:
         return given
     if parameter.kind == "series":
         if not isinstance(given, list):
-            example = as_toml([given]) if isinstance(given, str | int | float) else "[] for none"
+            short = isinstance(given, str | int | float) and len(str(given)) < _SHORT and str(given).isprintable()
+            example = as_toml([given]) if short else "[] for none"
             raise ParameterError(key, given, f"must be a list of values, such as {example}")
         if len(given) > _LONGEST_SERIES:
             raise ParameterError(key, given, f"must be a list of at most {_LONGEST_SERIES} values")
