@@ -1,8 +1,9 @@
 """Checks that the parts of a scene suit each other, and that the scene lists all parts that an analysis needs."""
 
 import dataclasses
+import functools
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,11 +15,11 @@ from gearjax.compliance import (
     AbstractToothCompliance,
     couples,
 )
-from gearjax.contact import CoupledSprings, HardContact, Request
+from gearjax.contact import CoupledSprings, HardContact, Pose, Request
 from gearjax.errors import AbstractError
+from gearjax.evaluate import evaluated
 from gearjax.scene import Scene
 from gearjax.systems import AbstractSystem
-from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float
 
 
@@ -39,12 +40,29 @@ def check_body(system: AbstractSystem, key: str, error: AbstractError) -> None:
 
 
 def _check_rim(system: AbstractSystem, error: AbstractError) -> None:
-    def gap(error: AbstractError) -> Array:
-        seen = pose_of(system, jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
+    _fit(*_shape(system), *_shape(error))
+    error.check(lambda: system.gear_size(error.body))
+
+
+Shapes = tuple[tuple[tuple[int, ...], Any], ...]
+
+
+def _shape(part: Any) -> tuple[Any, Shapes]:
+    """Structure of a part, and shapes and types of its numbers."""
+    numbers, structure = jax.tree.flatten(part)
+    return structure, tuple((jnp.shape(number), jnp.result_type(number)) for number in numbers)
+
+
+@functools.lru_cache(maxsize=1024)  # a configuration may list a hundred errors, and studies build it again and again
+def _fit(system: Any, of_system: Shapes, error: Any, of_error: Shapes) -> None:
+    """Refuse an error that does not suit the rim of its body; arguments are those of `_shape`."""
+
+    def gap(system: AbstractSystem, error: AbstractError) -> Array:
+        seen = system.pose(jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
         return error.gap(seen.views[error.body])
 
-    jax.eval_shape(gap, error)
-    error.check(lambda: system.gear_size(error.body))
+    parts = (system, of_system), (error, of_error)
+    jax.eval_shape(gap, *(jax.tree.unflatten(one, [jax.ShapeDtypeStruct(*own) for own in all]) for one, all in parts))
 
 
 def _rim_fault(system: AbstractSystem, error: AbstractError, body: str) -> ParameterError | None:
@@ -95,12 +113,12 @@ def check_coupled(scene: Scene) -> None:
         raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
     if not is_concrete((compliance, scene.system)):
         return
-    with jax.ensure_compile_time_eval():  # also inside the trace of something else
-        if isinstance(compliance, AbstractToothCompliance):
-            places = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(places=True)).places
-            assert places is not None  # the system has them
+    if isinstance(compliance, AbstractToothCompliance):
+        places = evaluated(_at_start, scene.system, Request(places=True)).places
+        assert places is not None  # the system has them
+        with jax.ensure_compile_time_eval():  # also inside the trace of something else
             compliance.check(places)
-        number, influence = len(scene.layout.side), np.asarray(_influence(scene.springs_alone))
+    number, influence = len(scene.layout.side), np.asarray(evaluated(_influence, scene.springs_alone))
     if influence.shape != (number, number):
         raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
     if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):
@@ -116,14 +134,17 @@ def _check_slices(scene: Scene, compliance: AbstractSliceCompliance) -> None:
         words = f"needs slices of contact lines, which a {scene.system.kind} does not offer"
         raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
     if is_concrete((compliance, scene.system)):
+        slices = evaluated(_at_start, scene.system, Request(slices=True)).slices
+        assert slices is not None  # the system has them
         with jax.ensure_compile_time_eval():  # also inside the trace of something else
-            slices = pose_of(scene.system, jnp.zeros_like(scene.system.input_speed), Request(slices=True)).slices
-            assert slices is not None  # the system has them
             for mesh in slices:
                 compliance.check(mesh)
 
 
-@eqx.filter_jit  # one program, since otherwise each operation would be compiled separately
+def _at_start(system: AbstractSystem, request: Request) -> Pose:
+    return system.pose(jnp.zeros_like(system.input_speed), request)
+
+
 def _influence(scene: Scene) -> Float[Array, "contact contact"]:
     springs = scene.contacts(jnp.zeros_like(scene.system.input_speed), "mean").springs
     assert isinstance(springs, CoupledSprings)

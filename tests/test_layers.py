@@ -16,6 +16,7 @@ LAYERS = {
     "typing": 0,
     "checks": 0,
     "dependence": 0,
+    "evaluate": 0,
     "files": 0,
     "markdown": 0,
     "memory": 0,
@@ -125,6 +126,7 @@ def test_only_a_layout_knows_the_order_of_contacts():
 LATER = ("pint", "pandas", "matplotlib", "xarray", "zarr", "scipy.special", "scipy.optimize", "SALib", "typer", "skfem")
 
 
+@pytest.mark.slow
 def test_importing_brings_nothing_that_only_some_analyses_need():
     """In a process of its own: it is half of the time that a notebook waits for its first cell."""
     look = f"import sys, gearjax; print([name for name in {LATER} if name in sys.modules])"

@@ -6,7 +6,6 @@ The choice uses the numbers of the scene and the sample times as far as they are
 import math
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from gearjax.analysis.modes import Spacing, StructureEquation
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
 from gearjax.compliance import AbstractCompliance
+from gearjax.evaluate import evaluated
 from gearjax.scene import Scene
 from gearjax.scene_checks import require_springs_apart
 from gearjax.typing import Array
@@ -77,11 +77,9 @@ def known_limits(physics: Scene) -> Limits | None:
     """The limits of a scene, or ``None`` if its numbers are traced; works also inside the trace of something else."""
     if not is_concrete(physics):
         return None
-    with jax.ensure_compile_time_eval():
-        return limits_of(physics)
+    return evaluated(limits_of, physics)
 
 
-@eqx.filter_jit
 def limits_of(physics: Scene) -> Limits:
     nothing = jnp.zeros((), physics.dtype)
     if not physics.springs_apart:  # the decay is not known, hence no windows
@@ -97,7 +95,7 @@ def suitable_step(scene: Scene, duration: float) -> FixedStep:
     Raises:
         SceneError: the record would need more than `MOST_STEPS` steps.
     """
-    return _suitable_step(scene, duration, limits_of(scene.physics(*MODELLED)))
+    return _suitable_step(scene, duration, evaluated(limits_of, scene.physics(*MODELLED)))
 
 
 def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:

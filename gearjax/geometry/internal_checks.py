@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax import units
+from gearjax.evaluate import evaluated
 from gearjax.geometry.internal_pair import InternalPair, candidate_rolls
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Scalar
@@ -98,10 +98,9 @@ def tip_overlap(pair: InternalPair) -> float:
 
     With few teeth difference the tips can meet far from the path of contact (ISO 21771: interference of tips).
     """
-    return -min(0.0, float(_least_gap(pair)))
+    return -min(0.0, float(evaluated(_least_gap, pair)))
 
 
-@eqx.filter_jit  # compiled as one program; without it, every single operation would be compiled separately
 def _least_gap(pair: InternalPair) -> Scalar:
     """Smallest gap between the flanks of all pairs of teeth, zero at most [m]."""
     teeth = np.arange(-(pair.external.teeth // 2), pair.external.teeth // 2 + 1) * (2 * np.pi / pair.internal.teeth)

@@ -14,6 +14,7 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Moved, Movements, Pose, Request
+from gearjax.evaluate import evaluated
 from gearjax.geometry.noncircular import AbstractRatio, EllipseRatio, PitchCurves, Placed, TabulatedRatio
 from gearjax.geometry.noncircular_outline import Teeth, tooth_points
 from gearjax.geometry.noncircular_teeth import closing_centre_distance, closing_eccentricity, faults
@@ -75,16 +76,17 @@ class AbstractNoncircularPair(AbstractSystem):
         shape = self.ratio_function, self.module, self.pressure_angle, self.addendum, self.centre_distance
         if not is_concrete(shape):
             return
+        curves = evaluated(_ready, self)
         with jax.ensure_compile_time_eval():  # the check needs numbers even inside a traced function
             self._check_closure()
-            for key, shown, words in faults(_ready(self), float(self.module), float(self.addendum)):
+            for key, shown, words in faults(curves, float(self.module), float(self.addendum)):
                 raise ParameterError(key, shown, words)
 
     def _check_closure(self) -> None:
         """Refuse pitch curves whose length is not the sum of the pitches of their teeth."""
         if self.centre_distance is None:
             return
-        right, given = float(_closing(self)), float(self.centre_distance)
+        right, given = float(evaluated(_closing, self)), float(self.centre_distance)
         if abs(given / right - 1) <= CLOSES:
             return
         long = math.pi * float(self.module) * self.teeth
@@ -191,7 +193,7 @@ class AbstractNoncircularPair(AbstractSystem):
         """Smooth pieces of a gear's outline (`gearjax.systems.GearOutlines`)."""
         self._check_body(body)
         number = self.teeth, self.teeth * self.driven_lobes // self.driver_lobes
-        teeth = Teeth(_ready(self), number, float(self.module), float(self.addendum), backlash)
+        teeth = Teeth(evaluated(_ready, self), number, float(self.module), float(self.addendum), backlash)
         return tooth_points(teeth, self.bodies.index(body), points)
 
     @property
@@ -224,7 +226,6 @@ class AbstractNoncircularPair(AbstractSystem):
         return gaps + driver.gap + driven.gap, rates
 
 
-@eqx.filter_jit  # compiled as one program; without it, every single operation would be compiled separately
 def _ready(system: AbstractNoncircularPair) -> PitchCurves:
     return system.curves
 
@@ -237,7 +238,6 @@ def _pitch(system: AbstractNoncircularPair, t: Array) -> tuple[Array, Array, Arr
     return at.radius, at.driven_radius, curves.ratio.driven_angle(t), curves.centre_distance
 
 
-@eqx.filter_jit
 def _closing(system: AbstractNoncircularPair) -> Scalar:
     return closing_centre_distance(system.ratio_function, system.teeth, system.module)
 

@@ -1,0 +1,46 @@
+"""Programs that run once on known numbers, such as checks of a gear set: quick to compile, and possible in a trace."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+
+QUICK = (
+    {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True},
+    {"xla_cpu_use_fusion_emitters": False},
+)
+"""Options of a program that compiles longer than it runs, each group as far as this version of XLA knows it: it leaves
+out the dearest optimisations, and uses the older kernel compiler. Together they take a fifth of the usual time."""
+
+
+def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Result of a function on known numbers, by one program, as numbers also inside the trace of something else.
+
+    Without a program each single operation would be compiled, and so would be each operation on constants under
+    `jax.ensure_compile_time_eval`.
+
+    Args:
+        function: a pure function, defined once: its program is kept.
+        arguments: its arguments, arrays without tracers and anything static.
+    """
+    return _program(function).lower(*arguments).compile()(*arguments)
+
+
+@functools.cache
+def _program(function: Callable[..., Any]) -> Any:
+    options: dict[str, Any] = {"compiler_options": _known_options()}
+    return eqx.filter_jit(function, **options)
+
+
+@functools.cache
+def _known_options() -> dict[str, Any]:
+    known: dict[str, Any] = {}
+    for options in QUICK:
+        try:
+            jax.jit(lambda: 0.0, compiler_options=known | options).lower().compile()
+        except Exception:  # which one depends on the version of jax: an option that XLA does not know
+            continue
+        known |= options
+    return known
