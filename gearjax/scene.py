@@ -276,6 +276,9 @@ class Scene(eqx.Module):
             stiffness: ``"rigid"`` for contacts without springs, ``"mean"``, or ``"varying"`` with the mesh phase.
             position: position of the output at which exact geometry is linearised [rad]; by default the ideal one.
         """
+        return _contacts_of(self, theta, stiffness, position)
+
+    def _contacts(self, theta: Scalar | Pose, stiffness: Stiffness, position: Scalar | None) -> ContactSet:
         pose, layout = theta if isinstance(theta, Pose) else self.pose(theta, stiffness), self.layout
         if self.system.exact:
             place = jnp.zeros_like(pose.theta) if position is None else position
@@ -360,3 +363,9 @@ class Scene(eqx.Module):
     def _errors(self, pose: Pose) -> Float[Array, " contact"]:
         gaps = [error.gap(pose.views[error.body]) for error in self.errors.values()]
         return jax.tree.reduce(jnp.add, gaps)
+
+
+@eqx.filter_jit
+def _contacts_of(scene: Scene, theta: Scalar | Pose, stiffness: Stiffness, position: Scalar | None) -> ContactSet:
+    """The same as `Scene._contacts`, traced once: programs use contacts in many places (see `pose_of`)."""
+    return scene._contacts(theta, stiffness, position)

@@ -112,13 +112,14 @@ class HelicalTrain(AbstractSystem):
     def __check_init__(self):
         check_parameters(self)
         self._check_lengths()
-        if not is_concrete(self._gears):
+        gears = self._gears
+        if not is_concrete(gears):
             if self.pairs is None:
                 raise ParameterError("pairs", MISSING, "must be given if the geometry is traced")
             return
         touching, looked_at = [], []
         with jax.ensure_compile_time_eval():
-            for mesh, pair in enumerate(self._gears):
+            for mesh, pair in enumerate(gears):
                 for key, shown, words in faults(pair):
                     raise ParameterError(key_of_gears(key), shown, f"mesh {mesh + 1}: {words}")
                 at_once, modelled = pairs_of_teeth(pair, self.tip_contact)
@@ -172,9 +173,14 @@ class HelicalTrain(AbstractSystem):
     @property
     def stages(self) -> tuple[HelicalMesh, ...]:
         """The meshes in order from the input, cut into slices."""
+        corners, each = self.tip_contact == "corner", zip(self._gears, self._pairs, strict=True)
+        return tuple(HelicalMesh(pair, number, self.slices, corners) for pair, number in each)
+
+    @property
+    def _pairs(self) -> tuple[int, ...]:
+        """Number of pairs of teeth that are modelled in each mesh."""
         assert self.pairs is not None  # `__check_init__` sets it if it was not given
-        corners = self.tip_contact == "corner"
-        return tuple(HelicalMesh(pair, min(self.pairs, *pair.teeth), self.slices, corners) for pair in self._gears)
+        return tuple(min(self.pairs, *teeth) for teeth in zip(self.pinion_teeth, self.wheel_teeth, strict=True))
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -265,7 +271,7 @@ class HelicalTrain(AbstractSystem):
         raise IndexError(f"contact {contact}")
 
     def layout(self, request: Request) -> Layout:
-        return helical_layout(tuple(stage.pairs for stage in self.stages), self.slices, request.back)
+        return helical_layout(self._pairs, self.slices, request.back)
 
     def pose(self, theta: Scalar, request: Request) -> Pose:
         meshes = [
