@@ -62,6 +62,7 @@ def test_samples_are_the_analyses_one_by_one(population, quick):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_contacts_that_share_no_number_share_a_table(quick):
     """Two sorts of numbers of the pins, two components of a run-out and of a pitch wave on either disc."""
     gaps = quick.curves.gaps
@@ -69,6 +70,7 @@ def test_contacts_that_share_no_number_share_a_table(quick):
     assert gaps.nominal.shape == (12, 80)
 
 
+@pytest.mark.slow
 def test_gradients_are_central_differences_under_vmap_and_jit(population, quick):
     rows = jnp.asarray(population.examples[5:7])
     slopes = np.asarray(jax.jit(jax.vmap(jax.jacrev(lambda row: quick(row)[0])))(rows))
@@ -95,6 +97,7 @@ class Curved(AbstractError):
         return 1e3 * self.size**2 * view.sine
 
 
+@pytest.mark.slow
 def test_gaps_that_are_no_sums_are_looked_at_one_by_one():
     own = scene()
     own = dataclasses.replace(own, errors={**own.errors, "curved": Curved("disc_1", jnp.asarray(1e-5))})
@@ -129,6 +132,7 @@ def test_float32(population):
     np.testing.assert_allclose(short, wide, atol=2e-9)
 
 
+@pytest.mark.slow
 def test_a_lane_that_cannot_carry_leaves_the_others_alone():
     """Two contacts that hold against one side alone, one of which touches first."""
     lever = jnp.array([[-0.06], [-0.03]])

@@ -145,12 +145,14 @@ def test_unused_slots_leave_the_no_load_program_as_it_is(scene, slot):
     assert equations(program(scene).jaxpr) == equations(program(without).jaxpr)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slot", ["backlash", "damping", "reference"])
 def test_absent_slots_shrink_the_dynamic_program(scene, slot):
     without = dataclasses.replace(scene, **{slot: None})
     assert equations(program(without, "dynamic").jaxpr) < equations(program(scene, "dynamic").jaxpr)
 
 
+@pytest.mark.slow
 def test_harmonics_shrink_to_nothing(scene):
     constant = dataclasses.replace(scene, compliance=gj.HarmonicStiffness(9e7, [], []))
     assert equations(program(constant, "dynamic").jaxpr) < equations(program(scene, "dynamic").jaxpr)

@@ -21,6 +21,7 @@ def held(**changed: object) -> gj.Scene:
     return dataclasses.replace(scene, supports=HELD, **changed)
 
 
+@pytest.mark.slow
 def test_forces_of_a_helical_pair_are_those_of_statics():
     """Radial ``T / r_b`` along the line of action, axial ``T tan(beta_b) / r_b``, on both wheels against each other."""
     scene = held()
@@ -71,6 +72,7 @@ def test_what_the_bearing_does_not_carry_accelerates_the_wheel():
         np.testing.assert_allclose(pushed[inner], wanted[inner], atol=0.01 * size)
 
 
+@pytest.mark.slow
 def test_gradients_of_statics():
     """A wheel on its two bearings is statically determinate: only the torque counts, not the stiffness."""
     scene = held()
@@ -103,6 +105,7 @@ def test_gradients_of_a_motion_are_differences():
     np.testing.assert_allclose(slopes[1], (values[2] - values[3]) / 2, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_refusals(scene):
     theta = np.linspace(0.0, 1.0, 5)
     with pytest.raises(gj.SceneError, match=r"bearing forces need supports: list \[supports.BODY\]"):

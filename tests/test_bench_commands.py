@@ -159,6 +159,7 @@ def test_small_start_angles_are_told_from_a_turn_of_a_body(start):
     assert gj.compare(scene, moved, shift="find").records[0].start == pytest.approx(start, abs=0.03)
 
 
+@pytest.mark.slow
 def test_start_angles_of_uneven_outputs_are_refused():
     elliptic = gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml")
     record = gj.synthetic_measurement(elliptic, rows=400)
@@ -180,6 +181,7 @@ def test_a_start_angle_is_found():
 # a synthetic bench ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_synthetic_bench_has_encoders_ripple_and_directions():
     scene = two_kv()
     plain = gj.synthetic_measurement(scene, 40.0, rows=2000, noise=0.0)
@@ -221,6 +223,7 @@ def test_benches_that_cannot_be(given, words):
 # reassembly -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_turning_a_body_is_its_phase(found):
     """What reassembly promises for one draw is what the scene with that phase has."""
     from gearjax.identification.reassembly import _Turning
@@ -302,6 +305,7 @@ def test_the_function_of_numpy_is_the_static_te(handed, torque):
     assert model["torque_of"](1.0, inside) == 0.0
 
 
+@pytest.mark.slow
 def test_the_joint_keeps_its_energy(handed):
     """Without damping no work is left once motor and output have gone round a loop, loaded and unloaded on the way."""
     _, folder = handed
@@ -323,6 +327,7 @@ def test_the_joint_keeps_its_energy(handed):
     assert abs(work) < 2e-3 * moved
 
 
+@pytest.mark.slow
 def test_without_back_flanks_nothing_pulls(tmp_path):
     scene = dataclasses.replace(gj.load(CONFIG), backlash=None)
     gj.export_joint(scene, tmp_path, torque=100.0)
@@ -331,6 +336,7 @@ def test_without_back_flanks_nothing_pulls(tmp_path):
     assert model["torque_of"](1.0, model["te"](1.0, 40.0)) == pytest.approx(40.0)
 
 
+@pytest.mark.slow
 def test_tables_tell_the_same(handed):
     import xarray as xr
 

@@ -120,6 +120,7 @@ def test_twelve_coordinates():
     assert len(oscillator(None, 0.85).coordinates) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("body", ["pinion", "wheel"])
 def test_each_direction_adds_its_spring(body, way):
@@ -201,6 +202,7 @@ def test_supports_of_finite_stiffness_shift_it_in_proportion():
     assert off[1] < 1e-3
 
 
+@pytest.mark.slow
 def test_the_receptance_leaves_contacts_alone():
     """Harmonic balance of twelve coordinates searches for the two flanks only: the solver's matrix has their size."""
 

@@ -32,6 +32,7 @@ def command(capsys, *arguments) -> tuple[int, str, str]:
     return int(stopped.value.code or 0), out, err
 
 
+@pytest.mark.slow
 def test_run_json(capsys, tmp_path, monkeypatch, fast):
     monkeypatch.chdir(tmp_path)
     code, out, err = command(capsys, "run", fast, "--json")
@@ -49,6 +50,7 @@ def test_run_json(capsys, tmp_path, monkeypatch, fast):
     assert list(tmp_path.iterdir()) == [fast], "nothing is written without --out"
 
 
+@pytest.mark.slow
 def test_run_writes_what_it_shows(capsys, tmp_path, fast):
     folder = tmp_path / "deep" / "results"
     code, out, _ = command(capsys, "run", fast, "--out", folder)
@@ -85,6 +87,7 @@ def test_a_results_file_runs_again(capsys, tmp_path, fast):
     assert json.loads(again)["cases"] == json.loads(first)["cases"]
 
 
+@pytest.mark.slow
 def test_without_out_the_pictures_go_to_a_folder_named_after_the_config(capsys, tmp_path, monkeypatch, fast):
     monkeypatch.chdir(tmp_path)
     code, _, err = command(capsys, "run", fast)
@@ -129,6 +132,7 @@ def test_config_mistakes_exit_with_two(capsys, fast):
     assert "no [run]" in err
 
 
+@pytest.mark.slow
 def test_an_output_folder_that_cannot_be_written(capsys, tmp_path, fast):
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "blocked" / "transmission_error.png").mkdir(parents=True)
@@ -146,6 +150,7 @@ def test_a_damaged_results_file(capsys, tmp_path):
         assert "not a results file" in err
 
 
+@pytest.mark.slow
 def test_torques_that_print_alike_keep_their_curves(capsys, tmp_path, fast):
     alike = FAST.replace('"30 N*m", "100 N*m", "300 N*m"', '"100000.1 N*m", "100000.2 N*m"')
     fast.write_text(alike.replace(', "dynamic"]', "]"), encoding="utf-8")
@@ -160,6 +165,7 @@ def test_version_and_help(capsys):
     assert "--json" in command(capsys, "run", "--help")[1]
 
 
+@pytest.mark.slow
 def test_as_a_module_in_a_fresh_process(fast):
     """The command sets float64 itself; stdout holds JSON alone."""
     fast.write_text(FAST.replace(', "static", "dynamic"]', "]"), encoding="utf-8")

@@ -178,6 +178,7 @@ def completed(line: str, **environment: str) -> str:
     return ended.stdout
 
 
+@pytest.mark.slow
 def test_completion():
     assert completed("gearjax tol").split() == ["tolerance"]
     assert completed("gearjax new rv").split() == ["rv_cycloidal"]

@@ -32,7 +32,10 @@ KINDS = [system.kind for system in SYSTEMS]
 written = functools.cache(template)
 
 
-@pytest.fixture(scope="module", params=KINDS)
+OTHERS = [pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind != "two_kv"]
+
+
+@pytest.fixture(scope="module", params=["two_kv", *OTHERS])
 def text(request) -> str:
     return written(request.param)
 
@@ -45,6 +48,7 @@ def mistake(text: str) -> str:
     return ""
 
 
+@pytest.mark.slow
 def test_it_loads_as_it_is(text):
     scene = gj.loads(text)
     assert scene.run is not None
@@ -82,6 +86,7 @@ def test_each_option_loads_when_it_is_put_in(text):
     assert refused == without_motion[tomllib.loads(text)["system"]["kind"]]
 
 
+@pytest.mark.slow
 def test_every_declared_name_occurs(text):
     kind = tomllib.loads(text)["system"]["kind"]
     system = next(system for system in SYSTEMS if system.kind == kind)
@@ -105,6 +110,7 @@ def test_every_declared_name_occurs(text):
         assert f"# {part.kind}: " in text
 
 
+@pytest.mark.slow
 def test_what_does_not_suit_is_said():
     assert (
         "# No positions, sizes, cumulative_pitch for a two_kv: each body of this two_kv has no rim of pins or teeth"
@@ -143,6 +149,7 @@ def test_meanings_are_those_of_the_docstrings():
     assert summary(Part) == ["A part.", "It has things."]
 
 
+@pytest.mark.slow
 def test_a_gear_set_of_ones_own(monkeypatch):
     """From its declared fields alone: no example is given in them."""
     monkeypatch.setitem(registry._kinds, "gearjax.systems", {part.kind: part for part in (*SYSTEMS, SpurPair)})
@@ -152,6 +159,7 @@ def test_a_gear_set_of_ones_own(monkeypatch):
     assert declared(SpurPair).keys() <= set(re.findall(r"^#?(\w+) = ", text, flags=re.MULTILINE))
 
 
+@pytest.mark.slow
 def test_the_command(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["new", "two_kv"])

@@ -51,6 +51,7 @@ def missed(matrix, lever, gap, load, position, forces) -> float:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", SIZES)
 def test_all_conditions_hold(number, rng):
     """Convex: what fulfils them is the one solution."""
@@ -82,6 +83,7 @@ def test_least_squares_find_the_same_forces(rng):
         np.testing.assert_allclose(forces, known, atol=1e-5 * known.max())
 
 
+@pytest.mark.slow
 def test_without_coupling_it_is_the_closed_form(rng):
     for number in (2, 4, 40):
         matrix, lever, gap, load = problem("diagonal", number, rng)
@@ -96,6 +98,7 @@ def test_without_coupling_it_is_the_closed_form(rng):
         np.testing.assert_allclose(forces, known.forces, rtol=1e-10, atol=1e-12 * abs(load))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_gradients_are_those_of_differences_under_vmap_and_jit(family, rng):
     """In matrix, levers, gaps and load, forwards and backwards."""
@@ -127,6 +130,7 @@ def test_gradients_are_those_of_differences_under_vmap_and_jit(family, rng):
     np.testing.assert_allclose(back, forward, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_second_derivatives_are_right(rng):
     matrix, lever, gap, _ = (jnp.asarray(part) for part in problem("kernel", 6, rng))
     load = jnp.asarray(-3.0)
@@ -155,6 +159,7 @@ def test_forces_do_the_work_of_the_load(rng):
         assert float(work) == pytest.approx(load * float(turn), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_float32_follows_float64(rng):
     for family in ("kernel", "wishart", "diagonal"):
         matrix, lever, gap, _ = problem(family, 30, rng)
@@ -189,6 +194,7 @@ def test_extremes():
     np.testing.assert_allclose(forces, 0.5, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [0.0, 1e-200, 1e-30])
 @pytest.mark.parametrize("in_blocks", [False, True])
 def test_contacts_that_touch_together_hardly_loaded(in_blocks, torque, rng):

@@ -29,6 +29,7 @@ def both(matrix, lever, gap, load, sided):
     return coupled_balance(matrix, lever, gap, load, sided), coupled_balance(block_diagonal(matrix), lever, gap, load)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sided", [False, True])
 def test_blocks_give_what_the_whole_matrix_gives(sided, rng):
     """Loads of both signs, slight ones, none, and flanks of both sides that are pressed together."""
@@ -45,6 +46,7 @@ def test_blocks_give_what_the_whole_matrix_gives(sided, rng):
     assert (pressed[:, :9].any(axis=1) & pressed[:, 9:].any(axis=1)).sum() >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [1, 3])
 def test_a_block_may_have_flanks_of_both_sides(blocks, rng):
     """An odd number of blocks has driving flanks in the first half of its contacts all the same."""
@@ -55,6 +57,7 @@ def test_a_block_may_have_flanks_of_both_sides(blocks, rng):
         np.testing.assert_allclose(mine[1], known[1], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_matrix_of_ones_own_for_a_few_contacts(scene, theta):
     """Of both flanks, as a reducer with backlash has; far from the back flanks it is what driving flanks give alone."""
 
@@ -119,6 +122,7 @@ def test_derivatives_are_those_of_the_whole_matrix(rng):
             np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-9 * float(np.abs(other).max()))
 
 
+@pytest.mark.slow
 def test_a_load_that_nothing_holds_is_told(rng):
     matrix, lever, gap = problem(rng, sides=False)
     place, forces, code = coupled_balance(jnp.asarray(matrix), jnp.asarray(lever), jnp.asarray(gap), jnp.asarray(1.0))

@@ -21,6 +21,7 @@ def lanes(family: str, rng) -> tuple:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["kernel", "gauss"])
 def test_lanes_of_one_matrix_are_single_problems(family, rng):
     matrix, levers, gaps, loads = lanes(family, rng)
@@ -35,6 +36,7 @@ def test_lanes_of_one_matrix_are_single_problems(family, rng):
             assert missed(*given, position[lane], np.asarray(forces[lane])) < 1e-12
 
 
+@pytest.mark.slow
 def test_lanes_in_float32_follow_those_in_float64(rng):
     """Slices of teeth, whose matrix has a condition of 15: forces to 2e-5 of the largest."""
     number, many = 99, 200
@@ -48,6 +50,7 @@ def test_lanes_in_float32_follow_those_in_float64(rng):
     assert (np.abs(near - known).max(axis=1) / known.max(axis=1)).max() < 2e-5
 
 
+@pytest.mark.slow
 def test_gradients_of_lanes_are_those_of_single_problems(rng):
     matrix, levers, gaps, loads = lanes("kernel", rng)
     weights = jnp.asarray(rng.normal(size=NUMBER))

@@ -54,6 +54,7 @@ def test_the_linear_gap_is_as_far_from_the_exact_one_as_the_study_found(design, 
     assert float(apart) / um == pytest.approx(worst, abs=0.006)
 
 
+@pytest.mark.slow
 def test_the_exact_gap_is_the_distance_to_the_drawn_profile():
     own = disc()
     phase = jnp.linspace(-1.0, 2 * np.pi + 1.0, 400_001)  # a tooth
@@ -65,6 +66,7 @@ def test_the_exact_gap_is_the_distance_to_the_drawn_profile():
         assert float(cycloid.exact_gap(own, jnp.asarray(angle)) - distance) == pytest.approx(0.0, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_the_derivative_of_the_exact_gap_holds_the_foot():
     own, step = disc(), 1e-7
     for name in ("shifting", "isometric", "throw"):
@@ -74,6 +76,7 @@ def test_the_derivative_of_the_exact_gap_holds_the_foot():
         np.testing.assert_allclose(slope, (change[0] - change[1]) / (2 * step), atol=2e-6)
 
 
+@pytest.mark.slow
 def test_curvature_is_that_of_the_profile():
     own = disc()
     phase = jnp.linspace(0.05, 2 * np.pi - 0.05, 301)
@@ -101,6 +104,7 @@ def test_too_large_a_pin_is_refused_with_the_largest_allowed():
         system(pin_radius=largest * (1 + 1e-6))
 
 
+@pytest.mark.slow
 def test_a_looped_profile_is_refused_and_one_just_short_of_it_is_not():
     with pytest.raises(gj.ParameterError, match=r"eccentricity = \"1.9 mm\": looped profile.*at most 1.8989"):
         system(eccentricity=1.9 * mm)
@@ -111,6 +115,7 @@ def test_a_looped_profile_is_refused_and_one_just_short_of_it_is_not():
     assert bool(jnp.isfinite(te.te).all())
 
 
+@pytest.mark.slow
 def test_sensitivity_indices_have_the_printed_digits():
     printed = (1.0, -1.6308, 0.8154, 0.4077, 1.2882, 1.6308, -1.0, -0.6441)
     found = sensitivity_indices(disc())

@@ -40,6 +40,7 @@ def measured_of(system, body="pinion", design=(), slope=0.0, number=41) -> gj.Me
     return gj.MeasuredFlank(body, roll, grid.ravel(), across)
 
 
+@pytest.mark.slow
 def test_what_a_design_asks_for_is_no_deviation():
     system = scene_of(GUO_1).system
     whole = measured_of(system, design=DESIGN.values(), slope=4 * um)
@@ -60,6 +61,7 @@ def test_of_an_internal_gear_the_tip_is_at_the_least_roll():
     np.testing.assert_allclose(rest.deviation, 0.0, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_reliefs_of_single_teeth():
     system = scene_of(GUO_1).system
     own = gj.TipRelief("pinion", np.linspace(0.0, 18.0, 19) * um, 8 * mm)
@@ -70,6 +72,7 @@ def test_reliefs_of_single_teeth():
     np.testing.assert_allclose(rest.max(axis=(1, 2)), [3 * um, 7 * um], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_together_they_are_what_was_measured():
     """The TE of the measured flank alone, and of the design with the rest: equal up to the splines between points."""
     measured = measured_of(scene_of(GUO_1).system, design=DESIGN.values(), slope=4 * um, number=161)
@@ -96,6 +99,7 @@ def tables(**changes):
     return found
 
 
+@pytest.mark.slow
 def test_a_configuration_names_what_its_flanks_contain():
     folder = ROOT / "configs" / "helical"
     plain = gj.loads(tomli_w.dumps(tables()), folder)

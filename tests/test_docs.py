@@ -21,6 +21,12 @@ from tests.conftest import ROOT
 from tests.test_spectra import COMMANDS
 
 LONG = (
+    "gearjax.analysis.repeats",
+    "gearjax.config.commented",
+    "gearjax.identification.identify",
+    "gearjax.identification.posterior",
+    "gearjax.identification.reassembly",
+    "gearjax.tolerance.population",
     "gearjax.studies.compensate",
     "gearjax.studies.minimise",
     "gearjax.studies.sensitivity",

@@ -64,6 +64,7 @@ def test_linear_oscillator(oscillator, ratio):
     np.testing.assert_allclose(motion.te, exact(np.asarray(ts), ratio), rtol=0, atol=2e-12)
 
 
+@pytest.mark.slow
 def test_a_jammed_pair_has_two_springs_and_one_damper(oscillator):
     """Both flanks closed: ``m x'' + c x' + 2 k x = k (e + u) + c e' - T / r``, u the edge of the back flank."""
     jammed = dataclasses.replace(
@@ -106,6 +107,7 @@ def test_gradients_of_the_linear_oscillator(oscillator):
         assert float(derivative(last, 1)(torque, stiffness)) == pytest.approx(by_stiffness, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_fourth_order(oscillator):
     ts = jnp.linspace(0.0, 0.01, 11)
     errors = []
@@ -118,6 +120,7 @@ def test_fourth_order(oscillator):
     np.testing.assert_allclose(orders, 4.0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_other_diffrax_solvers_step_too(oscillator):
     ts = jnp.linspace(0.0, 0.01, 11)
     for solver in (diffrax.Tsit5(), diffrax.Dopri8()):
@@ -125,6 +128,7 @@ def test_other_diffrax_solvers_step_too(oscillator):
         np.testing.assert_allclose(motion.te, exact(np.asarray(ts)), rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_without_damping(still):
     """From rest at the touching point: two springs that open and close once per swing."""
     undamped = dataclasses.replace(still, damping=None)
@@ -139,6 +143,7 @@ def test_energy_is_conserved_without_damping(still):
     assert drift(5e-6) < drift(2e-5) / 4  # the kink of the contact lowers the order to two
 
 
+@pytest.mark.slow
 def test_free_flight_through_the_backlash(still):
     """Perfect bodies, torque reversed: constant acceleration until the back flanks close."""
     ts = jnp.linspace(0.0, 0.0004, 41)
@@ -149,6 +154,7 @@ def test_free_flight_through_the_backlash(still):
     np.testing.assert_allclose(np.asarray(motion.te)[free] * RADIUS, flight[free], rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_equilibrium_is_where_it_comes_to_rest(still):
     """With constant gaps the motion settles on the static equilibrium; started there it stays."""
     ts = jnp.linspace(0.0, 0.2, 101)
@@ -169,6 +175,7 @@ def test_start_from_equilibrium_has_no_transient(scene):
     assert float(abs(rough.te - static.te).max()) > 0.5 * arcmin
 
 
+@pytest.mark.slow
 def test_fixed_steps_agree_with_the_adaptive_yardstick(scene):
     ts = jnp.linspace(0.0, 0.3, 301)
     for torque in (3.0, 30.0, 300.0):
@@ -177,6 +184,7 @@ def test_fixed_steps_agree_with_the_adaptive_yardstick(scene):
         assert float(abs(fixed.te - adaptive.te).max()) / arcmin < 2e-4
 
 
+@pytest.mark.slow
 def test_settle_is_left_out(scene):
     ts = jnp.linspace(0.0, 0.3, 301)
     rough = gj.simulate(scene, ts, 300.0, start="zero")
@@ -233,6 +241,7 @@ def test_extremes_between_samples(scene):
     assert float(np.ptp(np.asarray(coarse.te))) < 0.95 * float(coarse.peak_to_peak)
 
 
+@pytest.mark.slow
 def test_stiffness_harmonics_of_any_length(scene):
     """Each harmonic shows at its multiple of the mesh frequency under a load that keeps both pairs closed."""
     rich = gj.HarmonicStiffness(STIFFNESS, [0.08, 0.0, 0.04], [0.3, 0.0, 1.0])
@@ -261,6 +270,7 @@ def test_sinusoidal_loads(scene):
     np.testing.assert_allclose(gj.simulate(same, ts[:200], 30.0).te, motion.te[:200], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_times_come_from_the_step_number(scene):
     """In float32 the mesh phase after 3 s is that of float64: a sum of steps would be 0.4 rad off."""
     ts = np.linspace(2.9, 3.0, 101)
@@ -278,6 +288,7 @@ def test_a_missing_part_is_named(scene, slot, name):
         gj.simulate(bare, jnp.linspace(0.0, 0.1, 11), 30.0)
 
 
+@pytest.mark.slow
 def test_refusals(scene):
     ts = jnp.linspace(0.0, 0.01, 11)
     with pytest.raises(gj.SceneError, match="start = "):
@@ -298,6 +309,7 @@ def test_refusals(scene):
         gj.simulate(dataclasses.replace(scene, backlash=None), ts, -30.0)
 
 
+@pytest.mark.slow
 def test_faults_are_codes_in_batches(scene):
     """A batch does not raise: the sample with a step too long for it is marked, the others are right."""
     ts = jnp.linspace(0.0, 0.01, 11)

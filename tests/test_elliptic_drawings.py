@@ -47,6 +47,7 @@ def test_outlines_keep_their_tolerance(tmp_path, body, tolerance):
     assert (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0  # counter-clockwise
 
 
+@pytest.mark.slow
 def test_backlash_and_names(tmp_path):
     alone = gj.export_profile(pair(), tmp_path / "one.csv", tolerance=5 * um).read_text()
     assert alone == gj.export_profile(scene(), tmp_path / "two.csv", body="driver", tolerance=5 * um).read_text()
@@ -55,6 +56,7 @@ def test_backlash_and_names(tmp_path):
         gj.export_profile(pair(), tmp_path / "one.csv", body="drive")
 
 
+@pytest.mark.slow
 def test_figure_and_film(tmp_path):
     gears = gj.load(ROOT / "configs" / "elliptic" / "two_lobes.toml")
     whole, near = noncircular_figure(gears, 0.7).axes[:2]

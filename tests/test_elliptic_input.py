@@ -93,6 +93,7 @@ def test_smooth_tables_pass(e, number):
     by_table(ratio, teeth=47)
 
 
+@pytest.mark.slow
 def test_a_table_of_an_ellipse_is_the_ellipse():
     ratio = EllipseRatio(jnp.asarray(E)).rates(jnp.asarray(np.arange(96) * 2 * np.pi / 96))[0]
     own = scene(**MOVING)
@@ -116,6 +117,7 @@ def test_negative_torques_and_no_backlash():
         gj.transmission_error(scene(compliance=gj.HarmonicStiffness(1e8, [], [])), THETA, -1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("e", [0.0, 0.7071])
 @pytest.mark.parametrize("clearance", ["linear", "exact"])
 def test_extremes_of_eccentricity(e, clearance):
@@ -125,6 +127,7 @@ def test_extremes_of_eccentricity(e, clearance):
     assert float(jnp.abs(te.te).max()) > 1e-3
 
 
+@pytest.mark.slow
 def test_speed_at_which_inertia_alone_exceeds_the_load():
     """Twenty times the speed of separation: teeth hammer from flank to flank, numbers stay finite, all of the way."""
     gears = scene(system={"input_speed": 600.0}, **MOVING)
@@ -137,6 +140,7 @@ def test_speed_at_which_inertia_alone_exceeds_the_load():
     assert np.ptp(np.asarray(motion.te)) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clearance", ["linear", "exact"])
 def test_float32(clearance):
     """Off by some 1e-6 of a radius that is read at the angle of the teeth: 0.01 arcmin, of 7."""

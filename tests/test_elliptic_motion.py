@@ -95,6 +95,7 @@ def test_an_alternating_torque():
     assert (np.asarray(motion.forces)[40:] > 0).any(axis=0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [10.0, -25.0])
 def test_speed_of_separation(torque):
     """Stiff teeth carry the load and the inertia of the ideal motion; just above that speed they let go."""
@@ -124,6 +125,7 @@ def test_separation_is_for_uneven_outputs():
         gj.separation_speed(scene(), 10.0)
 
 
+@pytest.mark.slow
 def test_energy_over_a_turn():
     """Without a damper the input gives what the load takes and what is kept: the work by the force and the rate of its
     own distance at a held output."""

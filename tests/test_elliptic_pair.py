@@ -41,6 +41,7 @@ MOVING = {
 
 
 class TestExactly:
+    @pytest.mark.slow
     @pytest.mark.parametrize(("size", "bound"), [(50 * um, 1e-11), (3e-3, 2e-8)])
     def test_both_flanks_against_three_unknowns(self, size, bound):
         """Bounds in arcmin, of errors of 7 and 400 arcmin."""
@@ -51,6 +52,7 @@ class TestExactly:
             wanted = [OWN.exact(t, *errors, side=side) for t in THETA]
             np.testing.assert_allclose(edge, wanted, atol=bound * arcmin)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("size", [30 * um, 500 * um])
     def test_generated_teeth_rolled_together(self, size):
         """Flanks as curves of points, from tip to tip: the driven gear is turned until they touch."""
@@ -58,12 +60,14 @@ class TestExactly:
         wanted = [rolled(t, (size, DRIVER), (size, DRIVEN)) for t in THETA[3:20:4]]
         np.testing.assert_allclose(te, wanted, atol=1e-6 * arcmin)
 
+    @pytest.mark.slow
     def test_ideal_teeth_have_no_error(self):
         assert np.abs([rolled(t, (0.0, 0.0), (0.0, 0.0)) for t in THETA[1:30:7]]).max() < 1e-8 * arcmin
         for clearance in ("linear", "exact"):
             ideal = gj.Scene(pair(clearance=clearance))
             assert float(jnp.abs(gj.transmission_error(ideal, THETA).te).max()) < 1e-15
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("e", "bound"), [(0.2, 2e-3), (E, 2e-3), (0.7, 3e-3)])
     def test_first_order(self, e, bound):
         """``q = (e1 sin(t1 + p1 + a) + e2 sin(t2 + p2 - a) - dc sin a) / (r2 cos a)``, near the exact one."""
@@ -80,6 +84,7 @@ class TestExactly:
         largest = float(jnp.abs(exact.te).max())
         assert 1e-5 < float(jnp.abs(linear.te - exact.te).max()) / largest < bound
 
+    @pytest.mark.slow
     def test_ratio_error(self):
         """It is the derivative of the transmission error, and zero on the mean: both gears are back after a turn."""
         theta = np.linspace(0.0, 2 * math.pi, 257)
@@ -126,6 +131,7 @@ class TestExactly:
                 values[one, other] = float(gj.transmission_error(own, theta).peak_to_peak)
         assert float(grid.objective) == pytest.approx(min(values.values()), rel=1e-6)
 
+    @pytest.mark.slow
     def test_first_order_of_the_ratio(self):
         theta = np.linspace(0.0, 2 * math.pi, 257)
         linear, exact = (
@@ -184,6 +190,7 @@ def _rising(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TestForces:
+    @pytest.mark.slow
     def test_a_circular_pair_is_a_spur_pair(self):
         """Without eccentricity of the pitch curve all is as of another system's spur gears, levers and run-outs."""
         slots = MOVING | {"damping": gj.DampingRatio(0.05)}
@@ -230,6 +237,7 @@ class TestForces:
                 taken = (apart(t + step, at) - apart(t - step, at)) / (2 * step)
                 assert -force * taken == pytest.approx(torque * OWN.ratio(t), rel=1e-8)
 
+    @pytest.mark.slow
     def test_a_support_gives_way(self):
         """The overlap is shared with the bearings: ``q = q0 - T / J^2 (1 / k + sum J_s^2 / k_s)``."""
         gears = scene(**MOVING)

@@ -17,6 +17,7 @@ def rows():
     return {row.item: row for row in elliptic.rows()}
 
 
+@pytest.mark.slow
 def test_what_is_reproduced(rows):
     told = {item: row.status for item, row in rows.items() if row.published}
     missed = {item for item, status in told.items() if status == "not reproduced"}
@@ -34,6 +35,7 @@ def test_what_is_reproduced(rows):
     assert abs(rows["Table 2, e = 0.3, mean"].computed) < 1e-12  # that of a ratio error over a turn
 
 
+@pytest.mark.slow
 def test_the_validation_page_shows_them(rows):
     assert_shown("elliptic", list(rows.values()))
 

@@ -51,6 +51,7 @@ rises = st.floats(-40e-6, 40e-6)
 torques = st.floats(0.01, 3000.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(rises, rises, torques)
 def test_two_springs_closed_form(first, second, torque):
@@ -63,6 +64,7 @@ def test_two_springs_closed_form(first, second, torque):
     assert int(found.result) == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     st.lists(rises, min_size=3, max_size=3),
@@ -79,6 +81,7 @@ def test_three_pairs_against_brute_force(drive, springs, back, torque):
     assert bool((found.forces >= -1e-9 * abs(torque)).all())
 
 
+@pytest.mark.slow
 def test_jammed_flanks_against_brute_force(rng):
     """Back edges below the driving edges: both sides carry force, with or without a torque."""
     for _ in range(50):
@@ -88,6 +91,7 @@ def test_jammed_flanks_against_brute_force(rng):
             assert float(found.position) == pytest.approx(brute_force(contacts, -torque), rel=1e-10, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_zero_torque_is_the_first_driving_contact(rng):
     contacts = contact_set(rng.uniform(-20e-6, 20e-6, 4), rng.uniform(50e-6, 90e-6, 4))
     lower, upper = first_contact(contacts, HardContact())
@@ -98,6 +102,7 @@ def test_zero_torque_is_the_first_driving_contact(rng):
     assert float(upper) > float(lower)
 
 
+@pytest.mark.slow
 def test_no_flank_to_carry_the_torque():
     found = equilibrium(contact_set([1e-6, 2e-6]), jnp.asarray(5.0), HardContact())
     assert int(found.result) == 1
@@ -132,6 +137,7 @@ def test_smooth_equilibrium_converges_and_balances(law, torque, rng):
             )
 
 
+@pytest.mark.slow
 def test_softplus_equilibrium_is_the_reference_form():
     """Two pairs: logsumexp of {D1 - q, D2 - q, (D1 + D2 - q) / 2}."""
     first, second, torque, width = 4e-6, 6e-6, 20.0, 5e-7
@@ -142,6 +148,7 @@ def test_softplus_equilibrium_is_the_reference_form():
     assert float(found.position) == pytest.approx(float(expected), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [SoftplusContact, QuadraticContact])
 def test_of_many_pairs_the_smooth_balance_is_searched_for(law, rng):
     """More than the closed form is for: it balances the torque and tends to the hard one with the width."""
@@ -169,6 +176,7 @@ def test_more_than_one_degree_of_freedom_is_refused():
         equilibrium(wide, jnp.asarray(-1.0), HardContact())
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     st.lists(st.tuples(rises, st.floats(1e6, 1e9)), min_size=1, max_size=4),

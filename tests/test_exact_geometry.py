@@ -123,6 +123,7 @@ def test_the_pins_forces_take_their_share_of_the_torque_from_the_crank(seed):
     assert ahead[forces > 0].all()
 
 
+@pytest.mark.slow
 def test_a_larger_pin_ahead_of_the_throw_moves_the_driven_output():
     """One pin of 40, a quarter turn ahead of the throw, 5 um too large: +0.2133 arcmin by exact geometry."""
     for clearance, expected in (("exact", 0.21331), ("linear", 0.2136)):

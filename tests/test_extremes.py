@@ -134,6 +134,7 @@ def test_float32_over_a_full_cycle(scene):
         assert float(getattr(other, name)) / arcmin == pytest.approx(float(getattr(double, name)) / arcmin, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_thousand_turns_of_the_output_later(still):
     """The mesh phase at step n is that of time n h: 1,000 output turns on, the motion is that of the first turn."""
     waved = dataclasses.replace(still, compliance=gj.HarmonicStiffness(STIFFNESS, [0.13], [0.4]))
@@ -157,6 +158,7 @@ def test_far_from_equilibrium(scene):
     assert float(abs(motion.te[-1] - equilibrium.te[-1])) < 1e-3 * float(abs(motion.te).max())
 
 
+@pytest.mark.slow
 def test_a_gradient_at_a_change_of_contact(still):
     """At the touching point the derivative is one of the two one-sided ones, or between them."""
 
@@ -170,6 +172,7 @@ def test_a_gradient_at_a_change_of_contact(still):
     assert low * (1 - 1e-3 * np.sign(low)) - 1e-12 <= slope <= high * (1 + 1e-3 * np.sign(high)) + 1e-12
 
 
+@pytest.mark.slow
 def test_one_bad_scene_in_a_thousand(scene):
     """Its code says so, the others are untouched."""
     ts = jnp.linspace(0.0, 0.004, 5)

@@ -117,6 +117,7 @@ def test_forces_of_pins_balance_hardly_any_torque(compliance):
             assert float((lever * forces).sum()) == pytest.approx(-torque, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_hold_at_hardly_any_torque():
     one, theta = scene(with_errors=True), jnp.asarray([0.3])
 
@@ -130,6 +131,7 @@ def test_derivatives_hold_at_hardly_any_torque():
         assert float(slope) == pytest.approx(float(step), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_line_contact_takes_the_smallest_force():
     springs = LineSprings(jnp.full((1,), 2.5e-10), jnp.full((1,), 15.0))
     contacts = ContactSet(jnp.asarray([[-0.06]]), jnp.asarray([3e-5]), springs, Layout.of_flanks(1, back=False))
@@ -180,6 +182,7 @@ def test_interference_is_named_and_no_position_comes_out_of_a_vanishing_lever(sh
     assert not bool(gj.transmission_error(one, theta[::50], 784.0).result.any())
 
 
+@pytest.mark.slow
 def test_a_clear_reducer_does_not_interfere(scene):
     theta = jnp.linspace(0.0, scene.system.cycle, 801)
     play = gj.backlash(scene, theta)
@@ -191,6 +194,7 @@ def test_a_clear_reducer_does_not_interfere(scene):
 # load sharing, angles -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_load_sharing_of_pins_counts_those_that_could_carry():
     one, theta = scene("conjugate", discs=1), jnp.asarray([0.05, 0.31, 2.0])
     te = gj.transmission_error(one, theta, 431.0)
@@ -200,6 +204,7 @@ def test_load_sharing_of_pins_counts_those_that_could_carry():
         assert float(sharing) == pytest.approx(able * float(forces.max() / forces.sum()), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_few_angles_are_told_where_extremes_between_them_are_asked_for(rng):
     one = scene(discs=1)
     coarse = gj.transmission_error(one, jnp.asarray(np.sort(rng.uniform(0, 0.5, 41))))
@@ -212,6 +217,7 @@ def test_few_angles_are_told_where_extremes_between_them_are_asked_for(rng):
     assert float(gj.transmission_error(one, jnp.asarray([0.1])).peak_to_peak) == 0.0
 
 
+@pytest.mark.slow
 def test_interference_in_a_population_names_its_worst_gear_set():
     one = scene("conjugate", discs=1, with_errors=True)
     tolerances = gj.Tolerances(one, {f"errors.pins.outward[{pin}]": gj.Normal(0.0, 1 * um) for pin in range(40)})

@@ -20,6 +20,7 @@ def misaligned(slope: float, slices: int = 50) -> gj.Scene:
     return scene_of(SPUR, {"slope": gj.HelixSlope("pinion", slope)}, gj.LineStiffness(PER_LENGTH), slices=slices)
 
 
+@pytest.mark.slow
 def test_a_slight_misalignment_has_the_factor_of_the_standard():
     """``1 + F c_gamma b / (2 F_t)`` with c_gamma of the mean number of pairs, the contact ratio."""
     scene, slope = misaligned(6 * um), 6 * um
@@ -38,6 +39,7 @@ def test_a_slight_misalignment_has_the_factor_of_the_standard():
     assert found.load.shape == (512, 50)
 
 
+@pytest.mark.slow
 def test_a_strong_misalignment_has_the_factor_of_the_standard():
     """``sqrt(2 F c b / F_t)`` where a part of the face carries, at the pitch point: one pair is in contact."""
     slope, torque = 30 * um, 100.0
@@ -49,6 +51,7 @@ def test_a_strong_misalignment_has_the_factor_of_the_standard():
     assert found.factor == pytest.approx(float(wanted), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_slopes_at_the_same_end_add_and_opposite_ones_cancel():
     def factor(*slopes):
         errors = {body: gj.HelixSlope(body, slope) for body, slope in zip(("pinion", "wheel"), slopes, strict=False)}
@@ -62,6 +65,7 @@ def test_slopes_at_the_same_end_add_and_opposite_ones_cancel():
     assert factor(3 * um, 3 * um) == pytest.approx(factor(6 * um), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_batches_and_gradients():
     """One pair by one, and differences; the factor of a helical pair over the crowning under jit and vmap."""
 
@@ -80,6 +84,7 @@ def test_batches_and_gradients():
     np.testing.assert_allclose(slopes, wanted, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_of_a_motion():
     """A slow motion has the loads of rest."""
     scene = misaligned(6 * um, 9)
@@ -105,6 +110,7 @@ def test_what_a_run_tells():
     assert not face_load_factors(short, list(run_cases(short)))
 
 
+@pytest.mark.slow
 def test_refusals(scene):
     theta = np.linspace(0.0, 1.0, 5)
     with pytest.raises(gj.SceneError, match="needs slices across the face, which two_kv does not have"):

@@ -48,6 +48,7 @@ def test_exact_for_a_linear_oscillator_at_any_step(oscillator, ratio, per_sample
     )
 
 
+@pytest.mark.slow
 def test_second_order(oscillator):
     """Where the gaps move, in position and in velocity."""
     damped = dataclasses.replace(oscillator, damping=gj.DampingRatio(0.1))
@@ -91,6 +92,7 @@ def test_smooth_laws(scene, with_contact):
         assert float(abs(fitted.te - other.te).max()) / arcmin < 2e-4
 
 
+@pytest.mark.slow
 def test_the_scheme_as_a_solver_of_diffrax(oscillator):
     """diffeqsolve with even steps and all steps saved gives the same as the scan."""
     ts = jnp.linspace(0.0, 0.002, 41)
@@ -286,6 +288,7 @@ def test_steps_between_samples_make_long_blocks():
     assert gj.FixedStep(step=1 / 2000).steps(ts) == 2000
 
 
+@pytest.mark.slow
 def test_a_sweep_compiles_once(scene):
     """Damping, mass, speed, stiffness and sizes of errors are numbers: other values take the same program."""
     from gearjax.analysis.dynamics import _simulate

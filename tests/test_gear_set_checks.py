@@ -108,6 +108,7 @@ def test_what_was_zero_is_looked_at_again():
         dataclasses.replace(quiet, errors={"mine": Waves("pinion", 1 * um, 21)})
 
 
+@pytest.mark.slow
 def test_the_warned_motion_is_wrong_and_the_named_one_right():
     """Why it is told: with the order unnamed, fixed steps miss teeth by parts of the swing."""
     parts = {

@@ -76,6 +76,7 @@ def angles(scene):
     return scene.system.input_speed * jnp.linspace(0.0, 3.0, 401)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", HARD_FIRST)
 def test_no_load(scene, angles, with_contact, law):
     parameters = ["amplitude", "phase", "module"]
@@ -112,6 +113,7 @@ def test_dynamic_mean_and_std(scene, with_contact, law):
     check(measure, with_contact(scene, LAWS[law]), parameters)
 
 
+@pytest.mark.slow
 def test_zero_torque_has_a_gradient_with_a_smooth_law(scene, angles):
     """The smooth static form holds at zero torque, and so does its slope in torque: between 1 / k and 1 / (2 k)."""
     smooth = dataclasses.replace(scene, contact=gj.SoftplusContact(3e-7))
@@ -120,6 +122,7 @@ def test_zero_torque_has_a_gradient_with_a_smooth_law(scene, angles):
     assert -one < float(slope) < -one / 2
 
 
+@pytest.mark.slow
 def test_random_points(scene, angles, rng):
     """All phases at random, amplitude of the error: the gradient as a whole, against differences along a line."""
     names = list(scene.errors)

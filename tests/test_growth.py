@@ -25,6 +25,7 @@ def reversing(scene):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
 def test_a_linear_oscillator_forgets_with_its_damping(oscillator, ratio):
     """One pair in contact: c / 2m, and 0 undamped; the number of steps does not matter."""

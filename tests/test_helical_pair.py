@@ -193,6 +193,7 @@ def test_backlash_is_what_thinner_teeth_leave(given):
     np.testing.assert_allclose(moved.backlash, wanted, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["guo_2", "internal"])
 def test_gradients_are_those_of_differences(name):
     """Under vmap and jit, of every number."""

@@ -18,6 +18,7 @@ def rows():
     return {row.item: row for row in helical.rows()}
 
 
+@pytest.mark.slow
 def test_frequencies_and_run_outs_are_reproduced(rows):
     """All that rests on printed numbers; what does not says which are missing."""
     missed = {item for item, row in rows.items() if row.published and row.status != "reproduced"}
@@ -31,6 +32,7 @@ def test_frequencies_and_run_outs_are_reproduced(rows):
     assert len(rows) == 44
 
 
+@pytest.mark.slow
 def test_run_outs_are_seen_in_full_and_make_no_sidebands(rows):
     """Along the base tangent a run-out is its own amplitude, whatever the load does."""
     for name, amplitude in (("f_g", 20.0), ("f_p", 15.0)):

@@ -25,6 +25,7 @@ from tests.helical_pairs import (
 # exact geometry: curves in a plane
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["spur", "spur ring"])
 @pytest.mark.parametrize("body", ["pinion", "wheel"])
 def test_run_out_is_that_of_displaced_curves(name, body, rng):
@@ -68,6 +69,7 @@ def test_displacements_are_those_of_curves(name, way, body):
     assert -own / lever == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["spur", "spur ring"])
 def test_profiles_and_pitch_are_those_of_curves(name, rng):
     """Reliefs along the roll and places of single teeth, by their numbers, of the pinion."""
@@ -125,6 +127,7 @@ def test_corners_stand_where_curves_say(name, end):
 # over the plane of action
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
 def test_shares_of_slices_make_up_the_contact_lines(name, rng):
     """Partial slices lose nothing: their length is the closed form's at any angle, of both flanks."""
@@ -144,6 +147,7 @@ def test_shares_of_slices_make_up_the_contact_lines(name, rng):
     assert np.mean(np.abs(found[:, 1] / mirrored - 1) < 1e-9) > 0.95
 
 
+@pytest.mark.slow
 def test_back_flanks_carry_as_driving_ones_do():
     """The pair turned back under the torque turned round is the mirror image of itself, another hand of helix too."""
     play = {"backlash": gj.InitialBacklash(0.0), "compliance": TEETH, "slices": 10}
@@ -182,6 +186,7 @@ def test_wrenches_are_those_of_the_published_vector():
             np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_axial_bearings_are_turns_along_the_helix():
     """A right-hand pinion that moves along its axis by dz is turned by -dz tan beta_b / r_b: the same flanks."""
     for sign in (1, -1):
@@ -192,6 +197,7 @@ def test_axial_bearings_are_turns_along_the_helix():
         np.testing.assert_allclose(along, -lean * turned, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_tilted_gear_is_a_slope_across_the_face():
     """Turned about the line of action, a spur gear's slices come nearer in proportion to their place."""
     system = system_of(SPUR, slices=5)
@@ -207,6 +213,7 @@ def test_a_tilted_gear_is_a_slope_across_the_face():
 # errors over the face
 
 
+@pytest.mark.slow
 def test_errors_across_the_face_are_what_they_say():
     system = system_of(GUO_1, slices=8)
     normal = math.cos(float(system.pair.base_helix_angle))
@@ -243,6 +250,7 @@ def test_a_tilt_of_the_load_along_the_face_follows_the_helix_slope():
 # on bearings, and as one contact
 
 
+@pytest.mark.slow
 def test_bearings_take_the_components_of_the_force_along_the_normal():
     """Both gears on five springs each: forces of Guo and Fang's V times F_n, and moments about both gears' middles that
     are alike where the load is in the middle of the face."""
@@ -268,6 +276,7 @@ def test_bearings_take_the_components_of_the_force_along_the_normal():
     np.testing.assert_allclose(softer, work, rtol=0.02)  # teeth are loaded a little otherwise along the face
 
 
+@pytest.mark.slow
 def test_slices_move_as_one_contact_and_are_refused_with_a_stiffness_per_pair():
     moving = {"load": gj.ConstantLoad(), "inertia": gj.MomentOfInertia(0.39), "damping": gj.DampingRatio(0.07)}
     per_pair = gj.HarmonicStiffness(8e8, jnp.zeros(0), jnp.zeros(0))
@@ -280,6 +289,7 @@ def test_slices_move_as_one_contact_and_are_refused_with_a_stiffness_per_pair():
     assert one.error(830.0) < 2e-3 * gj.units.arcmin
 
 
+@pytest.mark.slow
 def test_slices_share_the_stiffness_of_their_pair():
     """Of spur teeth all slices touch at once: however many there are, a pair is as stiff as it is said to be."""
     angles = meshes_of(system_of(SPUR, slices=1), 24) + 0.003
@@ -307,6 +317,7 @@ NUMBERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coupled", [None, 1.5])
 def test_gradients_are_those_of_differences(coupled):
     """Of the mean and the swing of the loaded error, under jit and vmap over torques."""
@@ -351,6 +362,7 @@ def test_all_torques_find_an_equilibrium(given, corner, torque):
     np.testing.assert_allclose(np.asarray(te.forces).sum(axis=1) * lever, torque, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_teeth_from_5_to_500_and_a_ratio_of_one():
     few = {"normal_module": 2 * mm, "normal_pressure_angle": 20 * deg, "helix_angle": 25 * deg, "face_width": 30 * mm}
     for teeth, shifts in (((8, 500), (0.5, 0.0)), ((30, 30), (0.0, 0.0)), ((500, 500), (0.0, 0.0)), ((60, 20), (0, 0))):
@@ -362,6 +374,7 @@ def test_teeth_from_5_to_500_and_a_ratio_of_one():
         assert (np.asarray(te.te) < 0).all()
 
 
+@pytest.mark.slow
 def test_single_precision_follows():
     scene = scene_of(GUO_1, {"crowning": gj.Crowning("pinion", 12 * um)}, TEETH, slices=10)
     turns = meshes_of(scene.system, 9)

@@ -64,6 +64,7 @@ def stage_of(mesh: int, **changes) -> gj.Scene:
 # statics ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [None, 1.0, TORQUE, -TORQUE])
 def test_a_train_is_its_pairs_in_series(torque):
     """On a rigid shaft: the error of the second pair, and that of the first divided by the second ratio."""
@@ -84,6 +85,7 @@ def test_a_train_is_its_pairs_in_series(torque):
         np.testing.assert_allclose(both.forces, forces, rtol=0, atol=1e-11 * forces.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "compliance",
     [
@@ -102,6 +104,7 @@ def test_springs_of_every_type_join(compliance):
     np.testing.assert_allclose(both, two + second * one, rtol=0, atol=1e-10 * np.abs(both).max())
 
 
+@pytest.mark.slow
 def test_a_train_of_one_mesh_is_a_pair():
     own = {key: values[:1] for key, values in GIVEN.items() if key != "line_angle"}
     system = gj.HelicalTrain((20,), (50,), **own, input_speed=120.0, slices=5)
@@ -117,6 +120,7 @@ def test_a_train_of_one_mesh_is_a_pair():
     np.testing.assert_allclose(mine, other, rtol=0, atol=1e-9 * np.abs(other).max())
 
 
+@pytest.mark.slow
 def test_a_shaft_that_twists():
     """The twist under the torque of the shaft, seen at the output."""
     second = TEETH[0][1] / TEETH[1][1]
@@ -125,6 +129,7 @@ def test_a_shaft_that_twists():
     np.testing.assert_allclose(rigid - soft, TORQUE * second**2 / 4e4, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("meshes", [1, 2, 3])
 def test_rigid_motions_of_the_whole_train_change_no_gap(meshes):
     """Both gears of a mesh moved or tilted together, about any axis: exact geometry that needs no reference."""
@@ -157,6 +162,7 @@ def test_rigid_motions_of_the_whole_train_change_no_gap(meshes):
     assert min(np.abs(column).max() for column in columns.values()) > 1e-4  # none is zero throughout
 
 
+@pytest.mark.slow
 def test_bearings_of_the_middle_shaft_carry_what_statics_says():
     """Spur gears without errors: tangential and radial forces of both meshes, by the pressure angle."""
     system = train(helix_angle=[0.0], pinion_shift=[0.0], centre_distance=[], slices=1, tip_contact="corner")
@@ -178,6 +184,7 @@ def test_bearings_of_the_middle_shaft_carry_what_statics_says():
             assert mean == pytest.approx(part, rel=2e-3), (body, way)
 
 
+@pytest.mark.slow
 def test_axial_forces_of_the_middle_shaft_oppose_each_other_if_its_gears_have_the_same_hand():
     def net(hands):
         system = train(helix_angle=hands, face_width=[22 * mm], slices=5)
@@ -197,6 +204,7 @@ def test_axial_forces_of_the_middle_shaft_oppose_each_other_if_its_gears_have_th
     assert other_pinion == pytest.approx(pinion, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_turned_housing_changes_nothing():
     """With isotropic bearings; displacements turn with the lines of centres."""
     supports = {body: gj.Support(x=2e8, y=2e8, rx=1e6, ry=1e6) for body in train().bodies}
@@ -215,6 +223,7 @@ def test_a_turned_housing_changes_nothing():
             np.testing.assert_allclose(after, before * np.exp(1.1j), rtol=0, atol=1e-10 * np.abs(before).max())
 
 
+@pytest.mark.slow
 def test_the_direction_of_the_lines_matters_if_a_shaft_is_on_soft_bearings():
     """The forces of both meshes add up on the middle shaft: the fault that a train without angles would have."""
     supports = {"wheel_1": gj.Support(x=5e7, y=5e7), "pinion_2": gj.Support(x=5e7, y=5e7)}
@@ -239,6 +248,7 @@ def moving(**changes) -> gj.Scene:
     return scene_of(**({"damping": None} | given | changes))
 
 
+@pytest.mark.slow
 def test_motion_by_an_integration_of_its_own():
     """Two angles on the springs of both pairs, whose levers, gaps and stiffness come from the pairs alone."""
     first = TEETH[0][0] / TEETH[1][0]
@@ -273,6 +283,7 @@ def test_motion_by_an_integration_of_its_own():
     np.testing.assert_allclose(motion.moved[:, 0], exact.y[0], rtol=0, atol=2e-3 * np.ptp(exact.y[0]))
 
 
+@pytest.mark.slow
 def test_each_mesh_is_damped_by_its_own_stiffness_and_mass():
     """``b K = ratio sqrt(2 eps_gamma K m)``, with m of the bodies beside the mesh while the other mesh is open."""
     scene = moving(damping=gj.DampingRatio(0.07), errors={})
@@ -295,6 +306,7 @@ def test_each_mesh_is_damped_by_its_own_stiffness_and_mass():
 # numbers ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_gradients_are_differences_under_jit_and_vmap():
     scene = scene_of(supports={"wheel_1": gj.Support(x=2e8, y=3e8)})
     sizes = {"normal_module": 1e-9, "face_width": 1e-9, "helix_angle": 1e-6, "line_angle": 1e-6}
@@ -341,6 +353,7 @@ def test_lists_of_other_lengths_are_refused():
         gj.HelicalTrain((20, 18.5), (50, 54), **GIVEN, input_speed=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("back", [True, False])
 def test_contacts_are_named_by_their_mesh(back):
     system = train()
@@ -352,6 +365,7 @@ def test_contacts_are_named_by_their_mesh(back):
     assert len({system.contact_name(contact) for contact in range(len(layout.side))}) == len(layout.side)
 
 
+@pytest.mark.slow
 def test_back_flanks_of_meshes_of_different_backlash_have_their_own_stiffness():
     """The other torque presses the back flanks of both meshes, the one of which has more room than the other."""
     system = train(centre_distance=[74.1 * mm, 111.0 * mm])
@@ -363,6 +377,7 @@ def test_back_flanks_of_meshes_of_different_backlash_have_their_own_stiffness():
     np.testing.assert_allclose(behind.frequency, ahead.frequency, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_orders_and_cycle():
     system = train()
     assert system.orders["output"] == pytest.approx(20 / 50 * 18 / 54)

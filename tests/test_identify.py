@@ -53,6 +53,7 @@ def scores(found, unit) -> np.ndarray:
 # 2K-V -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_unit_is_found_within_its_errors(found, unit):
     assert scores(found, unit).max() < 3.5
     assert found.sigma / arcmin == pytest.approx(0.05, rel=0.05)
@@ -61,6 +62,7 @@ def test_a_unit_is_found_within_its_errors(found, unit):
     assert (errors[:6] < 0.1).all()  # um
 
 
+@pytest.mark.slow
 def test_without_noise_the_truth_is_met(scene, unit):
     found = gj.identify(scene, runs(unit, 3, **QUIET), suggest=False)
     values, _ = estimates(found)
@@ -70,6 +72,7 @@ def test_without_noise_the_truth_is_met(scene, unit):
     assert off[7] < 1.5  # um, of the play: the offsets have their own priors
 
 
+@pytest.mark.slow
 def test_what_nothing_shows_is_told(found):
     """Two directions, exactly: planets and revolution, on both flanks."""
     assert found.visible.hidden.shape == (2, 10)
@@ -92,6 +95,7 @@ def test_exchanged_names_are_told_as_another_solution(found):
     assert any("explain the recordings equally well" in words for words in found.notes)
 
 
+@pytest.mark.slow
 def test_another_recording_after_turning_a_planet_is_asked_for_and_settles_it(found, scene, unit):
     best = found.suggestions[0]
     assert "after turning planet_1 by 90 deg" in best.words
@@ -110,6 +114,7 @@ def test_another_recording_after_turning_a_planet_is_asked_for_and_settles_it(fo
             assert abs(each.value - true) < 4 * each.error < 1.0
 
 
+@pytest.mark.slow
 def test_small_errors_that_always_share_are_not_taken_for_told(scene):
     """Between 40 and 150 N m both pairs always carry: a light torque is asked for."""
     rng = np.random.default_rng(5)
@@ -122,6 +127,7 @@ def test_small_errors_that_always_share_are_not_taken_for_told(scene):
     assert scores(better, unit).max() < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [3, 17])
 def test_an_order_of_the_rig_is_named_and_set_free(scene, unit, order):
     records = runs(unit, 4, rows=ROWS, extra=lambda theta: 0.2 * arcmin * np.cos(order * theta / RATIO + 1.0))
@@ -136,6 +142,7 @@ def test_an_order_of_the_rig_is_named_and_set_free(scene, unit, order):
     assert any("an effect is not modelled" in words for words in ignored.notes)
 
 
+@pytest.mark.slow
 def test_wild_rows_are_weighed_down(scene, unit):
     records = runs(unit, 6, rows=ROWS)
     wild = records[0].output.copy()
@@ -148,6 +155,7 @@ def test_wild_rows_are_weighed_down(scene, unit):
     assert plain.sigma > 5 * found.sigma
 
 
+@pytest.mark.slow
 def test_rows_that_hang_together_have_wider_errors(scene, unit):
     records = []
     for i, record in enumerate(runs(unit, 7, rows=ROWS, noise=0.0)):
@@ -162,6 +170,7 @@ def test_rows_that_hang_together_have_wider_errors(scene, unit):
     assert block_length(white, np.zeros(1000, int)) == 1
 
 
+@pytest.mark.slow
 def test_priors_settle_what_recordings_hide(scene, unit):
     records = runs(unit, 3, rows=ROWS)
     priors = {"errors.revolution": 1e-9, "compliance.mean": (1e8, 2e7)}
@@ -174,6 +183,7 @@ def test_priors_settle_what_recordings_hide(scene, unit):
     np.testing.assert_allclose(draws[::2, 4].std(), given.estimate("errors.revolution.cos").error, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_play_of_both_directions_is_found_to_a_percent(scene, unit):
     """Without torque, forward and backward: the distance of both edges."""
     theta = np.arange(ROWS) * (2 * np.pi * RATIO / ROWS)
@@ -193,12 +203,14 @@ def test_play_of_both_directions_is_found_to_a_percent(scene, unit):
     np.testing.assert_allclose(beside.lost_motion, [true, true], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_torque_of_the_other_sign_is_named(scene, unit):
     records = [dataclasses.replace(record, torque=-record.loads) for record in runs(unit, 3, rows=ROWS)]
     with pytest.raises(gj.GearjaxError, match="torque seems to have the wrong sign"):
         gj.identify(scene, records, suggest=False)
 
 
+@pytest.mark.slow
 def test_a_zero_at_the_start_is_left_out_where_recordings_know_none(unit):
     scene = gj.load("configs/two_kv/wang_2020.toml")
     found = gj.identify(scene, runs(unit, 3, rows=ROWS), suggest=False)
@@ -216,6 +228,7 @@ def test_it_can_be_written_and_looked_up(found):
     assert np.std(measured - computed) == pytest.approx(found.sigma, rel=0.1)
 
 
+@pytest.mark.slow
 def test_another_unit_compiles_nothing(scene):
     """Programs depend on how many rows there are, not on what they hold."""
     from jax._src import compiler
@@ -267,6 +280,7 @@ def test_a_posterior_of_few_rows_that_is_no_ellipse_is_told(scene):
 # what is hidden stays harmless ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_hidden_numbers_are_moved_only_where_no_curve_changes(scene):
     """One run on the back flanks hides stiffness, play and offset in each other."""
     record = gj.synthetic_measurement(scene, -100.0, rows=ROWS)
@@ -284,6 +298,7 @@ def test_hidden_numbers_are_moved_only_where_no_curve_changes(scene):
     assert alone.estimate("compliance.mean").value == pytest.approx(9.245e7, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_draws_and_fit_share_a_strong_prior(scene, unit):
     records = runs(unit, 3, rows=ROWS)
     found = gj.identify(
@@ -297,6 +312,7 @@ def test_draws_and_fit_share_a_strong_prior(scene, unit):
     assert number.estimate("backlash.initial").value == pytest.approx(150, abs=40)
 
 
+@pytest.mark.slow
 def test_a_prior_of_one_number_leaves_the_others_near_none(scene, unit):
     records = runs(unit, 3, rows=ROWS)
     found = gj.identify(scene, records, priors={"compliance.mean": (1e8, 1e8)}, suggest=False)
@@ -309,6 +325,7 @@ def test_a_prior_of_one_number_leaves_the_others_near_none(scene, unit):
         assert max(sizes) < 25  # um: along the hidden directions a search may end anywhere
 
 
+@pytest.mark.slow
 def test_recordings_without_noise_do_not_break_what_follows(scene, unit):
     records = runs(unit, 3, rows=600, noise=0.0)
     found = gj.identify(scene, records, suggest=False)
@@ -329,6 +346,7 @@ def test_noise_of_a_torque_sensor_is_no_load(scene):
         gj.identify(scene, both)
 
 
+@pytest.mark.slow
 def test_long_recordings_are_averaged(scene, unit, monkeypatch):
     monkeypatch.setattr(sys.modules["gearjax.identification.identify"], "MOST_ROWS", 3000)
     found = gj.identify(scene, runs(unit, 3, rows=4000), suggest=False)

@@ -35,6 +35,7 @@ def problem(scene, records, where=None) -> tuple[Problem, np.ndarray]:
     return Problem(model, rows), np.concatenate([unknowns.start, np.zeros(rows.basis.shape[1])])
 
 
+@pytest.mark.slow
 def test_the_model_is_the_algebra_of_the_reducer(scene, unit):
     """With the unit's own numbers nothing but the encoders' steps is left."""
     errors = {"planet_1": unit.planet_1, "planet_2": unit.planet_2, "revolution": unit.revolution}
@@ -51,6 +52,7 @@ def test_the_model_is_the_algebra_of_the_reducer(scene, unit):
     assert np.abs(curve - solved.rows.te).max() < 2 * 2 * np.pi / 2**20 / arcmin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["tables", "exact", "no load", "turned", "turned exact", "supports"])
 def test_derivatives_are_central_differences(case, scene, rng):
     records = runs(random_unit(1), 1, (10.0, -40.0), rows=40)
@@ -81,6 +83,7 @@ def test_derivatives_are_central_differences(case, scene, rng):
         assert (off < 2e-3 * np.abs(slope).max() + 1e-9).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_sums_of_tables_are_those_of_their_curves(scene, rng):
     solved, start = problem(scene, runs(random_unit(1), 1, rows=123))
     points = start + rng.standard_normal((3, start.size))

@@ -65,6 +65,7 @@ def of_unit(scene: gj.Scene, unit: TwoKVUnit) -> gj.Scene:
     return dataclasses.replace(scene, errors=errors, compliance=compliance, backlash=gj.InitialBacklash(unit.play))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("torque", "speed"), [(100.0, SPEED), (300.0, SPEED), (100.0, -SPEED)])
 def test_a_motion_is_that_of_an_equation_of_its_own(scene, unit, torque, speed):
     record = run(unit, torque, noise=0.0, speed=speed)
@@ -87,7 +88,7 @@ def found(records):
     errors = [f"errors.{body}" for body in BODIES]
     where = [*errors, "compliance.mean", "backlash.initial", "inertia.mass", "damping.ratio"]
     off = dataclasses.replace(in_motion(two_kv(), 0.9 * MASS), damping=gj.DampingRatio(0.15))
-    return gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=8)
+    return gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=5)
 
 
 @pytest.mark.slow
@@ -160,11 +161,13 @@ def test_derivatives_of_a_motion_are_central_differences(scene, unit, acting):
     assert np.quantile(off, 1.0 if acting == "always" else 0.95) < 1e-3
 
 
+@pytest.mark.slow
 def test_teeth_that_lose_contact_are_told(scene, unit):
     told = gj.compare(of_unit(scene, unit), run(unit, 20.0, rows=300), analysis="dynamic").notes
     assert any("lose contact in" in words for words in told)
 
 
+@pytest.mark.slow
 def test_speeds_and_torques_that_vary_are_told(scene, unit):
     record = run(unit, 300.0, rows=600)
     wave = record.time + 0.05 * np.sin(3 * record.time) / 3
@@ -180,6 +183,7 @@ STILL = np.concatenate([np.zeros(55), [1.0, 2.0, 3.0, 4.0, 5.0]])
 TOLD = ("never die out", "load] is not used", "is the unit of time right")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -209,6 +213,7 @@ def test_what_cannot_be_computed_is_refused_and_what_is_doubtful_told(scene, uni
             function(own, record, analysis=change.get("analysis", "dynamic"))
 
 
+@pytest.mark.slow
 def test_a_bench_makes_recordings_in_motion(scene, unit):
     own = dataclasses.replace(of_unit(scene, unit), system=dataclasses.replace(scene.system, input_speed=SPEED))
     record = gj.synthetic_measurement(own, 100.0, rows=500, noise=0.0, analysis="dynamic")
@@ -284,6 +289,7 @@ def test_a_pair_whose_springs_do_not_move_apart_is_refused():
         gj.synthetic_measurement(scene, 20.0, rows=64, analysis="dynamic")
 
 
+@pytest.mark.slow
 def test_ripple_and_float32_are_refused(scene, unit):
     with pytest.raises(gj.ParameterError, match="must be 0"):
         gj.synthetic_measurement(of_unit(scene, unit), 100.0, rows=50, ripple=0.1, analysis="dynamic")

@@ -200,6 +200,7 @@ def spread(table) -> float:
     return float(share @ table.matrix[0] @ share)
 
 
+@pytest.mark.slow
 def test_finer_meshes_converge(gear):
     coarse, middle, fine = (
         spread(table_of(gear, teeth=3, distances=0, profile_elements=4 * n, layers=n, thickness_elements=2 * n))
@@ -263,6 +264,7 @@ def test_an_outline_meets_its_radii_and_the_root_circle(gear):
 # points between nodes
 
 
+@pytest.mark.slow
 def test_at_the_nodes_the_table_is_given_back(table):
     radii, faces = len(table.radius), len(table.face)
     radius, face = np.repeat(table.radius, faces), np.tile(table.face, radii)
@@ -277,6 +279,7 @@ def test_at_the_nodes_the_table_is_given_back(table):
     assert not blocks[0, :, 3].any()
 
 
+@pytest.mark.slow
 def test_a_grid_is_what_its_points_are(table, rng):
     radius = jnp.asarray(rng.uniform(table.radius[0], table.radius[-1], (4, 6)))
     faces = len(table.face)
@@ -290,6 +293,7 @@ def test_a_grid_is_what_its_points_are(table, rng):
     np.testing.assert_allclose(grid, turned, rtol=1e-12, atol=1e-24)
 
 
+@pytest.mark.slow
 def test_between_nodes_stand_a_spline_and_straight_lines(table, rng):
     radius, face = rng.uniform(table.radius[0], table.radius[-1], 8), rng.uniform(0, table.face[-1], 8)
     found = gj.influence_between(table, jnp.asarray(radius), jnp.asarray(face), jnp.zeros(8, int))
@@ -300,6 +304,7 @@ def test_between_nodes_stand_a_spline_and_straight_lines(table, rng):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * expected.max())
 
 
+@pytest.mark.slow
 def test_points_beyond_the_nodes_count_as_on_their_edge(table):
     beyond = jnp.array([float(table.radius[0]) - 1 * mm, float(table.radius[-1]) + 1 * mm])
     edges = jnp.stack([table.radius[0], table.radius[-1]])
@@ -309,6 +314,7 @@ def test_points_beyond_the_nodes_count_as_on_their_edge(table):
     )
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_radius_agree_with_differences(table, rng):
     radius = jnp.asarray(rng.uniform(table.radius[0], table.radius[-1], (3, 2)))
     force = jnp.asarray(rng.normal(size=6 * len(table.face)))

@@ -14,6 +14,7 @@ from tests.internal_gears import Curves, pair_of, random_pair
 FULL = {"shifts": (0.0, 0.0), "heights": (1.0, 1.0)}
 
 
+@pytest.mark.slow
 def test_gaps_are_those_of_the_curves(rng):
     """At points all over the flanks that face each other, far from the line of action too, within 0.01 nm."""
     seen = 0
@@ -88,6 +89,7 @@ def test_the_involute_function_is_turned_around(value):
     assert float(slope) == pytest.approx(1 / np.tan(float(angle)) ** 2, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_gradients_of_gaps_are_those_of_differences():
     """With respect to centre distance, shifts, module and roll, away from and on the line of action."""
 

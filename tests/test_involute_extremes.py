@@ -27,6 +27,7 @@ def test_a_vanishing_torque_leaves_the_first_contact():
     assert not np.asarray(loaded.crowded).any()
 
 
+@pytest.mark.slow
 def test_all_candidates_carry_where_more_would_and_that_is_told():
     """By a torque that closes everything: forces balance, and the outermost pair is named."""
     own = system(pairs=9)
@@ -36,6 +37,7 @@ def test_all_candidates_carry_where_more_would_and_that_is_told():
     assert float(found.forces.sum()) * float(own.pair.external.base_radius) == pytest.approx(1e5, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_too_few_candidates_are_told_and_enough_are_not():
     """Six pairs carry: of five the outermost do, of nine they do not, and a single one is a choice."""
     theta = jnp.asarray([angle_of(system(), 0.34)])
@@ -48,6 +50,7 @@ def test_too_few_candidates_are_told_and_enough_are_not():
     assert "\n" not in str(told[0].message)
 
 
+@pytest.mark.slow
 def test_one_pair_carries_all_where_the_others_are_far_away():
     """A tooth that stands ahead by 40 um: its pair carries everything, and load sharing is the number that could."""
     own = system(pairs=9)
@@ -84,6 +87,7 @@ def test_points_on_the_edges_of_the_tips_carry():
         assert np.isfinite(forces).all()
 
 
+@pytest.mark.slow
 def test_a_torque_turned_around_is_carried_by_the_back_flanks_alone():
     own = system(pairs=9)
     scene = gj.Scene(own, backlash=gj.InitialBacklash(initial=20 * um), compliance=ELASTIC)
@@ -95,6 +99,7 @@ def test_a_torque_turned_around_is_carried_by_the_back_flanks_alone():
     assert int(ahead.result[0]) == int(back.result[0]) == 0
 
 
+@pytest.mark.slow
 def test_negative_gaps_are_flagged_with_how_much():
     """A throw that is 5 um too long closes the gaps by some 7 um: rigid flanks share the overlap, elastic ones are both
     pressed."""
@@ -114,6 +119,7 @@ def test_negative_gaps_are_flagged_with_how_much():
     np.testing.assert_allclose(net, 1.0, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_tooth_of_difference():
     """Most teeth of all share the load; the ratio is the number of teeth, and the forces balance."""
     own = system(

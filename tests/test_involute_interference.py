@@ -64,6 +64,7 @@ def test_what_fits_is_quiet():
     assert float(te.interference.overlap.max() / float(scene.system.pair.backlash)) == pytest.approx(-0.05, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_single_precision_is_quiet_within_its_rounding():
     """Overlaps keep the precision of the scene, by which they are told from rounding (0.5 um)."""
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), eccentric(2.0))
@@ -74,6 +75,7 @@ def test_single_precision_is_quiet_within_its_rounding():
     np.testing.assert_array_equal(te.result == 2, te.interference.overlap > 4 * np.finfo(np.float32).eps)
 
 
+@pytest.mark.slow
 def test_a_tooth_ahead_is_told_by_what_gaps_of_both_flanks_say():
     """In numpy: the smallest gaps of both sides, of ideal gears and of that tooth, have a negative sum."""
     own = system(**ROOMY)
@@ -93,6 +95,7 @@ def test_a_tooth_ahead_is_told_by_what_gaps_of_both_flanks_say():
     assert contact % own.pairs == (np.argmin(gap[0]) if contact < own.pairs else np.argmin(gap[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", [None, gj.ZeroAtStart()])
 def test_it_is_the_interference_of_flanks_that_are_modelled(reference):
     """Back flanks without more room than the gears give them: the same overlaps, contacts and angles."""
@@ -108,6 +111,7 @@ def test_it_is_the_interference_of_flanks_that_are_modelled(reference):
     assert not np.asarray(gj.transmission_error(roomy, TURN).result).any()
 
 
+@pytest.mark.slow
 def test_under_torque_it_is_told_where_no_back_flank_carries_it():
     """The loads are those of the driving flanks alone, which the result's code is about."""
     theta = TURN[::30]
@@ -120,6 +124,7 @@ def test_under_torque_it_is_told_where_no_back_flank_carries_it():
     assert gj.transmission_error(pressed, theta, torque=50.0, extremes="samples").interference is None
 
 
+@pytest.mark.slow
 def test_batches_tell_it_too():
     scene, theta = eccentric(1.0), TURN[::20]
     sizes = jnp.asarray([run_out(scene.system, share) for share in (0.5, 2.0)])
@@ -133,6 +138,7 @@ def test_batches_tell_it_too():
     assert np.asarray(found.result == 2).any(axis=1).tolist() == [False, True]
 
 
+@pytest.mark.slow
 def test_populations_tell_it_too():
     scene = eccentric(0.5)
     varied = gj.Tolerances(scene, {"errors.ring.amplitude": gj.Uniform(0.0, 10 * um)})
@@ -186,6 +192,7 @@ torques = ["50 N*m"]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("analysis", ["no_load", "static"])
 def test_the_command_line_tells_it_as_with_back_flanks(capsys, tmp_path, analysis):
     path = tmp_path / "jam.toml"
@@ -209,6 +216,7 @@ def test_the_command_line_tells_it_as_with_back_flanks(capsys, tmp_path, analysi
     assert 0.1 < entry["share_of_angles"] < 0.9
 
 
+@pytest.mark.slow
 def test_the_command_line_is_quiet_where_the_teeth_fit(capsys, tmp_path):
     path = tmp_path / "fits.toml"
     path.write_text(CONFIG.replace("SIZE", "2").replace("ANALYSIS", "no_load"), encoding="utf-8")

@@ -16,6 +16,7 @@ from tests.conftest import ROOT
 from tests.involute import STEEL, angle_of, per_pair, system
 
 
+@pytest.mark.slow
 def test_one_stiffness_for_each_pair_is_the_closed_form(rng):
     """At random angles and torques, by trying every number of pairs that carry."""
     own = system(pairs=13)
@@ -32,6 +33,7 @@ def test_one_stiffness_for_each_pair_is_the_closed_form(rng):
         assert -float(found.te[0]) * radius == pytest.approx(approach, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_published_loads_by_one_stiffness():
     """The reference's best fit of one stiffness for all pairs: 2.0e5 N/mm at the share 0.25 of the path, two digits."""
     own = system(pairs=9)
@@ -125,6 +127,7 @@ def test_single_precision_loads_the_example():
         assert scene.contacts(jnp.asarray(0.3), "mean").springs.influence.dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_a_deep_layer_turns_as_a_half_plane():
     """Weber and Banaschek's turn and shift per moment; a thin layer sinks as one that cannot widen."""
     modulus, nu, thick = 2.2e11, 0.3, 1.3 * mm
@@ -142,6 +145,7 @@ def test_a_deep_layer_turns_as_a_half_plane():
     np.testing.assert_allclose(ahead, behind.T, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_elastic_teeth_are_symmetric_definite_and_pass_reciprocity(rng):
     """The matrix of a scene at random angles; a wider ring and a thicker rim only change it as they should."""
     own = system(pairs=5, profile_points=4, face_points=5)
@@ -174,6 +178,7 @@ def test_an_even_load_across_the_face_is_what_many_slices_carry():
     assert abs(fine - even) < 0.3 * abs(coarse - even)  # the second order of straight lines
 
 
+@pytest.mark.slow
 def test_gradients_of_the_loaded_error_are_those_of_differences():
     """With respect to centre distance, shift, a tooth's place and modulus, under jit and vmap over angles."""
     own = system(pairs=9, profile_points=3)
@@ -200,6 +205,7 @@ def test_gradients_of_the_loaded_error_are_those_of_differences():
         np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-6, atol=1e-6 * scale)
 
 
+@pytest.mark.slow
 def test_loads_balance_at_extremes():
     """Torques from none to that of the paper, one candidate, and the torque turned around."""
     own = system(pairs=9)
@@ -278,6 +284,7 @@ def test_fewer_candidates_than_elements_are_told(made):
         made(own, tables_of(own))
 
 
+@pytest.mark.slow
 def test_elements_of_other_gears_are_refused(made):
     """By the hash of each gear; a study may vary the numbers of the gears under the tables that it has."""
     own = system(pairs=7, profile_points=4)
@@ -308,6 +315,7 @@ def test_nodes_that_are_not_where_contacts_are_are_refused(made, changes, words)
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "words"),
     [({"profile_points": 6}, "at most 5, the nodes"), ({"face_points": 3}, "at most 2, the nodes")],

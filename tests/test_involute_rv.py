@@ -87,6 +87,7 @@ def halved(own, theta, place, **way) -> float:
 SETS = [{}, FIRST, {"gears": 2, "profile_points": 3}, FIRST | {"gears": 3, "pairs": 9}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", SETS, ids=["crank", "sun", "two gears", "sun, three gears"])
 def test_ideal_gaps_are_those_of_the_curves_at_any_angle(changes, rng):
     """The ideal motion itself: the output turns as it should, the cranks too, driving flanks touch."""
@@ -98,6 +99,7 @@ def test_ideal_gaps_are_those_of_the_curves_at_any_angle(changes, rng):
             assert float(pose.gap[place.contact]) == pytest.approx(true_gap(own, theta, place), abs=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", SETS, ids=["crank", "sun", "two gears", "sun, three gears"])
 def test_a_lever_is_the_change_of_the_true_distance_per_output_angle_at_a_held_input(changes, rng):
     own, step = system(**changes), 1e-5
@@ -113,6 +115,7 @@ def test_a_lever_is_the_change_of_the_true_distance_per_output_angle_at_a_held_i
         assert (lever > 0) == place.back
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["gear_1", "gear_2", "ring", "throw"])
 def test_a_run_out_is_seen_as_its_curves_are_displaced(body, rng):
     own = system(gears=2)
@@ -150,6 +153,7 @@ def test_a_support_lets_the_gear_go_along_and_across_the_throw(direction, way):
         assert float(pose.jacobian[place.contact, 1]) == pytest.approx(known, rel=1e-4, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["gear_1", "ring"])
 @pytest.mark.parametrize("way", ["outward", "around"])
 def test_places_of_single_teeth_are_those_of_their_curves(body, way, rng):
@@ -178,6 +182,7 @@ def test_places_of_single_teeth_are_those_of_their_curves(body, way, rng):
             assert float(seen[place.contact]) == pytest.approx(known, rel=2e-4, abs=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [False, True], ids=["crank", "sun"])
 def test_the_forces_take_the_torque_from_the_input(first):
     """One pair on the line of action: its force, with the arm of the crank, holds the input's share of the torque."""
@@ -202,6 +207,7 @@ def test_the_forces_take_the_torque_from_the_input(first):
         assert ahead == pytest.approx(100.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_nothing_jumps_when_candidates_go_on_to_the_next_tooth():
     """Position and loads over a mesh period, closely: steps are as small as the samples are close."""
     own = system(pairs=11)
@@ -216,6 +222,7 @@ def test_nothing_jumps_when_candidates_go_on_to_the_next_tooth():
     np.testing.assert_allclose(found.te[:401], found.te[400:], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_gaps_have_no_jumps_where_teeth_begin_to_face_each_other():
     """Few teeth, and candidates around half of the gear: what touches nowhere only goes further apart."""
     few = {"external_teeth": 40, "internal_teeth": 46, "pairs": 24, "external_shift": 0.0, "internal_shift": 0.2}
@@ -228,6 +235,7 @@ def test_gaps_have_no_jumps_where_teeth_begin_to_face_each_other():
     assert np.minimum(gap[:-1], gap[1:])[jumps].min() > 0.3 * mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["gear_1", "ring"])
 def test_profiles_are_modified_where_they_say(body):
     """Along the path of contact: the length of roll from a tip is that of the curves."""
@@ -270,12 +278,14 @@ def test_relief_takes_the_load_off_the_tips():
     assert at_tips[0] > at_tips[1] > at_tips[2] == 0
 
 
+@pytest.mark.slow
 def test_without_load_ideal_gears_have_no_error():
     own = system(gears=2)
     found = gj.transmission_error(gj.Scene(own), jnp.linspace(0.0, own.cycle, 301))
     assert float(jnp.abs(found.te).max()) < 1e-15
 
 
+@pytest.mark.slow
 def test_backlash_is_that_of_the_centre_distance_and_what_is_listed():
     own = system(centre_distance=1.497 * mm)
     scene = gj.Scene(own, backlash=gj.InitialBacklash(initial=10 * um))

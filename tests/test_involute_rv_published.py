@@ -48,6 +48,7 @@ def by_item(rows):
 # fast
 
 
+@pytest.mark.slow
 def test_candidates_are_those_written_out_apart():
     """At equal distances from tip circle to tip circle; `tests.involute_pair` finds gaps by another geometry."""
     points, pair = own.candidates(), own.pair()
@@ -99,6 +100,7 @@ def test_tables_are_those_written_out_apart(monkeypatch):
         assert one["gear"].teeth == other["gear"].teeth
 
 
+@pytest.mark.slow
 def test_gaps_are_those_of_the_phase():
     """What the initial clearances of teeth 13 to 21 are, the least over each flank."""
     teeth = involute_pair.POINTS
@@ -109,6 +111,7 @@ def test_gaps_are_those_of_the_phase():
     assert gaps == pytest.approx([3.724, 1.829, 0.593, 0.033, 0, 0.153, 1.012, 2.646, 5.077], abs=3e-3)
 
 
+@pytest.mark.slow
 def test_two_dimensional_loads_are_those_of_springs_side_by_side():
     """Eq. (9) says that all pairs approach alike; the seven loads of Table 2 add up to T / r_b1."""
     pairs = methods.pair_stiffness()
@@ -127,6 +130,7 @@ def test_table_2_comes_out_with_nothing_fitted_to_it():
     assert all(row.status == "inferred" for item, row in found.items() if "tooth" in item)
 
 
+@pytest.mark.slow
 def test_the_validation_page_shows_them(rows):
     assert_shown("involute_rv", rows)
 

@@ -50,6 +50,7 @@ def test_gradients_of_load_peaks_and_error_are_those_of_differences():
         np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
 
 
+@pytest.mark.slow
 def test_the_slope_is_one_sided_where_a_contact_opens():
     """At the torque at which one more point begins to carry: between changes the error is a straight line of it."""
     own = system(pairs=9, profile_points=3)
@@ -76,6 +77,7 @@ def test_the_slope_is_one_sided_where_a_contact_opens():
     assert min(abs(at_kink / side - 1) for side in sides) < 1e-6  # one of them, and nothing between
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("springs", "shares"),
     [(TEETH, (1e-3, 0.1)), (gj.HarmonicStiffness(2e8, [], []), (0.1, 1.0))],
@@ -116,6 +118,7 @@ def test_flanks_are_modified_for_even_loads():
     assert known[1] < 0.98 * known[0]
 
 
+@pytest.mark.slow
 def test_a_population_of_coupled_teeth_is_measured_as_its_analyses_do():
     """Random run-outs and a backlash: each member's loaded error is that of the public function."""
     errors = {"ring": gj.Eccentricity(body="ring", amplitude=3 * um, phase=1.0)}

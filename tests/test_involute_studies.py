@@ -15,6 +15,7 @@ from tests.conftest import ROOT
 from tests.involute import system
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sets", [None, 2])
 def test_compensation_moves_numbers_of_errors(sets):
     """Tip relief that nothing asks for goes, under the scene's own errors and under given sets of them."""
@@ -35,6 +36,7 @@ def test_compensation_moves_numbers_of_errors(sets):
         gj.compensate(calm, theta, 50.0, [path], bounds={path: (0.1 * mm, 0.4 * mm)})
 
 
+@pytest.mark.slow
 def test_a_population_is_measured_as_its_analyses_do(rng):
     """Random teeth, over many angles: each member's metrics are those of the public functions."""
     base = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")

@@ -120,6 +120,7 @@ def test_limits_of_the_formulas_are_told(name):
     assert bool(gj.iso6336_stiffness(**{**SPUR, **other}).within_limits) is wanted
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences():
     """Under vmap and jit, of every number, tips and rack included, below 100 N/mm of load."""
     keys = ("normal_module", "normal_pressure_angle", "helix_angle", "face_width", "centre_distance")

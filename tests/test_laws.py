@@ -32,6 +32,7 @@ def test_the_quadratic_blend_does_not_act_at_a_distance():
     assert float(SoftplusContact(WIDTH).penetration(overlap)[0]) > 0.1 * WIDTH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS, ids=IDS)
 def test_weights_are_the_gradient_of_the_maximum(law, rng):
     for _ in range(30):

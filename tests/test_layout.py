@@ -64,6 +64,7 @@ def test_the_shuffled_order_is_another_one(scene):
     assert sorted(sides) == [-1, -1, 1, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [gj.HardContact(), gj.QuadraticContact(1e-7)])
 def test_quasi_static_results_do_not_depend_on_the_order(scene, law):
     scene = dataclasses.replace(scene, contact=law)
@@ -78,6 +79,7 @@ def test_quasi_static_results_do_not_depend_on_the_order(scene, law):
     np.testing.assert_allclose(same.upper - same.lower, one.upper - one.lower, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", [None, gj.FixedStep(1e-5, solver=gj.RungeKutta4())], ids=["fitted", "Runge-Kutta"])
 def test_motions_do_not_depend_on_the_order(scene, stepper):
     """Across the backlash and back, with dampers that act while either flank of a pair is closed."""
@@ -88,6 +90,7 @@ def test_motions_do_not_depend_on_the_order(scene, stepper):
     np.testing.assert_allclose(back_in_order(other, same.forces), one.forces, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_populations_do_not_depend_on_the_order(scene):
     other, theta = shuffled(scene), np.linspace(0.0, scene.system.cycle, 201)
     spread = {"errors.planet_1.phase": gj.UniformPhase(), "errors.planet_2.amplitude": gj.Uniform(2e-6, 9e-6)}
@@ -132,6 +135,7 @@ def test_contacts_across_a_face_share_the_stiffness_of_their_pair():
         gj.Layout((1, 1, 1, 1), (0, 0, 1, 1), across=3)
 
 
+@pytest.mark.slow
 def test_points_across_the_face_of_an_involute_reducer_change_no_stiffness():
     """At rest and in motion, as they all touch at once."""
     scene = Case("involute_rv", *KINDS).moved

@@ -116,6 +116,7 @@ def run_out(theta, flank=1.0):
     return pinion + wheel
 
 
+@pytest.mark.slow
 def test_quasi_static(spur):
     theta = jnp.linspace(0.0, spur.system.cycle, 2001)
     te = gj.transmission_error(spur, theta)
@@ -141,6 +142,7 @@ def test_every_case_and_figure(spur, tmp_path):
     assert cases[-1].metrics["mean"] == pytest.approx(cases[2].record[50:].mean(), rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_colour_is_one_case_and_the_input_angle_stands_above_time(spur):
     cases = list(results.run_cases(spur))
     figures = plot.error_figure(spur, cases), plot.spectrum_figure(spur, cases)
@@ -167,6 +169,7 @@ def test_it_is_not_drawn_without_a_sketch(spur):
         plot.schematic_figure(spur)
 
 
+@pytest.mark.slow
 def test_gradients_and_batches(spur):
     theta = jnp.linspace(0.0, spur.system.cycle, 501)
 
@@ -181,6 +184,7 @@ def test_gradients_and_batches(spur):
     np.testing.assert_allclose(slopes, central, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_simulate_without_damping_and_back_flanks(spur):
     bare = dataclasses.replace(spur, damping=None, backlash=None, run=None)
     motion = gj.simulate(bare, jnp.linspace(0.0, 0.05, 51), torque=20.0)

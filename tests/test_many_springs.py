@@ -76,6 +76,7 @@ def test_random_springs_rest_where_the_reference_says(number, reference, rng):
             assert float(contacts.lever @ found.forces) == pytest.approx(-torque, rel=1e-12, abs=1e-11 * forces.max())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("way")
 def test_both_ways_on_the_same_springs(rng):
     for number in (2, 9, 40):
@@ -132,6 +133,7 @@ def test_no_flank_to_carry_the_load():
     assert not np.asarray(found.forces).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [5, 60])
 @pytest.mark.parametrize(("play", "torque"), [(60e-6, 500.0), (60e-6, -500.0), (-40e-6, 90.0)])
 def test_gradients_against_central_differences(number, play, torque, rng):
@@ -162,6 +164,7 @@ def test_gradients_against_central_differences(number, play, torque, rng):
             assert sum(parts) == pytest.approx(expected, rel=1e-6, abs=1e-6 * max(map(abs, parts)))
 
 
+@pytest.mark.slow
 def test_both_ways_have_the_same_gradients(rng, monkeypatch):
     contacts = springs_on_sides(rng, 40, -20e-6)
 
@@ -183,6 +186,7 @@ def _forces(contacts, gap, load):
     return equilibrium(changed, jnp.asarray(load), HardContact()).forces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [10, 200])
 def test_a_batch_is_its_members(number, rng):
     contacts = springs_on_sides(rng, number, -10e-6)
@@ -194,6 +198,7 @@ def test_a_batch_is_its_members(number, rng):
         np.testing.assert_allclose(together.forces[index], alone.forces, rtol=1e-12, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [10, 200])
 def test_single_precision(number, rng):
     contacts = springs_on_sides(rng, number, 20e-6)

@@ -32,6 +32,7 @@ def on_grid(system, number, deviation, rows=9, columns=7):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [GUO_1, RING, SPUR], ids=["external", "internal", "spur"])
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_grid_of_a_formula_is_the_formula(given, number):
@@ -53,6 +54,7 @@ def test_a_grid_of_a_formula_is_the_formula(given, number):
         np.testing.assert_allclose(*both, atol=1e-10 * arcmin)
 
 
+@pytest.mark.slow
 def test_teeth_have_their_own_flanks_and_others_the_mean():
     """A flank that is higher all over is a flank ahead: single teeth by their no-load TE, tooth by tooth."""
     scene = scene_of(GUO_1 | {"helix_angle": 0.0, "centre_distance": None}, {}, TEETH, slices=2)
@@ -76,6 +78,7 @@ def test_teeth_have_their_own_flanks_and_others_the_mean():
     assert ahead.min() == pytest.approx(3.0, rel=1e-9)  # tooth 2, where it is alone
 
 
+@pytest.mark.slow
 def test_flanks_are_told_apart():
     scene = scene_of(GUO_1, {}, TEETH, gj.InitialBacklash(60 * um), slices=4)
     theta = meshes_of(scene.system, 5)
@@ -90,6 +93,7 @@ def test_flanks_are_told_apart():
         np.testing.assert_allclose(found[place] - plain[place], moved, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [GUO_1, RING], ids=["external", "internal"])
 def test_a_common_pitch_deviation_is_a_turn(given):
     """A gear whose flanks are all ahead has turned by that over its reference radius."""
@@ -103,6 +107,7 @@ def test_a_common_pitch_deviation_is_a_turn(given):
         np.testing.assert_allclose(gj.transmission_error(ahead, theta, torque=100.0).te - plain, turned, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_pitches_of_single_teeth_are_those_of_teeth_that_are_displaced():
     """Against displacements of single teeth along the circumference, at the reference circle where both agree."""
     scene = scene_of(GUO_1 | {"helix_angle": 0.0, "centre_distance": None}, {}, None, slices=2)
@@ -130,6 +135,7 @@ def test_run_out_of_an_eccentric_gear_is_twice_the_eccentricity():
     assert found["F_p"].value == pytest.approx(2 * e / math.cos(alpha), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_deviations_and_grades():
     """A straight slope with a wave: slope, form and total as defined; grades by the formulas of ISO 1328-1."""
     system = scene_of(GUO_1, slices=2).system
@@ -160,6 +166,7 @@ def test_deviations_and_grades():
     assert gj.accuracy_grades(rough, "pinion")["F_alpha"].grade is None
 
 
+@pytest.mark.slow
 def test_slopes_are_positive_towards_the_tip_of_internal_gears_too():
     for given in (GUO_1, RING):
         system = scene_of(given, slices=2).system
@@ -169,6 +176,7 @@ def test_slopes_are_positive_towards_the_tip_of_internal_gears_too():
             assert found["f_H_alpha"].value == pytest.approx(5 * um, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_grades_of_what_was_not_measured_are_refused(scene):
     with pytest.raises(SceneError, match="lists no measured_flank or measured_pitch of the driving flanks"):
         gj.accuracy_grades(scene, "planet_1")
@@ -231,6 +239,7 @@ def test_measurements_of_another_gear_are_refused(error, words):
         scene_of(GUO_1, {"m": error}, slices=2)
 
 
+@pytest.mark.slow
 def test_gear_sets_may_be_traced():
     """What cannot be known while something is traced is not looked at."""
     flank = gj.MeasuredFlank("pinion", [10 * mm, 30 * mm], [0.0, 5 * um])
@@ -246,6 +255,7 @@ def test_gear_sets_may_be_traced():
     assert float(jax.jit(jax.grad(mean))(at)) == pytest.approx(float(difference), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_other_gear_sets_refuse_them_in_one_line(scene):
     yang = gj.load(ROOT / "configs" / "involute_rv" / "yang_2019.toml")
     with pytest.raises(ParameterError, match=r"errors.m.kind .*places of the contacts on its flanks"):

@@ -154,6 +154,7 @@ def test_pitches_of_files(tmp_path):
             gj.read_pitch(written(tmp_path, rows, header))
 
 
+@pytest.mark.slow
 def test_configurations_name_files(tmp_path):
     """Next to the configuration, in the same numbers as by hand; faults by the section that names the file."""
     tables = gj.config.read_tables(MEASURED.read_text(encoding="utf-8"))
@@ -178,6 +179,7 @@ def test_configurations_name_files(tmp_path):
         tables["errors"]["m"].pop("roll", None)
 
 
+@pytest.mark.slow
 def test_points_of_a_grid_are_numbers_like_others(tmp_path):
     """Sensitivity to a point that a file holds, and the configuration with another one."""
     scene = gj.load(MEASURED)

@@ -34,6 +34,7 @@ def by_hand(scene: gj.Scene, te: gj.TransmissionError, stiffness: float) -> np.n
     return (stiffness * np.asarray(levers) ** 2 * np.asarray(te.forces > 0)).sum(axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["two_kv", "involute_rv"])
 def test_the_tangent_of_linear_springs_is_the_sum_of_those_that_carry(kind):
     scene = gj.load("configs/two_kv/wang_2020.toml") if kind == "two_kv" else involute(LINEAR)
@@ -79,6 +80,7 @@ def test_the_tangent_is_the_difference_of_two_loads(name):
     np.testing.assert_allclose(found.tangent[same], expected[same], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_supports_are_springs_in_series():
     """Of one pair of teeth: 1 / k and the parts of both directions of both wheels."""
     stiffness, compliance = {"x": 1e8, "y": 3e8, "wheel": 2e8}, gj.HarmonicStiffness(1.5e8, [], [])
@@ -95,6 +97,7 @@ def test_supports_are_springs_in_series():
     np.testing.assert_allclose(nothing.tangent, (30 * mm) ** 2 / soft, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_torque_of_zero_is_the_first_contact_alone():
     scene = involute()
     nothing = gj.mesh_stiffness(scene, THETA, 0.0)
@@ -109,6 +112,7 @@ def test_a_torque_of_zero_is_the_first_contact_alone():
     np.testing.assert_array_equal(mixed.torque, [0.0, TORQUE])
 
 
+@pytest.mark.slow
 def test_a_torque_reversed_loads_the_mirror_image():
     """At the start the throw points at a space of the ring: driving and back flanks are each other's mirror image."""
     scene = dataclasses.replace(involute(LINEAR, backlash=gj.InitialBacklash(10 * um)), errors={})
@@ -118,6 +122,7 @@ def test_a_torque_reversed_loads_the_mirror_image():
     assert float(behind.lag[0]) == pytest.approx(-float(ahead.lag[0]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_jammed_bodies_give_way_about_where_they_rest():
     """Of pins that overlap whatever the position, all of them are springs without torque already."""
     scene = rv.scene("modified", discs=1, with_errors=True)

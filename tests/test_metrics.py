@@ -25,6 +25,7 @@ def exact_minimum(shift):
     return values.min()
 
 
+@pytest.mark.slow
 def test_a_kink_between_samples_is_found():
     for size in (20, 57, 400):
         theta = jnp.linspace(0.0, 2 * jnp.pi, size)
@@ -37,6 +38,7 @@ def test_a_kink_between_samples_is_found():
         assert float(found.theta_maximum) == pytest.approx(np.pi / 2, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_higher_of_two_kinks_in_a_bracket_is_found(rng):
     """Golden sections alone take the side that they look at first."""
     theta = jnp.arange(-60.0, 61.0)
@@ -78,6 +80,7 @@ def uneven(size: int, rng) -> jax.Array:
     return jnp.asarray(np.concatenate([[0.0], np.cumsum(steps)]) * 2 * np.pi / steps.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("even", [True, False])
 def test_random_curves_of_kinks_and_waves(even, rng):
     """No point of a fine record is beyond the extremes, and they are within its spacing."""
@@ -96,6 +99,7 @@ def test_random_curves_of_kinks_and_waves(even, rng):
     np.testing.assert_allclose(found[7], jax.jit(both)(numbers[7])[0], rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_gradients_of_extremes_in_a_batch_are_those_of_differences(rng):
     numbers, way = jnp.asarray(rng.standard_normal((20, 3, 2, 2))), jnp.asarray(rng.standard_normal((3, 2, 2)))
     theta = jnp.linspace(0.0, 2 * jnp.pi, 161)
@@ -144,6 +148,7 @@ def test_gradients_at_kinks_in_single_precision():
     np.testing.assert_allclose(rough, slopes(shifts, theta), atol=5e-3)
 
 
+@pytest.mark.slow
 def test_second_derivatives_go_through_the_values():
     theta = jnp.linspace(0.0, 6.0, 121)
 
@@ -159,6 +164,7 @@ def test_second_derivatives_go_through_the_values():
     assert float(jax.grad(lambda p: jax.value_and_grad(top)(p)[0])(size)) == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_an_extreme_at_an_end_of_the_record_goes_with_it(scene):
     def swing(end):
         return 1e3 * gj.transmission_error(scene, jnp.linspace(0.0, 1.0, 101) * end).peak_to_peak
@@ -177,6 +183,7 @@ def test_a_record_with_an_unknown_sample_has_no_extremes(where):
     assert bool(jnp.isnan(found.maximum) & jnp.isnan(found.minimum))
 
 
+@pytest.mark.slow
 def test_extremes_at_the_ends_and_of_a_constant():
     theta = jnp.linspace(0.0, 1.0, 11)
     rising = extremes(lambda k, a: k * a, jnp.asarray(2.0), theta, 2.0 * theta)
@@ -191,6 +198,7 @@ def test_extremes_at_the_ends_and_of_a_constant():
     assert float(one.maximum) == float(one.minimum) == pytest.approx(0.6)
 
 
+@pytest.mark.slow
 def test_sampling_hardly_changes_the_metrics(scene):
     """The extremes of 5 ms samples are those of 0.05 ms samples; plain samples would lose 0.008 arcmin."""
     fine = gj.transmission_error(scene, scene.system.input_speed * jnp.linspace(0.0, 3.0, 60001))
@@ -201,6 +209,7 @@ def test_sampling_hardly_changes_the_metrics(scene):
     assert abs(float(coarse.mean - fine.mean)) / arcmin < 2e-3
 
 
+@pytest.mark.slow
 def test_metrics_are_those_of_the_record(scene, theta):
     te = gj.transmission_error(scene, theta)
     assert float(te.mean) == pytest.approx(np.mean(np.asarray(te.te)), rel=1e-12)

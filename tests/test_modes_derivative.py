@@ -64,6 +64,7 @@ def closeness(found, expected):
     return max(float(jnp.abs(one - two).max() / (jnp.abs(two).max() + 1e-30)) for one, two in pairs if two.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "nodes"), list(zip(CASES, (NODES, None, NODES, None), strict=True)))
 def test_the_derivative_is_that_of_the_loop(case, nodes, rng):
     """With respect to everything at once, in both modes, also of several at once: all flanks come and go."""

@@ -58,6 +58,7 @@ def test_correlated_numbers(scene):
         gj.Tolerances(scene, three, [gj.Correlation(*pair) for pair in pairs])
 
 
+@pytest.mark.slow
 def test_a_single_eccentricity_makes_rayleigh_transmission_errors(scene):
     # one planet wheel alone: the no-load TE of one error is a sine of its size, seen from the other pair's zero
     alone = dataclasses.replace(scene, errors={"revolution": scene.errors["revolution"]}, reference=None)
@@ -86,6 +87,7 @@ def test_yield_of_a_chi_square(scene):
         assert found.high - found.low < 0.012
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extremes", ["samples", "between"])
 def test_samples_are_the_analyses_one_by_one(population, angles, extremes):
     study = gj.monte_carlo(population, MEASURES, n=12, theta=angles, extremes=extremes)
@@ -116,6 +118,7 @@ def test_samples_are_the_analyses_one_by_one(population, angles, extremes):
         assert study.column("backlash.minimum")[index] == pytest.approx(expected, abs=within)
 
 
+@pytest.mark.slow
 def test_close_extremes_are_exact_where_a_curve_has_one_kink(population, angles):
     work = Work(population, MEASURES[:1], number=200, theta=angles)
     inputs = work.inputs(0, 200)
@@ -130,6 +133,7 @@ def test_close_extremes_are_exact_where_a_curve_has_one_kink(population, angles)
     assert ((exact - sampled[:24, 0]) / exact).mean() > 4 * missed.mean()
 
 
+@pytest.mark.slow
 def test_chunks_and_functions_change_nothing(population, angles):
     options = {"theta": angles, "n": 100, "key": 3, "sampler": "latin_hypercube"}
     whole = gj.monte_carlo(population, MEASURES[:2], **options)
@@ -139,6 +143,7 @@ def test_chunks_and_functions_change_nothing(population, angles):
     assert inputs[0] == inputs[1]
 
 
+@pytest.mark.slow
 def test_a_chunk_compiles_once(population, angles):
     work = Work(population, MEASURES[:1], number=96, chunk=32, theta=angles)
     assert len(work.chunks) == 3
@@ -179,6 +184,7 @@ def test_other_contact_laws_and_free_systems_take_the_analyses(scene, angles, wi
         assert value == pytest.approx(float(exact), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_failed_samples_are_counted_and_the_others_untouched(scene, angles):
     theta = angles[:101]
     spreads = {AMPLITUDES[0]: gj.Normal(3 * um, 2 * um), PHASES[0]: gj.UniformPhase()}
@@ -260,6 +266,7 @@ def test_one_input_angle_and_two(population):
         assert np.isfinite(study.values).all()
 
 
+@pytest.mark.slow
 def test_rare_values_are_right_and_strangers_told(scene, angles):
     rare = {path: gj.Rayleigh(6 * um) for path in AMPLITUDES[:3]} | dict.fromkeys(PHASES, gj.UniformPhase())
     rare[AMPLITUDES[3]] = gj.Discrete((0.0, 30 * um), (0.995, 0.005))

@@ -32,6 +32,7 @@ def published(width):
     )
 
 
+@pytest.mark.slow
 def test_the_published_pair_in_all_its_coordinates():
     """A narrow face is one spring; a wide one holds against tilting by itself, which raises three modes of tilting."""
     narrow = gj.natural_modes(published(1e-3), 830.0)
@@ -58,6 +59,7 @@ def test_one_coordinate_by_hand(scene):
     assert float(found.damping[0]) == pytest.approx(drag / inertia / (2 * rate), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_modes_satisfy_the_equation_of_motion():
     """Of the structure with its mean mesh, not scaled; modes do not see each other."""
     from gearjax.analysis.modes import StructureEquation
@@ -77,6 +79,7 @@ def test_modes_satisfy_the_equation_of_motion():
     np.testing.assert_allclose(apart / np.outer(size, size), np.eye(len(rates)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_gradients_are_differences_under_jit_and_vmap():
     scene = published(75e-3)
 
@@ -96,6 +99,7 @@ def test_gradients_are_differences_under_jit_and_vmap():
         np.testing.assert_allclose(slopes[:, :, place], difference, rtol=1e-5, atol=1e-6 * np.abs(difference).max())
 
 
+@pytest.mark.slow
 def test_back_flanks_carry_a_negative_torque():
     """Modes are those of the mesh that holds the torque, by scipy; nothing holds it without back flanks."""
     from scipy.linalg import eigh

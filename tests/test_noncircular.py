@@ -90,6 +90,7 @@ def test_contact_ratio_of_circular_gears(e, distance, least, largest):
             assert float(value) == pytest.approx(wanted, abs=3.1e-5 if distance is None else 5.1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("e", "least", "largest", "tip"),
     [(E, 1.728146, 1.758456, 0.7659), (0.5, 1.702819, 1.779159, 0.7564), (0.7, 1.639344, 1.818758, 0.7304)],
@@ -112,6 +113,7 @@ def test_contact_ratio_by_the_tips(e, least, largest, tip):
     assert float(abs(approximate - contact(whole)).max()) < 4e-3
 
 
+@pytest.mark.slow
 def test_circular_gears_are_those_of_iso_21771():
     """Contact ratio and tip thickness of a pair without eccentricity, by the formulas of involute gears."""
     curves = closed(0.0)
@@ -201,6 +203,7 @@ def test_a_shaper_cuts_the_same_flanks(e):
     np.testing.assert_allclose(rolling[distance.argmin(axis=1)], t, atol=3e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("e", [E, 0.7])
 def test_generated_teeth_run_together(e):
     """Outlines of both gears, laid into each other over a turn: they touch, and overlap by less than 0.1 um."""
@@ -238,6 +241,7 @@ def _beyond(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     return np.where(inside, (height - points[:, 1]) / np.hypot(1.0, slope), np.nan)
 
 
+@pytest.mark.slow
 def test_outlines_are_closed_and_as_long_as_told():
     curves = closed(E)
     pair = Teeth(curves, (TEETH, TEETH), MODULE, 1.0, backlash=1e-4)
@@ -253,6 +257,7 @@ def test_outlines_are_closed_and_as_long_as_told():
 
 
 class TestTables:
+    @pytest.mark.slow
     def test_a_spline_through_values_is_scipys(self):
         rng = np.random.default_rng(3)
         for number in (8, 13):
@@ -268,6 +273,7 @@ class TestTables:
             np.testing.assert_allclose(own.driven_angle(jnp.asarray(t)), angle, atol=1e-13)
             np.testing.assert_allclose(own.driven_angle(jnp.asarray(t - 6 * np.pi)), angle - 6 * np.pi, atol=1e-12)
 
+    @pytest.mark.slow
     def test_convergence_to_an_ellipse(self):
         own, t = EllipseRatio(jnp.asarray(E)), jnp.linspace(0.0, 2 * np.pi, 501)
         off = []
@@ -277,6 +283,7 @@ class TestTables:
         orders = np.log2(np.array(off[:-1]) / np.array(off[1:]))
         assert (orders > 5.5).all()
 
+    @pytest.mark.slow
     def test_rates_are_derivatives(self):
         for own in (
             EllipseRatio(jnp.asarray(0.4), 2, 3),

@@ -129,6 +129,7 @@ def test_a_dynamic_term(scene):
     assert smooth == pytest.approx(float(motion.amplitude), rel=5e-3)
 
 
+@pytest.mark.slow
 def test_zero_amplitudes_have_zero_gradients(scene):
     free = pick(scene, PHASES)
     still = pick(scene, [path.replace("phase", "amplitude") for path in PHASES]).set(scene, jnp.zeros(4))
@@ -140,6 +141,7 @@ def test_zero_amplitudes_have_zero_gradients(scene):
         assert (np.asarray(slope) == 0).all()
 
 
+@pytest.mark.slow
 def test_order_amplitude_is_exact():
     """On whole turns other whole orders leave nothing; a window leaves little."""
     theta = jnp.linspace(0.0, 4 * jnp.pi, 401)

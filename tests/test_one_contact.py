@@ -32,6 +32,7 @@ def yang() -> gj.Scene:
     return dataclasses.replace(scene, system=own, errors={})
 
 
+@pytest.mark.slow
 def test_springs_that_all_carry_are_one_at_any_torque(wang):
     reduced = gj.one_contact(wang, TORQUE, period=wang.system.cycle, **WHOLE)
     assert float(reduced.error(TORQUE)) < 1e-12 * arcmin
@@ -49,6 +50,7 @@ def test_the_motion_of_springs_that_all_carry_is_that_of_one(wang):
     np.testing.assert_allclose(one, whole, atol=1e-8 * arcmin)
 
 
+@pytest.mark.slow
 def test_the_loaded_involute_pair_as_one_contact(yang):
     """Stiffness as by differences of the loaded TE, the position held, and told how far off at other torques."""
     reduced = gj.one_contact(yang, 100.0, samples=32, harmonics=15)
@@ -65,6 +67,7 @@ def test_the_loaded_involute_pair_as_one_contact(yang):
         assert 1e-3 * lag < float(reduced.error(share * 100.0)) < bound * lag
 
 
+@pytest.mark.slow
 def test_a_slow_motion_of_one_contact_is_the_loaded_error(yang):
     """Coupled springs are refused in motion; their one contact moves, and at a crawl it is where they rest."""
     slow = dataclasses.replace(yang.system, input_speed=0.02)
@@ -82,6 +85,7 @@ def test_a_slow_motion_of_one_contact_is_the_loaded_error(yang):
     assert float(reduced.error(100.0)) < 0.2 * float(jnp.ptp(rest))
 
 
+@pytest.mark.slow
 def test_the_back_flank_holds_the_torque_reversed(yang):
     reduced = gj.one_contact(yang, 100.0, samples=32, harmonics=15)
     back = gj.transmission_error(reduced.scene, reduced.theta, torque=-100.0).te

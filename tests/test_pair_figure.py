@@ -25,6 +25,7 @@ def loaded() -> tuple[gj.Scene, np.ndarray, np.ndarray]:
     return scene, np.asarray(ahead), np.asarray(back)
 
 
+@pytest.mark.slow
 def test_teeth_stand_where_the_gears_are(loaded):
     scene, forces, _ = loaded
     zones, back = _zones(scene, scene.system, 0.3, forces)
@@ -48,6 +49,7 @@ def texts(ax) -> str:
     return " ".join(text.get_text() for text in ax.texts)
 
 
+@pytest.mark.slow
 def test_the_figure_tells_loads_gaps_and_the_factor(loaded):
     scene, ahead, back = loaded
     for forces, words in ((ahead, "driving flanks carry"), (back, "back flanks carry, mirrored")):
@@ -62,6 +64,7 @@ def test_the_figure_tells_loads_gaps_and_the_factor(loaded):
         assert f"{heights.max():.0f} N" in texts(bars)
 
 
+@pytest.mark.slow
 def test_several_gears_have_a_row_each_and_nothing_carries_in_one(loaded):
     scene = loaded[0]
     two = dataclasses.replace(scene, system=system(gears=2, pairs=7), backlash=None)
@@ -77,6 +80,7 @@ def test_gaps_are_drawn_by_round_factors(largest, factor):
     assert _factor(largest, 0.58e-3) == pytest.approx(factor)
 
 
+@pytest.mark.slow
 def test_a_run_writes_it(loaded, tmp_path, monkeypatch):
     monkeypatch.setattr("gearjax.plot.run.spectrum_figure", lambda *_: None)  # of whole cycles, which takes seconds
     scene, forces, _ = loaded

@@ -55,6 +55,7 @@ def scene_of_one_pair():
     )
 
 
+@pytest.mark.slow
 def test_jumps_and_hysteresis(sweeps):
     """Down at 0.83 to 0.84 on the way down, up at 0.90 to 0.91 on the way up; peak 1.477 at 0.837 (RK4 sweeps)."""
     ratios, up, down, _ = sweeps

@@ -51,6 +51,7 @@ def matrices(equation: StructureEquation) -> tuple[np.ndarray, ...]:
 # responses that are known ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_linear_frequency_response():
     """Pairs that never open, driven by an eccentricity: every coordinate against one complex system of equations."""
     scene = linear(errors={"planet": gj.Eccentricity("planet_1", 5 * um, 0.3)})
@@ -237,9 +238,12 @@ def test_it_tends_to_the_output_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*SCENES, "balance"])
+@pytest.mark.parametrize("name", ["two_kv", "balance"])
 def test_implicit_gradients(name):
-    """Of the alternating part, with respect to torque, support and mass, under jit and vmap: differences."""
+    """Of the alternating part, with respect to torque, support and mass, under jit and vmap: differences.
+
+    Gradients of other gear sets on supports are in tests/test_modes.py and tests/test_gear_sets_in_motion.py.
+    """
     scene, torque, period = separating("two_kv" if name == "balance" else name)
     body = next(iter(scene.supports))
 

@@ -29,6 +29,7 @@ def loaded() -> tuple[gj.Scene, gj.TransmissionError, gj.TransmissionError]:
     return scene, ahead, back
 
 
+@pytest.mark.slow
 def test_loads_of_pairs_balance_the_torque(loaded):
     """Of an involute pair every contact has the lever of the base circle (Yang et al. 2019, eq. 7)."""
     scene, ahead, back = loaded
@@ -46,6 +47,7 @@ def test_loads_of_pairs_balance_the_torque(loaded):
         assert (np.asarray(te.engaged_pairs) < np.asarray(te.engaged)).all()
 
 
+@pytest.mark.slow
 def test_load_sharing_counts_the_pairs_of_the_loaded_side(loaded):
     for te in loaded[1:]:
         np.testing.assert_array_equal(te.carriers, 7)
@@ -77,6 +79,7 @@ def test_motion_counts_the_pairs_of_the_loaded_side():
     assert float(motion.load_sharing.max()) <= 7.0
 
 
+@pytest.mark.slow
 def test_pressure_is_hertz_or_even_whichever_is_larger(loaded):
     """Radii from the gears as curves: their tangent points, and the length of flank from its base circle."""
     scene, te, _ = loaded

@@ -21,6 +21,7 @@ def find(rows, start):
     return found
 
 
+@pytest.mark.slow
 def test_every_quasi_static_row_is_reproduced(rows):
     quasi_static = [row for row in rows if "DTE" not in row.item]
     assert len(quasi_static) == 49
@@ -31,6 +32,7 @@ def test_every_quasi_static_row_is_reproduced(rows):
     assert {row.status for row in quasi_static if "NLTE" in row.item} == {"reproduced"}
 
 
+@pytest.mark.slow
 def test_table_4_to_its_third_decimal(rows):
     """Peak-to-peak and amplitude within 0.0015 arcmin, but for one value that lies between two samplings."""
     for row in find(rows, "Table 4, NLTE") + find(rows, "Table 4, STE"):
@@ -89,6 +91,7 @@ def test_the_validation_page_shows_them(rows):
     assert_shown("two_kv", rows)
 
 
+@pytest.mark.slow
 def test_all_papers_are_one_page(capsys, tmp_path, rows, monkeypatch):
     for key, paper in PAPERS.items():
         monkeypatch.setitem(PAPERS, key, paper._replace(rows=lambda _: rows[:2]))

@@ -94,6 +94,7 @@ def written(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_writes_its_page(written):
     text = (written / "report.html").read_text(encoding="utf-8")
     page, words = Page(text), " ".join(Page(text).words)
@@ -135,6 +136,7 @@ def test_a_browser_shows_it_without_an_error(written, tmp_path):
     assert re.match(r"shown: .*time \[s\]: [\d.e-]+ .*\[arcmin\]: -?[\d.]+ of [1-9]\d\d", title[1]), title[1]
 
 
+@pytest.mark.slow
 def test_show_opens_the_report_or_the_figures(written, tmp_path, monkeypatch, capsys):
     opened = []
     monkeypatch.setattr("typer.launch", opened.append)

@@ -40,6 +40,7 @@ def check_accepted(row):
         assert -float(forward.mean) / arcmin == pytest.approx(row.mean, abs=1e-3 if row.law == "line" else 1e-5)
 
 
+@pytest.mark.slow
 def test_one_row_of_the_study():
     check_accepted(ACCEPTED[6])
 
@@ -50,6 +51,7 @@ def test_the_study(row):
     check_accepted(row)
 
 
+@pytest.mark.slow
 def test_backlash_is_the_closed_formula_within_the_pins_being_discrete():
     play = gj.backlash(scene(), jnp.asarray(angles()))
     closed = float(geometric_error(system().profile, {}))
@@ -84,6 +86,7 @@ def test_the_linear_law_is_solved_exactly():
     assert ((lever * position - gap > 0) == closed).all()
 
 
+@pytest.mark.slow
 def test_an_approach_is_inverted_to_rounding():
     springs = scene(compliance=HERTZ).contacts(jnp.asarray(0.3), "mean").springs
     for force in (1e-3, 1.0, 1e3, 1e5):

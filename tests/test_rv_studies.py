@@ -128,6 +128,7 @@ def test_a_turn_of_the_crank_in_motion():
     assert float(motion.mean) == pytest.approx(float(static.mean), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_reproduce_prints_valid_json(capsys, monkeypatch):
     paper, kept = PAPERS["rv_cycloidal"], []
     monkeypatch.setitem(PAPERS, "rv_cycloidal", paper._replace(rows=lambda say: kept.extend(paper.rows(say)) or kept))

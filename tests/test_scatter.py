@@ -50,6 +50,7 @@ def objective(scene, theta, scatter=None):
     return gj.Objective.of("static_peak_to_peak", scene, theta, TORQUE, scatter=scatter)
 
 
+@pytest.mark.slow
 def test_it_is_the_mean_of_the_gear_sets_one_by_one(scene, theta, population):
     drawn = population.scatter(6, around=[CROWN])
     both, alone = pick(scene, [SLOPE, CROWN]), pick(scene, [CROWN])
@@ -71,6 +72,7 @@ def test_the_numbers_drawn_are_those_of_the_distributions(population):
     np.testing.assert_array_equal(values, np.asarray(population.scatter(512, seed=3).values))
 
 
+@pytest.mark.slow
 def test_gradients_are_differences_under_jit_and_vmap(scene, theta, population):
     whole, free = objective(scene, theta, population.scatter(5, around=[CROWN])), pick(scene, [CROWN])
 
@@ -98,6 +100,7 @@ def test_crowning_pays_for_pairs_that_are_not_aligned(scene, theta, population):
     assert found.best[0] > plain.best[0] + 2 * um
 
 
+@pytest.mark.slow
 def test_other_studies_take_it(scene, theta, population):
     made = objective(scene, theta, population.scatter(4, around=[CROWN]))
     grid = gj.grid_search(made, scene, where=[CROWN], step={CROWN: 10 * um}, bounds=BOUNDS)
@@ -106,6 +109,7 @@ def test_other_studies_take_it(scene, theta, population):
     assert np.isfinite(around.gradient).all()
 
 
+@pytest.mark.slow
 def test_wrong_input_is_refused_in_one_line(population, scene, theta):
     with pytest.raises(ParameterError, match=r"around = .*is not toleranced"):
         population.scatter(4, around=["errors.crowning.length"])

@@ -37,6 +37,7 @@ def lines_of(scene, case, **changed) -> results.OrderLines:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("analysis", "torque"), [("no_load", 0.0), ("static", 300.0)])
 def test_a_spectrum_of_a_short_run_is_of_a_whole_cycle(scene, analysis, torque):
     found = lines_of(scene, case_of(scene, analysis, torque))
@@ -48,6 +49,7 @@ def test_a_spectrum_of_a_short_run_is_of_a_whole_cycle(scene, analysis, torque):
         assert others.max() < 1e-9 * found.amplitude[26]
 
 
+@pytest.mark.slow
 def test_whole_cycles_in_a_record_are_used(scene):
     """Two and a bit: the last two, which are those of any other two."""
     spacing = 15.8 / 790
@@ -63,6 +65,7 @@ def test_whole_cycles_in_a_record_are_used(scene):
     assert found.amplitude[1::2].max() < 1e-12  # nothing between the orders of one turn of the output
 
 
+@pytest.mark.slow
 def test_without_whole_cycles_a_window_is_used(scene, monkeypatch):
     case = case_of(scene, "no_load")
     alternating = dataclasses.replace(scene, load=gj.SinusoidalLoad(1.6))
@@ -117,8 +120,6 @@ COMMANDS = [
 ]
 AS_SHIPPED = [
     ("run", "two_kv/wang_2020.toml"),
-    ("identify", "two_kv/measured.toml"),
-    ("optimise", "elliptic/dong_2020_phases.toml"),
     ("tolerance", "elliptic/dong_2020_tolerance.toml"),
 ]
 SMALLER = {
@@ -218,7 +219,7 @@ def made_smaller(name: str, folder: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(("word", "name"), AS_SHIPPED)
 def test_shipped_configurations_run_as_a_user_runs_them(tmp_path, word, name):
-    """One of each kind of command, as a process of its own, whole: no warning and no note."""
+    """A run and a study, each as a process of its own, whole: no warning and no note."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "default"}
     command = [sys.executable, "-W", "error", "-m", "gearjax", word, str(ROOT / "configs" / name), "--out", "out"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=1500)

@@ -36,6 +36,7 @@ def test_surfaces_are_those_of_scipy(shape, rng):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ends", "order"), [("not_a_knot", 4), ("double_vertices", 1)])
 def test_orders(ends, order):
     """The paper's ends are of first order; values at the grid's own places are met by both."""
@@ -79,6 +80,7 @@ def test_few_places_make_what_they_determine(number, rng):
     np.testing.assert_allclose(along(places, polynomial(places), at), polynomial(at), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_are_differences_under_vmap_and_jit(rng):
     """With respect to values, places of the grid, and where it is looked at."""
     rows, columns = np.sort(rng.uniform(0.0, 1.0, 6)), np.sort(rng.uniform(0.0, 1.0, 5))

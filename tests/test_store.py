@@ -176,6 +176,7 @@ def test_all_chunks_exist_also_those_equal_to_what_zarr_fills_in(finished, tmp_p
     assert Store(tmp_path / "out", finished.tables, finished.work, "").samples_done == 0
 
 
+@pytest.mark.slow
 def test_a_chunk_of_another_study_is_not_taken(finished, tmp_path):
     text = finished.text.replace("seed = 0", "seed = 1", 1)
     other = Finished(tmp_path / "other", text)

@@ -37,6 +37,7 @@ def lagrangian(q, v, names, bodies, orbits, speed, output):
     return energy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("directions", DIRECTIONS)
 def test_structure_is_lagranges_equations(directions):
     orbits = {name: Orbit(3.0 + i, 2e-3 * (i + 1), -1.3 + i) for i, name in enumerate("ab")}

@@ -196,6 +196,7 @@ def test_what_supports_add_falls_in_proportion_to_their_compliance(name):
     np.testing.assert_allclose(added[0], 10 * added[1], rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_disc_of_one_direction_gives_way_as_a_spring_in_series():
     """An ideal stage, pushed across the throw alone: T / (a z_c) on both discs, each way."""
     one = gj.Scene(system("conjugate"), {}, compliance=LINEAR)
@@ -206,6 +207,7 @@ def test_a_disc_of_one_direction_gives_way_as_a_spring_in_series():
     np.testing.assert_allclose(soft.te - rigid.te, -0.5 * push / STIFF / (1.5 * mm * 39), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_line_contacts_on_supports():
     scene = reducer(compliance=HERTZ)
     for torque in (784.0, 1e-2):
@@ -215,6 +217,7 @@ def test_line_contacts_on_supports():
     assert missed(scene, gj.transmission_error(scene, THETA, 784.0), 784.0) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [gj.SoftplusContact(1e-8), gj.QuadraticContact(1e-7)])
 def test_smooth_laws_on_supports_tend_to_the_hard_one(law):
     hard, smooth = (gj.transmission_error(reducer(contact=c), THETA, 784.0) for c in (HardContact(), law))
@@ -223,6 +226,7 @@ def test_smooth_laws_on_supports_tend_to_the_hard_one(law):
     np.testing.assert_allclose((lever * smooth.forces).sum(axis=1), -784.0, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_hardly_any_torque_and_none():
     scene = reducer()
     lever = contact_sets(scene, THETA).jacobian[..., 0]
@@ -235,6 +239,7 @@ def test_hardly_any_torque_and_none():
     np.testing.assert_array_equal(none.q[:, 1:], 0.0)
 
 
+@pytest.mark.slow
 def test_single_precision():
     exact = gj.transmission_error(reducer(), THETA, 784.0)
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), reducer())
@@ -244,6 +249,7 @@ def test_single_precision():
     np.testing.assert_allclose(found.forces, exact.forces, rtol=0, atol=2e-3 * float(exact.forces.max()))
 
 
+@pytest.mark.slow
 def test_many_random_contacts_on_many_supports(rng):
     """Levers of either sign, supports that pull at each other, five decades of stiffness."""
 
@@ -307,6 +313,7 @@ def test_second_derivatives(springs, law, supported, rng):
     assert abs(slope) > 1e-12
 
 
+@pytest.mark.slow
 def test_no_contact_can_carry():
     contacts = ContactSet(
         jnp.array([[-1.0, 0.2]]), jnp.zeros(1), LinearSprings(jnp.ones(1)), Layout.either(1), jnp.eye(1)
@@ -362,12 +369,14 @@ def test_two_wheels_on_bearings_with_teeth_that_share_a_rim(torque):
         np.testing.assert_allclose(balance[1:], -supports @ place[1:], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_coupling_matters():
     apart = pair(compliance=gj.HarmonicStiffness(2e8, [], []))
     shared, alone = (gj.transmission_error(one, THETA, 40.0).te for one in (pair(), apart))
     assert float(jnp.abs(shared - alone).max()) > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [pair(), planets(), reducer()], ids=["coupled", "two_kv", "rv_cycloidal"])
 def test_gradients_are_central_differences_under_vmap_and_jit(scene):
     """By the stiffness of a support and the torque."""
@@ -393,6 +402,7 @@ def test_gradients_are_central_differences_under_vmap_and_jit(scene):
 # what a scene does not list ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_not_listed_leaves_no_equation():
     one = dataclasses.replace(planets(), supports={})
     y, both = ({"planet_1": gj.Support(**ways)} for ways in ({"y": 1e8}, {"x": 1e8, "y": 1e8}))

@@ -31,6 +31,7 @@ def text(rv_text) -> str:
     return rv_text.replace(', "dynamic"', "").replace("samples = 801", "samples = 81") + SUPPORTS
 
 
+@pytest.mark.slow
 def test_from_a_configuration_to_files_and_figures(text, tmp_path):
     scene = gj.loads(text)
     assert float(scene.supports["disc_2"].y) == 1.6e8

@@ -55,6 +55,7 @@ def config(tmp_path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_json_is_what_it_promises(config, capsys):
     assert command(str(config), "--json") == 0
     found = json.loads(capsys.readouterr().out)
@@ -78,6 +79,7 @@ def test_json_is_what_it_promises(config, capsys):
     assert entry["quantiles"]["0.5"][1] == pytest.approx(study.quantile(name, 0.5).low / gj.units.arcmin, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_worst_sample_is_a_configuration(config, tmp_path, capsys):
     out = tmp_path / "out"
     assert command(str(config), "--out", str(out), "--json") == 0
@@ -98,6 +100,7 @@ def stored(config: Path, out: Path) -> Store:
     return Store(out, tables, prepared(section), config.read_text())
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_worked_out_again(config, tmp_path):
     out = tmp_path / "out"
     first = stored(config, out)
@@ -175,6 +178,7 @@ def test_another_study_is_refused_and_differences_named(config, tmp_path, capsys
     assert "not a study of gearjax" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_measured_values_come_from_a_file(tmp_path, capsys):
     (tmp_path / "measured.csv").write_text("unit,e\n1,5.0\n2,7.5\n3,6.0\n", encoding="utf-8")
     spread = '{ kind = "empirical", file = "measured.csv", column = "e", unit = "um" }'

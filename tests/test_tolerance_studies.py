@@ -76,6 +76,7 @@ def test_derivatives_of_measures_are_those_of_the_analyses(population, angles):
             assert float(slopes[index, place]) == pytest.approx(expected, rel=2e-5, abs=2e-5 * arcmin / size)
 
 
+@pytest.mark.slow
 def test_halving_a_tolerance_never_makes_a_normal_sum_worse(scene):
     spreads = {path: gj.Normal(20 * um, 2 * um) for path in AMPLITUDES[:2]}
     tolerances = gj.Tolerances(scene, spreads)
@@ -221,6 +222,7 @@ def test_allocation_stays_within_tables_and_keeps_what_is_good(population, angle
     assert loose.cost <= loose.cost_before
 
 
+@pytest.mark.slow
 def test_errors_of_the_indices_do_not_depend_on_what_was_drawn_before(population, angles):
     """With a seed of 0 too, which SALib takes for none."""
     found = []

@@ -44,6 +44,7 @@ def test_line_stiffness_runs_as_its_harmonics_say():
             assert 2 * lines[n] / lines[0] == pytest.approx(2 * abs(own), abs=2e-5)
 
 
+@pytest.mark.slow
 def test_forces_are_those_of_the_torque_at_every_angle():
     scene = scene_of(GUO_1, compliance=TEETH)
     te = gj.transmission_error(scene, meshes_of(scene.system), torque=830.0)
@@ -51,6 +52,7 @@ def test_forces_are_those_of_the_torque_at_every_angle():
     np.testing.assert_allclose(np.asarray(te.forces).sum(axis=1), 6264.31, rtol=1e-6)  # F_t / cos beta_b
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("compliance", "mean", "swing", "first"),
     [
@@ -78,6 +80,7 @@ def test_stiffness_of_the_published_pair():
     assert np.abs(np.fft.rfft(total))[1] * 2 / len(total) / total.mean() == pytest.approx(0.1198, rel=0.03)
 
 
+@pytest.mark.slow
 def test_foundation_is_near_that_of_an_elastic_layer():
     """The polynomials of Sainsot et al. against a layer on rigid ground in closed form, which elements hold. Their root
     section is thinner, as it has no fillet: they are softer, the more the fewer teeth there are."""
@@ -93,6 +96,7 @@ def test_foundation_is_near_that_of_an_elastic_layer():
             assert (own / other < high).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "number"),
     [(GUO_1, 0), (SPUR, 1), (INTERNAL, 1), (RING, 1), (SPUR_RING, 1)],
@@ -133,6 +137,7 @@ def test_energy_of_a_tooth_is_that_of_fine_quadrature(given, number):
         assert float(found) == pytest.approx(exact, rel=2e-3)  # the height of a flank goes by its own angle there
 
 
+@pytest.mark.slow
 def test_hertz_contact_gives_the_pressure_and_the_approach_of_textbooks():
     """One slice of spur teeth at the pitch point: Johnson's line contact, and Weber's between depths."""
     law = gj.ToothSlices(**STEEL, contact="hertz")
@@ -160,6 +165,7 @@ def test_hertz_contact_gives_the_pressure_and_the_approach_of_textbooks():
     assert whole - body == pytest.approx(hertz, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_coupling_tends_to_slices_apart_and_to_a_rigid_face():
     """A coupling length far below a slice leaves them apart; one far above lets a pair's teeth move as one."""
     angles, torque = meshes_of(system_of(GUO_1), 4), 830.0

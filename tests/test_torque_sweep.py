@@ -26,6 +26,7 @@ def relieved(amount: float) -> gj.Scene:
     return dataclasses.replace(scene, errors=tips)
 
 
+@pytest.mark.slow
 def test_without_modification_all_is_in_proportion_to_the_torque():
     """Springs along contact lines of given length: TE = -T / (r^2 sum k), so swing and harmonics grow with T."""
     scene = scene_of(GUO_1, compliance=gj.LineStiffness(1.4e10))
@@ -49,6 +50,7 @@ def test_without_modification_all_is_in_proportion_to_the_torque():
     np.testing.assert_allclose(sweep.harmonics[1], waves, rtol=1e-8, atol=1e-20)
 
 
+@pytest.mark.slow
 def test_tip_relief_is_smoothest_near_the_torque_that_it_is_made_for():
     """Harris' curves: twice the relief, twice the torque of the smallest swing, as all gaps scale (Harris 1958)."""
     torques = np.linspace(10.0, 400.0, 40)
@@ -63,6 +65,7 @@ def test_tip_relief_is_smoothest_near_the_torque_that_it_is_made_for():
     assert best[1] == pytest.approx(2 * best[0], abs=15.0)
 
 
+@pytest.mark.slow
 def test_each_torque_is_that_of_a_single_analysis():
     scene = scene_of(GUO_1, {"tip": gj.TipRelief("pinion", [8 * um], 6 * mm)}, TEETH)
     theta = meshes_of(scene.system, 32)
@@ -76,6 +79,7 @@ def test_each_torque_is_that_of_a_single_analysis():
     assert (sweep.result == 0).all()
 
 
+@pytest.mark.slow
 def test_gradients_are_differences_under_jit_and_vmap():
     scene = relieved(8 * um)
     theta = meshes_of(scene.system, 24)
@@ -113,6 +117,7 @@ def test_wrong_input_is_refused_in_one_line(change, fault, words):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_run_with_three_torques_shows_them_in_a_curve():
     scene = gj.load(ROOT / "configs" / "helical" / "blankenship_1995.toml")
     cases = list(run_cases(scene))

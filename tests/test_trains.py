@@ -20,7 +20,6 @@ from gearjax.checks import SceneError
 from gearjax.contact import ContactSet, Layout
 from gearjax.units import um
 from tests.test_batches import equations
-from tests.test_matrix import OF_A_SCENE, OF_NUMBERS, WHOLE, Case, Number, judge
 from tests.trains import BODIES, Rim, SpurTrain, brute, in_motion, light, on_bearings, train
 
 THETA = np.linspace(0.2, 5.7, 12)
@@ -49,6 +48,7 @@ def held(contacts: ContactSet) -> np.ndarray:
 # statics --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_one_set_of_contacts_that_fits(name):
     """Springs one by one: every set is tried, ``K q + J^T f = Q`` solved directly; 12 coordinates on bearings."""
@@ -80,6 +80,7 @@ def test_teeth_that_share_a_rim(name, pairs):
         np.testing.assert_allclose(te.forces[at], forces, rtol=1e-8, atol=1e-8 * forces.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pairs", [1, 3])
 def test_the_lightest_torque_is_a_linear_programme(pairs):
     """No-load TE and backlash: output positions that no contact forbids, whatever the shaft between does."""
@@ -95,6 +96,7 @@ def test_the_lightest_torque_is_a_linear_programme(pairs):
         assert play.upper[at] == pytest.approx(ends[1], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_errors_of_two_stages_add():
     """No-load TE: that of the first stage, carried on by the ratio of the second, and that of the second."""
     both = gj.transmission_error(train(system={"waviness": 0.0}), THETA).te
@@ -110,6 +112,7 @@ def test_errors_of_two_stages_add():
     np.testing.assert_allclose(parts[0], -wheel * 18 / 45, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("compliance", [None, Rim()])
 def test_no_torque_and_hardly_any(name, compliance):
@@ -156,6 +159,7 @@ def test_springs_of_shafts_and_bearings_add():
     assert abs(added(supports=pushed, shafts={"middle": soft}) / -closes - 1).max() > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["twisting", "bearings"])
 def test_what_gives_way_falls_in_proportion_to_its_compliance(name):
     rigid = gj.transmission_error(train(), THETA, 40.0).te
@@ -172,6 +176,7 @@ def test_what_gives_way_falls_in_proportion_to_its_compliance(name):
     assert abs(other).min() > 0
 
 
+@pytest.mark.slow
 def test_a_train_of_rigid_shafts_is_two_reducers_in_series():
     """Each stage by itself, one coordinate: turns and deflections add by the ratio."""
     scene = train(errors={})
@@ -232,6 +237,7 @@ def test_gradients_of_statics(compliance):
         np.testing.assert_allclose(row, central, rtol=1e-6, atol=1e-7 * float(jnp.abs(central).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [None, 40.0])
 def test_extremes_of_the_samples_alone(torque):
     scene, theta = on_bearings(), np.linspace(0.0, 0.3, 61)
@@ -253,6 +259,7 @@ def test_soft_and_hard(size):
     np.testing.assert_allclose(te.forces[:, 2] - te.forces[:, 3], 40.0 / arm, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_single_precision():
     scene = jax.tree.map(lambda x: x.astype(jnp.float32), on_bearings())
     exact = gj.transmission_error(on_bearings(), THETA, 40.0)
@@ -261,6 +268,7 @@ def test_single_precision():
     assert abs(np.asarray(found.te) - np.asarray(exact.te)).max() < 1e-4 * float(jnp.abs(exact.te).max())
 
 
+@pytest.mark.slow
 def test_jammed_meshes_are_named():
     """Teeth that are too thick in the mesh of one wheel cannot be cleared, wherever the shafts are."""
     scene = train(errors={}, system={"waviness": -10 * um}, backlash=gj.InitialBacklash(0.0))
@@ -329,8 +337,7 @@ def lagrange(scene: gj.Scene, torque: float, time: float, q, v):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("acting", ["contact", "always"])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(("name", "acting"), [("free", "contact"), ("twisting", "always"), ("bearings", "contact")])
 def test_motion_is_that_of_the_energies(name, acting, rng):
     """Accelerations at random states by hand; a motion from rest that hits both flanks by scipy at 1e-10."""
     scene = in_motion(SCENES[name](backlash=gj.InitialBacklash(15 * um)), damping=gj.DampingRatio(0.05, acting))
@@ -454,6 +461,7 @@ def test_what_is_missing_is_named():
         dataclasses.replace(gj.load("configs/two_kv/wang_2020.toml"), shafts={"a": gj.Shaft(["planet_1"])})
 
 
+@pytest.mark.slow
 def test_one_pair_shares_with_nobody():
     """Forces of different meshes differ by their levers; load is shared within a mesh."""
     te = gj.transmission_error(train(), THETA, 40.0)
@@ -504,44 +512,6 @@ def test_undamped_motion_repeats_after_one_period():
     assert (int(found.result), found.periods) == (0, 1)
     with pytest.raises(SceneError, match="there is no equilibrium to start from"):
         gj.periodic_motion(dataclasses.replace(scene, backlash=None), -40.0, 2 * np.pi / 600, steps=64)
-
-
-class TrainCase(Case):
-    """The train in place of a shipped gear set."""
-
-    def __init__(self, name: str):
-        self.numbers = [Number("errors.run_out.amplitude", ("2 um", "8 um"), (2 * um, 8 * um))]
-        self.scene = in_motion(SCENES[name]())
-        self.where = [number.path for number in self.numbers]
-        self.ts = np.linspace(0.0, 0.05, 26)
-        self.theta = 60.0 * np.linspace(0.0, 0.3, 61)
-
-
-TRAINS_REFUSE = {
-    "accuracy_grades": "lists no measured_flank",
-    "contact_pressure": "line contacts",
-    "face_load": "needs slices across the face",
-    "export_profile": "has no disc with a profile",
-    "matched_assembly": "phases",
-    "separation_speed": "an output that turns unevenly",
-    "one_contact": "errors repeat after",  # its second mesh does not repeat with the first
-}
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
-@pytest.mark.parametrize(
-    ("name", "scene"),
-    [
-        (name, scene)
-        for place, name in enumerate([*OF_A_SCENE, *OF_NUMBERS])
-        for number, scene in enumerate(("free", "bearings"))
-        if WHOLE or (number - place) % 2 == 0
-    ],
-)
-def test_every_function_on_a_train(name, scene):
-    refused = "need supports" if (name, scene) == ("bearing_forces", "free") else TRAINS_REFUSE.get(name)
-    judge((OF_A_SCENE | OF_NUMBERS)[name], TrainCase(scene), refused)
 
 
 # the whole way --------------------------------------------------------------------------------------------------

@@ -127,6 +127,7 @@ WAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swing", [0.3, 0.6])
 def test_the_output_in_absolute_coordinates(swing):
     """The teeth lose contact and hit their back flanks where the output is slowed down."""
@@ -143,6 +144,7 @@ def test_the_output_in_absolute_coordinates(swing):
     assert back > 0
 
 
+@pytest.mark.slow
 def test_stiff_teeth_carry_load_and_inertia():
     """The contact force tends to ``(T + I phi'') / lever``; without that term it would be off by its own size."""
     scene = lobed(compliance=gj.HarmonicStiffness(1e11, [], []), errors={}, damping=gj.DampingRatio(1.0, "always"))
@@ -171,6 +173,7 @@ def test_the_input_gives_what_the_output_takes():
     assert np.ptp(kinetic) > 5.0
 
 
+@pytest.mark.slow
 def test_periodic_motion_and_gradients():
     scene = lobed()
     found = gj.shooting(scene, 10.0, 2 * np.pi / SPEED, steps=4096)
@@ -190,6 +193,7 @@ def test_periodic_motion_and_gradients():
     assert float(slope) == pytest.approx(float((values[0] - values[1]) / 2e-6), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_an_even_output_leaves_no_equation(scene):
     assert scene.system.turns_evenly
     assert not lobed().system.turns_evenly

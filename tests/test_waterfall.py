@@ -26,6 +26,7 @@ def linear():
     return dataclasses.replace(scene, errors=own, compliance=stiff, load=gj.ConstantLoad(), backlash=None)
 
 
+@pytest.mark.slow
 def test_a_linear_motion_by_its_closed_form(linear):
     """The static TE times (K + i w C) / (K - w^2 I + i w C), and the torque that accelerates the output."""
     order = "planet_1" if "planet_1" in linear.system.orders else "planet"

@@ -40,6 +40,7 @@ def _fine_ones_known(monkeypatch):
     xla._known_of.cache_clear()
 
 
+@pytest.mark.slow
 def test_what_this_version_knows_is_told():
     options = gj.xla_options(quick_compiler=True).split()
     assert xla.is_usable(" ".join(options))
@@ -52,6 +53,7 @@ def test_an_option_that_is_not_known_is_found_out():
     assert not xla.is_usable("--xla_no_such_option=true")
 
 
+@pytest.mark.slow
 def test_an_option_that_compiles_functions_wrongly_is_found_out():
     """With full vectors of AVX-512, jax 0.10 and 0.11 compile the arctangent wrongly, other versions do not."""
     flag = "--xla_cpu_prefer_vector_width=512"
@@ -74,7 +76,6 @@ EXAMPLES = (
     "rv_cycloidal/hu_2020",
     "involute_rv/yang_2019",
     "helical/blankenship_1995",
-    "helical/two_stage",
     "elliptic/dong_2020",
 )
 GEAR_SETS = """
@@ -110,6 +111,7 @@ def test_one_unknown_option_does_not_take_the_others(options, known):
     assert xla._known_of(options) == known
 
 
+@pytest.mark.slow
 def test_the_command_sets_them_and_remembers_what_is_known(tmp_path):
     """The quick compiler too, but not for a command that runs longer than it compiles."""
     kept = {"XDG_CACHE_HOME": str(tmp_path)}
@@ -121,17 +123,20 @@ def test_the_command_sets_them_and_remembers_what_is_known(tmp_path):
     assert flags_after("--version", **kept) == "--xla_cpu_prefer_vector_width=256", "nothing is tried again"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", ["", "--xla_cpu_prefer_vector_width=128"])
 def test_the_user_decides(tmp_path, flags):
     assert flags_after("--version", XDG_CACHE_HOME=str(tmp_path), XLA_FLAGS=flags) == flags
     assert not list(tmp_path.rglob("usable-options-*.txt"))
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_made_is_no_mistake(tmp_path):
     (tmp_path / "file").write_text("")
     assert flags_after("--version", XDG_CACHE_HOME=str(tmp_path / "file")) == gj.xla_options(quick_compiler=True)
 
 
+@pytest.mark.slow
 def test_importing_gearjax_leaves_xla_asleep():
     """So that the options can be set after it."""
     code = "import gearjax; from jax._src import xla_bridge; print(xla_bridge.backends_are_initialized())"
