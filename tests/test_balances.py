@@ -163,6 +163,7 @@ def test_hardly_any_torque_in_play_is_found_from_anywhere(torque, rng):
     np.testing.assert_allclose((lever * forces).sum(axis=0), load, rtol=1e-3, atol=0.06**2 * 2e-11 * 2e-4)
 
 
+@pytest.mark.slow
 def test_a_contact_that_hardly_turns_anything_does_not_hold_up_the_search():
     """One that is wedged where its lever all but vanishes pushes through the play, against the other side."""
     lever = jnp.array([[1e-7], [0.05], [-0.05]])

@@ -167,6 +167,7 @@ def test_start_angles_of_uneven_outputs_are_refused():
         gj.compare(elliptic, record, shift="find")
 
 
+@pytest.mark.slow
 def test_a_start_angle_is_found():
     scene = two_kv()
     record = gj.synthetic_measurement(scene, 100.0, rows=3000, noise=0.02 * arcmin, offset=2 * arcmin)

@@ -57,6 +57,7 @@ def test_levers_that_turn_move_as_by_short_steps_of_another_scheme():
     assert float(abs(chosen.te - exact.te).max()) < 1e-4 * float(exact.te.max() - exact.te.min())
 
 
+@pytest.mark.slow
 def test_more_coordinates_and_uneven_outputs():
     many = gj.chosen_steps(planets(), SHORT, 100.0)
     assert many.scheme == "constant modes"

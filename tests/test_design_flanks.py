@@ -54,6 +54,7 @@ def test_what_a_design_asks_for_is_no_deviation():
     assert before["F_alpha"].grade > graded["F_alpha"].grade
 
 
+@pytest.mark.slow
 def test_of_an_internal_gear_the_tip_is_at_the_least_roll():
     system = scene_of(RING).system
     design = [gj.TipRelief("wheel", [10 * um], 2 * mm)]

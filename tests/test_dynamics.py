@@ -329,6 +329,7 @@ def test_natural_frequency(scene):
     assert float(Equation.of(scene, jnp.zeros(())).frequency) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [1e-2, 1.0, 1e4])
 @pytest.mark.parametrize("torque", [1e-3, 1e5])
 def test_extremes_stay_finite(scene, mass, torque):

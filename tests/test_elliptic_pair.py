@@ -206,6 +206,7 @@ class TestForces:
             for name in ("te",) if function is gj.transmission_error else ("lower", "upper"):
                 np.testing.assert_allclose(getattr(one, name), getattr(two, name), atol=1e-12 * 3e-4)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("torque", [15.0, -15.0])
     @pytest.mark.parametrize(("clearance", "size"), [("linear", 0.0), ("exact", 300 * um)])
     def test_virtual_work(self, clearance, size, torque):

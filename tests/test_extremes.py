@@ -20,6 +20,7 @@ def finite(motion) -> bool:
     return bool(jnp.isfinite(motion.te).all() & jnp.isfinite(motion.forces).all() & jnp.isfinite(motion.velocity).all())
 
 
+@pytest.mark.slow
 def test_zero_torque_rests_on_the_first_contact(still):
     motion = gj.simulate(still, TS, 0.0)
     np.testing.assert_allclose(motion.te, 0.0, atol=1e-15)

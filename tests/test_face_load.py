@@ -98,6 +98,7 @@ def test_of_a_motion():
     assert moved.factor == pytest.approx(float(still.factor), abs=2e-3)
 
 
+@pytest.mark.slow
 def test_what_a_run_tells():
     """The factor of each case at rest over a mesh or more; a shorter record has none."""
     scene = dataclasses.replace(misaligned(6 * um, 9), run=gj.Run(0.06, 65, ("static",), (TORQUE,)))

@@ -234,6 +234,7 @@ def test_gradients_of_what_drives_the_teeth(scene):
     np.testing.assert_allclose(reverse, np.stack(central, axis=-1), rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_windows_warm_up_from_the_quasi_static_solution(scene):
     """Which they know from the nodes of their blocks."""
     with_all = dataclasses.replace(scene, inertia=gj.EquivalentMass(MASS), damping=gj.DampingRatio(0.1))
@@ -277,6 +278,7 @@ def test_nodes_of_blocks_from_fewer_nodes(scene, blocks):
     np.testing.assert_allclose(found / swing, direct / swing, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_steps_between_samples_make_long_blocks():
     """A prime number of steps between samples would leave blocks of a single step."""
     ts = np.array([0.0, 1.0])

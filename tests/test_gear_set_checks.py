@@ -86,6 +86,7 @@ def rack(size: float = 10 * um, lobes: int = 1, backlash: bool = True, **changed
     return gj.Scene(Rack(**given), {"mine": Waves("pinion", size, lobes)}, backlash=back)
 
 
+@pytest.mark.slow
 def test_named_orders_give_no_warning():
     for lobes in (1, 7, 20):
         rack(lobes=lobes)

@@ -35,6 +35,7 @@ def test_a_linear_oscillator_forgets_with_its_damping(oscillator, ratio):
         assert float(rate) == pytest.approx(expected, rel=5e-3, abs=2.0)
 
 
+@pytest.mark.slow
 def test_overdamped_it_is_the_slower_rate(oscillator):
     decay = 0.5 * 3.0 * np.sqrt(2 * STIFFNESS / MASS)
     slow = -decay + np.sqrt(decay**2 - STIFFNESS / MASS)

@@ -40,6 +40,7 @@ def test_run_outs_are_seen_in_full_and_make_no_sidebands(rows):
     assert all(row.computed < 1e-9 for item, row in rows.items() if "height" in item)
 
 
+@pytest.mark.slow
 def test_the_mesh_order_is_that_of_one_mesh_without_run_outs(rows):
     """Another record and no run-outs: 32 angles of one mesh."""
     gears = helical.scene()

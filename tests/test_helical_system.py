@@ -237,6 +237,7 @@ def test_gears_without_slices_refuse_errors_across_the_face(error):
         gj.Scene(scene.system, {"face": error})
 
 
+@pytest.mark.slow
 def test_a_tilt_of_the_load_along_the_face_follows_the_helix_slope():
     """Spur gears of a stiffness per length: forces rise across the face by ``k' slope / b``."""
     law = gj.LineStiffness(10e9)

@@ -51,6 +51,7 @@ def test_flanks_face_each_other_from_tip_to_tip(rng):
         assert float(pair.external.radius_at(roll + end)) == pytest.approx(float(pair.external.tip_radius), rel=1e-13)
 
 
+@pytest.mark.slow
 def test_the_published_pair():
     """Operating angle, contact ratio and gaps of nine teeth as the reference lists them."""
     pair = pair_of()
@@ -112,6 +113,7 @@ def test_gradients_of_gaps_are_those_of_differences():
         np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-6, atol=1e-9 * abs(difference).max())
 
 
+@pytest.mark.slow
 def test_single_precision_keeps_the_digits_of_gaps():
     """Gaps of micrometres beside radii of 64 mm."""
     pair = pair_of()

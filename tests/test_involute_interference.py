@@ -37,6 +37,7 @@ def tooth_ahead(own: gj.InvoluteRV, theta: float, by: float) -> tuple[gj.Positio
     return gj.Positions(body="gear_1", outward=jnp.zeros(0), around=around), tooth % own.external_teeth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.1, 2.0])
 def test_a_run_out_beyond_half_the_room_is_told_with_how_much(share):
     """Along the throw it closes both flanks by its part across them; rigid flanks share what is missing."""

@@ -247,6 +247,7 @@ def test_other_gear_sets_have_no_places_for_elastic_teeth():
         gj.Scene(gj.load(ROOT / "configs/two_kv/wang_2020.toml").system, compliance=gj.ElasticTeeth(**STEEL))
 
 
+@pytest.mark.slow
 def test_a_single_candidate_is_too_few_for_finite_elements():
     matrix = gj.InfluenceMatrix(**STEEL, rim=0.8 * mm)
     with pytest.raises(gj.GearjaxError, match="at least 3 candidates along the profile"):
@@ -278,6 +279,7 @@ def made(monkeypatch):
     return make
 
 
+@pytest.mark.slow
 def test_fewer_candidates_than_elements_are_told(made):
     own = system(profile_points=3)
     with pytest.warns(gj.FewCandidates, match=r"3 candidates .* its 4 elements: give system.profile_points = 4"):

@@ -294,6 +294,7 @@ def test_backlash_is_that_of_the_centre_distance_and_what_is_listed():
     np.testing.assert_allclose(play.backlash, known, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_teeth_that_are_pressed_together_interfere():
     """The published numbers overlap by 0.4 um when both flanks are looked at; without room for it that is told."""
     scene = gj.Scene(system(), backlash=gj.InitialBacklash(initial=0.0))

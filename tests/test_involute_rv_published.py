@@ -124,6 +124,7 @@ def test_two_dimensional_loads_are_those_of_springs_side_by_side():
     assert (pairs.clearance[~carry] > approach[carry][0]).all()
 
 
+@pytest.mark.slow
 def test_table_2_comes_out_with_nothing_fitted_to_it():
     found = {row.item: row for row in involute_rv._table_2()}
     assert found["Table 2, rms of the loads"].computed == pytest.approx(3.82, abs=0.01)

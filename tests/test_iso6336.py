@@ -94,6 +94,7 @@ def test_a_wheel_of_many_teeth_tends_to_the_internal_one():
     np.testing.assert_allclose(inside.theoretical / outside.theoretical, 1 + gap, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_no_jump_where_low_load_begins():
     loads = jnp.asarray([0.999999e5, 1e5, 2e5])
     single = jax.vmap(lambda one: gj.iso6336_stiffness(**GUO_1, load_per_width=one).single)(loads)
@@ -183,6 +184,7 @@ def test_extremes(name):
     assert 1 < float(stiffness.transverse_contact_ratio) < 2.1
 
 
+@pytest.mark.slow
 def test_single_precision_is_enough():
     exact = gj.iso6336_stiffness(**GUO_2)
     sizes = {key: np.float32(GUO_2[key]) for key in ("normal_module", "helix_angle", "face_width", "centre_distance")}

@@ -59,6 +59,7 @@ def way(request, monkeypatch):
     monkeypatch.setattr(MODULE, "MOST_ONE_BY_ONE", 1000 if request.param == "few" else 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", [closed_form, bisected])
 @pytest.mark.parametrize("number", NUMBERS)
 def test_random_springs_rest_where_the_reference_says(number, reference, rng):

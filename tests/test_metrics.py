@@ -54,6 +54,7 @@ def test_the_higher_of_two_kinks_in_a_bracket_is_found(rng):
         assert float(found.theta_maximum) == pytest.approx(here, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_gradient_at_a_kink_is_that_of_the_true_extreme():
     theta = jnp.linspace(0.0, 2 * jnp.pi, 57)
 
@@ -116,6 +117,7 @@ def test_gradients_of_extremes_in_a_batch_are_those_of_differences(rng):
     np.testing.assert_allclose(slopes, central, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_extremes_in_single_precision(rng):
     numbers, theta = jnp.asarray(rng.standard_normal((20, 3, 2, 2))), jnp.linspace(0.0, 2 * jnp.pi, 161)
 
@@ -133,6 +135,7 @@ def test_extremes_in_single_precision(rng):
     np.testing.assert_allclose(rough, both(numbers, theta), atol=3e-6)
 
 
+@pytest.mark.slow
 def test_gradients_at_kinks_in_single_precision():
     """Of the lowest point, a kink, with the curve so far from zero that rounding hides where it is."""
     theta, shifts = jnp.linspace(0.0, 6.2, 121), jnp.linspace(0.1, 1.0, 20)
@@ -174,6 +177,7 @@ def test_an_extreme_at_an_end_of_the_record_goes_with_it(scene):
     assert float(slope) == pytest.approx(float(central), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", [0, 30, 56])
 def test_a_record_with_an_unknown_sample_has_no_extremes(where):
     """Where no flank carries the torque the TE is nan; other samples must not hide that."""

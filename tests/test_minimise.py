@@ -78,6 +78,7 @@ def test_the_best_phases(scene, angles):
     assert zero.failed == 0
 
 
+@pytest.mark.slow
 def test_no_finite_start_is_an_error(scene):
     with pytest.raises(gj.GearjaxError, match=r"no start has a finite objective \(2 dropped\)"):
         gj.minimise(bowl, scene, where=PHASES[0], starts=np.full((2, 1), np.nan))
@@ -94,6 +95,7 @@ def test_equal_orders_leave_no_error(scene, angles):
     assert result.objective / arcmin < 1e-6
 
 
+@pytest.mark.slow
 def test_valleys(scene):
     """Two valleys of a function, the deeper one first."""
 
@@ -109,6 +111,7 @@ def test_valleys(scene):
     assert result.objective == pytest.approx(1.8, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "optimiser",
     [None, optax.adam(0.3), optax.sgd(0.5), optimistix.BFGS(1e-6, 1e-6), optimistix.NonlinearCG(1e-6, 1e-6)],
@@ -153,6 +156,7 @@ def test_bounds_that_are_declared_near_each_other_are_enough(scene):
     assert free.box[1][0] == pytest.approx(45 * deg)
 
 
+@pytest.mark.slow
 def test_bounded_numbers_reach_their_bounds(scene):
     paths = [AMPLITUDE, "errors.planet_2.amplitude"]
     bounds = {AMPLITUDE: (5 * um, 30 * um), paths[1]: (1 * um, 20 * um)}

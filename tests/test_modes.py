@@ -64,6 +64,7 @@ def truth(scene: gj.Scene, torque: float, ts=TS, **more) -> gj.Motion:
 # a structure alone ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiff", [1.0, 1e10])
 def test_a_parabola_of_inputs_is_exact(stiff, rng):
     """Rigid, overdamped, repeated and very stiff modes alike."""

@@ -88,6 +88,7 @@ def test_hard_smooth_and_pieces(scene, angles, name):
         assert smooth > sampled
 
 
+@pytest.mark.slow
 def test_smooth_gradients_under_vmap_and_jit(scene, angles, rng):
     objective = gj.Objective.of("no_load_amplitude", scene, angles)
     free = pick(scene, PHASES)

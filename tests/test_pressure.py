@@ -105,6 +105,7 @@ def test_pressure_is_hertz_or_even_whichever_is_larger(loaded):
     assert 1e7 < found.max() < 3e8
 
 
+@pytest.mark.slow
 def test_curved_flanks_have_hertz_pressure():
     """The same law where the flanks are curved: a strip that is wider than Hertz' contact."""
     pair = system().pair

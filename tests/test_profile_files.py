@@ -74,6 +74,7 @@ def test_a_drawing_is_within_its_tolerance(tmp_path, name, tolerance):
     assert area(curve) == pytest.approx(-area(exact), rel=1e-5)  # all around; the profile itself runs clockwise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tolerance"), CASES)
 def test_points_are_within_their_tolerance(tmp_path, name, tolerance):
     system = SYSTEMS[name]

@@ -118,6 +118,7 @@ def test_derivatives_where_the_rest_stays(given, moved):
         np.testing.assert_allclose(jax.jit(gradient(of(run)))(numbers[moved]), expected, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_highest_of_equal_values_has_a_derivative():
     """The first of them carries it; the built-in maximum would share it, and lose it where it is rounded otherwise."""
     values = jnp.array([[1.0, 3.0, 3.0], [2.0, 0.0, 1.0]])

@@ -74,6 +74,7 @@ def test_forces_balance_the_torque(compliance, torque):
         assert float((arms(one, float(angle)) * forces).sum()) == pytest.approx(-torque, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_linear_law_is_solved_exactly():
     """Against the sums over the set of contacts that carry, found by trying."""
     one, theta = scene(with_errors=True), 0.7
@@ -309,6 +310,7 @@ def test_lost_motion_is_backlash_and_a_little_wind_up():
         gj.lost_motion(scene(), theta, 0.0)
 
 
+@pytest.mark.slow
 def test_the_torsion_curve_is_stiffer_the_more_pins_carry():
     theta = jnp.asarray(angles(per_turn=4))
     curve = gj.torsion(scene(), theta, jnp.array([50.0, 200.0, 800.0, 1600.0]))

@@ -102,6 +102,7 @@ def test_gradients_are_differences_under_vmap_and_jit(rng):
         assert float(slope) == pytest.approx(float(ahead - back) / (2 * step), rel=1e-6, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_single_precision_is_single_precision(rng):
     places, at = np.linspace(4e-3, 34e-3, 42), rng.uniform(4e-3, 34e-3, 100)
     values = 1e-5 * np.cos(200 * places)

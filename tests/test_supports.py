@@ -131,6 +131,7 @@ def missed(scene: gj.Scene, te: gj.TransmissionError, torque: float) -> float:
 # exact geometry ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_displaced_disc_changes_true_distances(rng):
     own, crank = system("conjugate", 1), float(rng.uniform(0, 6))
     request = gj.Request(coordinates=("disc_1.x", "disc_1.y"))
@@ -161,6 +162,7 @@ def test_a_displaced_planet_changes_true_distances():
 # equilibrium ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [784.0, -50.0, 1e-3])
 @pytest.mark.parametrize("name", SCENES)
 def test_supports_and_contacts_balance_the_load(name, torque):

@@ -157,6 +157,7 @@ def test_stiff_teeth_carry_load_and_inertia():
     assert np.ptp(5e-3 * bend) > 5.0
 
 
+@pytest.mark.slow
 def test_the_input_gives_what_the_output_takes():
     """Work of the input over a period of settled motion: that of the load; what inertia takes it gives back."""
     damping = gj.DampingRatio(1e-6, "always")
