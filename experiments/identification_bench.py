@@ -175,7 +175,7 @@ def speed(starts: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    sizes = {"units": (200, 1), "stages": (100, 0), "rigs": (50, 0), "reassembled": (40, 1)}
+    sizes = {"units": (200, 1), "stages": (100, 0), "rigs": (50, 1), "reassembled": (40, 1)}
     asked = sized(parser, starts=(16, 1), seed=(1000, 1000), **sizes)
     warnings.simplefilter("ignore")
     speed(asked.starts)

@@ -83,7 +83,7 @@ STEPPERS = {
 TRUTH = "Runge-Kutta, 4096"
 BATCHED = "64 steps", "256 steps"
 
-SHORT = {"periods": 24, "repeats": 1}  # changes of a run in the short form
+SHORT = {"periods": 40, "repeats": 1}  # changes of a run in the short form
 COMPARED = "parting: ROSS robust, 256 steps"
 
 CASES = {  # torque on the wheel [N m], mesh frequency over natural frequency, half of the clearance [m]

@@ -1,8 +1,6 @@
 """Checks that the parts of a scene suit each other, and that the scene lists all parts that an analysis needs."""
 
 import dataclasses
-import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -40,29 +38,13 @@ def check_body(system: AbstractSystem, key: str, error: AbstractError) -> None:
 
 
 def _check_rim(system: AbstractSystem, error: AbstractError) -> None:
-    _fit(*_shape(system), *_shape(error))
+    jax.eval_shape(_gap, system, error)  # JAX keeps what it found for parts of the same structure
     error.check(lambda: system.gear_size(error.body))
 
 
-Shapes = tuple[tuple[tuple[int, ...], Any], ...]
-
-
-def _shape(part: Any) -> tuple[Any, Shapes]:
-    """Structure of a part, and shapes and types of its numbers."""
-    numbers, structure = jax.tree.flatten(part)
-    return structure, tuple((jnp.shape(number), jnp.result_type(number)) for number in numbers)
-
-
-@functools.lru_cache(maxsize=1024)  # a configuration may list a hundred errors, and studies build it again and again
-def _fit(system: Any, of_system: Shapes, error: Any, of_error: Shapes) -> None:
-    """Refuse an error that does not suit the rim of its body; arguments are those of `_shape`."""
-
-    def gap(system: AbstractSystem, error: AbstractError) -> Array:
-        seen = system.pose(jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
-        return error.gap(seen.views[error.body])
-
-    parts = (system, of_system), (error, of_error)
-    jax.eval_shape(gap, *(jax.tree.unflatten(one, [jax.ShapeDtypeStruct(*own) for own in all]) for one, all in parts))
+def _gap(system: AbstractSystem, error: AbstractError) -> Array:
+    seen = system.pose(jnp.zeros_like(system.input_speed), Request(bodies=(error.body,)))
+    return error.gap(seen.views[error.body])
 
 
 def _rim_fault(system: AbstractSystem, error: AbstractError, body: str) -> ParameterError | None:

@@ -88,7 +88,7 @@ def found(records):
     errors = [f"errors.{body}" for body in BODIES]
     where = [*errors, "compliance.mean", "backlash.initial", "inertia.mass", "damping.ratio"]
     off = dataclasses.replace(in_motion(two_kv(), 0.9 * MASS), damping=gj.DampingRatio(0.15))
-    return gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=5)
+    return gj.identify(off, records, where, analysis="dynamic", suggest=False, starts=8)
 
 
 @pytest.mark.slow

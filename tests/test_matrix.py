@@ -509,7 +509,7 @@ def test_functions_of_a_scene(name, gear_set):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
-@pytest.mark.parametrize("name", ["ratio_error", "simulate", "monte_carlo"])
+@pytest.mark.parametrize("name", ["ratio_error", "simulate", "grid_search", "minimise", "monte_carlo"])
 def test_functions_of_gears_by_a_table(name):
     """A noncircular_pair is an elliptic_pair with another ratio function: what asks for it in each way."""
     case = Case("elliptic_pair", "system")

@@ -292,9 +292,10 @@ def leaf(scene, path):
 
 
 @pytest.mark.slow
-def test_gradients_under_vmap_and_jit():
+@pytest.mark.parametrize("damping", [ALWAYS, gj.DampingRatio(0.05)])
+def test_gradients_under_vmap_and_jit(damping):
     """Reverse and forward, with respect to masses, supports, dampers, errors and speed, at two scenes at once."""
-    scene, ts = planets(damping=gj.DampingRatio(0.05)), jnp.linspace(0.0, 0.004, 5)
+    scene, ts = planets(damping=damping), jnp.linspace(0.0, 0.004, 5)
     known = jnp.stack([leaf(scene, path) for path in NUMBERS])
 
     def size(factors):

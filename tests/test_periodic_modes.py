@@ -238,12 +238,9 @@ def test_it_tends_to_the_output_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_kv", "balance"])
+@pytest.mark.parametrize("name", [*SCENES, "balance"])
 def test_implicit_gradients(name):
-    """Of the alternating part, with respect to torque, support and mass, under jit and vmap: differences.
-
-    Gradients of other gear sets on supports are in tests/test_modes.py and tests/test_gear_sets_in_motion.py.
-    """
+    """Of the alternating part, with respect to torque, support and mass, under jit and vmap: differences."""
     scene, torque, period = separating("two_kv" if name == "balance" else name)
     body = next(iter(scene.supports))
 

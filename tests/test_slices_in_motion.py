@@ -125,15 +125,18 @@ HELD = {
     ("speed", "torque", "changes"),
     [
         (2104, TORQUE, {"errors": RELIEFS, "compliance": TEETH}),
+        (2104, TORQUE, {"errors": RELIEFS | {"run_out": gj.Eccentricity("pinion", 15 * um, 0.0)}}),
         (2104, 50.0, {"backlash": gj.InitialBacklash(20 * um)}),
         (2104, -TORQUE, {"backlash": gj.InitialBacklash(20 * um), "errors": RELIEFS}),
         (2104, TORQUE, {"tip_contact": "corner", "compliance": gj.Iso6336Teeth()}),
+        (2104, TORQUE, {"errors": RELIEFS, "contact": gj.SoftplusContact(1 * um)}),
+        (2104, TORQUE, {"errors": RELIEFS, "damping": gj.DampingRatio(RATIO, "always")}),
         (2104, TORQUE, {"errors": RELIEFS, "damping": None}),
         (2104, TORQUE, {"errors": RELIEFS} | HELD),
         (20000, 10000.0, {"errors": RELIEFS}),
         (20, 1.0, {"errors": RELIEFS}),
     ],
-    ids=["teeth", "loose", "reversed", "corners", "undamped", "held", "fast", "slow"],
+    ids=["teeth", "run-out", "loose", "reversed", "corners", "soft", "always", "undamped", "held", "fast", "slow"],
 )
 def test_usual_steps_are_short_enough(speed, torque, changes):
     """Against Runge-Kutta steps that are much shorter."""
