@@ -7,7 +7,7 @@ names are static.
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import GearjaxError, ParameterError, is_concrete, nearest, shown
 
+T = TypeVar("T", bound=eqx.Module)
 TIGHT = 100.0  # largest ratio of upper to lower bound of a tightly bounded number
 _LENGTHS = {"um": units.um, "mm": units.mm}
 TIGHT_SPAN = 2.0  # largest difference of the bounds of a tightly bounded ratio or angle [rad]
@@ -113,6 +114,23 @@ class Named(eqx.Module):
 
     def __str__(self) -> str:
         return self.name
+
+
+def with_known(part: T, **known: Any) -> T:
+    """A copy of a part, not checked again, with what is known of it beside its parameters.
+
+    The fields of what is known are not arguments of the class, so that `dataclasses.replace` leaves them out: they do
+    not outlive the parameters that they follow from.
+    """
+    copy = object.__new__(type(part))
+    for field in dataclasses.fields(part):
+        object.__setattr__(copy, field.name, known.get(field.name, getattr(part, field.name)))
+    return copy
+
+
+def known_beside() -> Any:
+    """Field of a part for what is known of it beside its parameters (`with_known`)."""
+    return eqx.field(init=False, default=None, repr=False)
 
 
 def as_leaf(value: Any) -> Any:

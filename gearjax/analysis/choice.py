@@ -95,7 +95,7 @@ def suitable_step(scene: Scene, duration: float) -> FixedStep:
     Raises:
         SceneError: the record would need more than `MOST_STEPS` steps.
     """
-    return _suitable_step(scene, duration, evaluated(limits_of, scene.physics(*MODELLED)))
+    return _suitable_step(scene, duration, evaluated(limits_of, scene.precomputed(*MODELLED)))
 
 
 def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:

@@ -94,7 +94,7 @@ def simulate(
     if is_concrete((ts, settle)) and not 0 <= float(np.asarray(settle)) < float(ts[-1] - ts[0]):
         raise SceneError(f"settle = {float(np.asarray(settle)):g} s: must be at least 0 and less than the record")
     torque, settle = jnp.asarray(torque, ts.dtype), jnp.asarray(settle, ts.dtype)
-    physics = scene.physics(*MODELLED)
+    physics = scene.precomputed(*MODELLED)
     limits = known_limits(physics)
     method, ts = method_of(scene, ts, torque, stepper, limits), jnp.asarray(ts)
     motion = _simulate(physics, ts, torque, settle, start, method)
@@ -139,7 +139,7 @@ def chosen_steps(
         'fitted march in windows'
     """
     ts = _checked(scene, ts, "equilibrium")
-    physics = scene.physics(*MODELLED)
+    physics = scene.precomputed(*MODELLED)
     method = method_of(scene, ts, jnp.asarray(torque, ts.dtype), stepper, known_limits(physics))
     return told(scene, ts, stepper, method)
 
@@ -175,7 +175,7 @@ def growth_rate(
         SceneError: the scene lacks a part, or the step does not suit it.
     """
     ts = _checked(scene, ts, start)
-    physics, torque = scene.physics(*MODELLED), jnp.asarray(torque, ts.dtype)
+    physics, torque = scene.precomputed(*MODELLED), jnp.asarray(torque, ts.dtype)
     limits = known_limits(physics)
     method = method_of(scene, ts, torque, stepper, limits)
     if not isinstance(method, Fitted | Modes):

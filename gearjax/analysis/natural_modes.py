@@ -64,7 +64,7 @@ def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
     if is_concrete(torque) and float(np.asarray(torque)) < 0 and not scene.layout.has_back:
         words = "no flank carries a negative torque: list [backlash] for back flanks"
         raise SceneError(f'"natural modes" under {float(np.asarray(torque)):g} N*m: {words}')
-    return _natural_modes(scene.physics(*MODELLED), jnp.asarray(torque, scene.dtype))
+    return _natural_modes(scene.precomputed(*MODELLED), jnp.asarray(torque, scene.dtype))
 
 
 @eqx.filter_jit

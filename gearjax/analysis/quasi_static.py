@@ -218,11 +218,11 @@ def transmission_error(
     if extremes is not None and extremes not in EXTREMES:
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
     if torque is None:
-        return _with_interference(scene, _transmission_error(scene.physics(), theta, None, extremes or "between"))
+        return _with_interference(scene, _transmission_error(scene.precomputed(), theta, None, extremes or "between"))
     require(scene, "static", "compliance")
     torque = torque_on(scene, theta, torque)
     places = extremes or ("samples" if _each_is_dear(scene) else "between")
-    te = _transmission_error(scene.physics("backlash", "compliance"), theta, torque, places)
+    te = _transmission_error(scene.precomputed("backlash", "compliance"), theta, torque, places)
     _warn_of_few_candidates(scene, te)
     return te if scene.has_back else _with_interference(scene, te)
 
@@ -231,7 +231,7 @@ def _with_interference(scene: Scene, te: TransmissionError) -> TransmissionError
     """The result with the interference added, if the gear set knows its clearance; this is a separate program."""
     if not (scene.system.has_clearance and scene.has_clearance):
         return te
-    found = _interference(scene.physics("backlash"), te.theta)
+    found = _interference(scene.precomputed("backlash"), te.theta)
     return dataclasses.replace(te, interference=found, result=found.result if te.forces is None else te.result)
 
 
@@ -276,7 +276,7 @@ def backlash(scene: Scene, theta: ArrayLike) -> Backlash:
         True
     """
     require(scene, "backlash", "backlash")
-    return _backlash(scene.physics("backlash"), angles_of(scene, theta))
+    return _backlash(scene.precomputed("backlash"), angles_of(scene, theta))
 
 
 @arguments.checked()
@@ -302,7 +302,7 @@ def interference(scene: Scene, theta: ArrayLike) -> Interference:
     """
     if not scene.has_clearance:
         require(scene, "interference", "backlash")
-    return _interference(scene.physics("backlash"), angles_of(scene, theta))
+    return _interference(scene.precomputed("backlash"), angles_of(scene, theta))
 
 
 def angles_of(scene: Scene, theta: ArrayLike) -> Float[Array, " n"]:

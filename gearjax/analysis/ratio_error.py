@@ -61,7 +61,7 @@ def ratio_error(scene: Scene, theta: ArrayLike) -> RatioError:
         >>> round(float(ratio.peak_to_peak), 6)
         0.002546
     """
-    return _ratio_error(scene.physics(), angles_of(scene, theta))
+    return _ratio_error(scene.precomputed(), angles_of(scene, theta))
 
 
 @eqx.filter_jit
@@ -108,7 +108,7 @@ def separation_speed(scene: Scene, torque: float | Scalar) -> Scalar:
     if is_concrete(torque) and float(torque) == 0.0:
         raise ParameterError("torque", torque, "must not be zero: without load teeth separate at any speed")
     load = torque_on(scene, jnp.zeros(1, scene.dtype), torque)
-    return _separation_speed(scene.physics("inertia"), load)
+    return _separation_speed(scene.precomputed("inertia"), load)
 
 
 @eqx.filter_jit

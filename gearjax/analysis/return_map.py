@@ -37,7 +37,7 @@ class Problem(NamedTuple):
     def of(cls, scene: Scene, torque: ArrayLike, period: ArrayLike) -> "Problem":
         """The problem, from checked arguments of a user."""
         require(scene, "dynamic", "compliance", "load", "inertia")
-        physics, dtype = scene.physics(*MODELLED), scene.dtype
+        physics, dtype = scene.precomputed(*MODELLED), scene.dtype
         return cls(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
 
 

@@ -82,7 +82,7 @@ def mesh_stiffness(scene: Scene, theta: ArrayLike, torque: ArrayLike) -> MeshSti
     require(scene, "mesh stiffness", "compliance")
     theta = angles_of(scene, theta)
     torque = jnp.broadcast_to(torque_on(scene, theta, torque), theta.shape)
-    return _mesh_stiffness(scene.physics("backlash", "compliance"), theta, torque)
+    return _mesh_stiffness(scene.precomputed("backlash", "compliance"), theta, torque)
 
 
 @eqx.filter_jit

@@ -83,7 +83,7 @@ def torsion(scene: Scene, theta: ArrayLike, torques: ArrayLike) -> Torsion:
         raise ParameterError("torques", torques.tolist(), "must increase")
     if is_concrete(torques) and bool((torques < 0).any()) and not scene.has_back:
         raise SceneError("torques: negative torques load the back flanks, which this scene lacks: list a [backlash]")
-    return Torsion(theta, torques, _positions(scene.physics("backlash", "compliance"), theta, torques))
+    return Torsion(theta, torques, _positions(scene.precomputed("backlash", "compliance"), theta, torques))
 
 
 @arguments.checked()
@@ -110,7 +110,7 @@ def lost_motion(scene: Scene, theta: ArrayLike, rated_torque: ArrayLike) -> Lost
     small = LOST_MOTION_SHARE * jnp.asarray(rated_torque, theta.dtype)
     if is_concrete(small) and not float(small) > 0:
         raise ParameterError("rated_torque", float(small) / LOST_MOTION_SHARE, "must be positive")
-    back, drive = _positions(scene.physics("backlash", "compliance"), theta, jnp.stack([-small, small]))
+    back, drive = _positions(scene.precomputed("backlash", "compliance"), theta, jnp.stack([-small, small]))
     return LostMotion(theta, back - drive, backlash(scene, theta).backlash)
 
 
@@ -162,7 +162,7 @@ def pressures(
         raise SceneError(
             "pressure needs line contacts of known radii, and their material: give law=HertzLineContact(...)"
         )
-    return _pressures(scene.physics("backlash"), law, theta, forces)
+    return _pressures(scene.precomputed("backlash"), law, theta, forces)
 
 
 @eqx.filter_jit

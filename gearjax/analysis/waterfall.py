@@ -69,7 +69,7 @@ def waterfall(
     if steps % 8 or steps < 4 * harmonics:
         raise SceneError(f"steps = {steps}: must be a multiple of 8, and at least {4 * harmonics} for these harmonics")
     turns, torque = scene.system.orders[order], jnp.asarray(torque, scene.dtype)
-    return _waterfall(scene.physics(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
+    return _waterfall(scene.precomputed(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
 
 
 @eqx.filter_jit

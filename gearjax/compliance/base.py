@@ -90,6 +90,18 @@ class AbstractToothCompliance(eqx.Module):
         """
         return self
 
+    precomputes: ClassVar[bool] = False
+    """Whether it has numbers that do not depend on the input angle and are worth working out only once
+    (`precomputed`)."""
+
+    def precomputed(self, places: Places) -> "AbstractToothCompliance":
+        """The same compliance, with what its influence needs at every input angle of a gear set worked out.
+
+        Args:
+            places: places of the contacts on their teeth, at any input angle.
+        """
+        return self
+
     def check(self, places: Places) -> None:
         """Refuse teeth that the compliance was not made for.
 
@@ -115,6 +127,18 @@ class AbstractSliceCompliance(eqx.Module):
     def couples(self) -> bool:
         """Whether the slices are coupled."""
         return False
+
+    precomputes: ClassVar[bool] = False
+    """Whether it has numbers that do not depend on the input angle and are worth working out only once
+    (`precomputed`)."""
+
+    def precomputed(self, slices: tuple[Slices, ...]) -> "AbstractSliceCompliance":
+        """The same compliance, with what its springs need at every input angle of a gear set worked out.
+
+        Args:
+            slices: slices of the contacts of each mesh, at any input angle.
+        """
+        return self
 
     @property
     def linear(self) -> bool:

@@ -47,7 +47,7 @@ from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import Places, even_parts
 from gearjax.contact.springs import block_diagonal
 from gearjax.geometry.involute import InvoluteGear
-from gearjax.parameters import check_parameters, count, length, number
+from gearjax.parameters import check_parameters, count, known_beside, length, number, with_known
 from gearjax.typing import Array, Float, Number, Scalar
 
 NODES = 8  # nodes of Gauss' quadrature from the root to a load
@@ -87,6 +87,7 @@ class ElasticTeeth(AbstractToothCompliance):
     """
 
     kind: ClassVar[str] = "elastic_teeth"
+    precomputes: ClassVar[bool] = True
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
     poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
     external_width: Number = length(at_least=1e-6, at_most=10.0, example="6.5 mm")
@@ -94,6 +95,8 @@ class ElasticTeeth(AbstractToothCompliance):
     coupling_length: Number = number(units.RATIO, above=0.0, at_most=100.0, default=1.5)
     rim: Number | None = length(at_least=1e-6, at_most=10.0, default=None, example="0.8 mm")
     neighbours: int = count(at_least=0, at_most=20, default=0)
+
+    known_layers: tuple[Float[Array, "distance 3 3"], Float[Array, "distance 3 3"]] | None = known_beside()
 
     def __check_init__(self):
         check_parameters(self)
@@ -105,6 +108,9 @@ class ElasticTeeth(AbstractToothCompliance):
     @property
     def line_contact(self) -> HertzLineContact:
         return HertzLineContact.of_teeth(self)
+
+    def precomputed(self, places: Places) -> "ElasticTeeth":
+        return self if self.rim is None else with_known(self, known_layers=self._layers(places))
 
     def influence(self, places: Places) -> Float[Array, "contact contact"]:
         return block_diagonal(self.blocks(places))
@@ -126,11 +132,13 @@ class ElasticTeeth(AbstractToothCompliance):
         width = jnp.minimum(self.external_width, self.internal_width)
         slices = jnp.diag(1 / (width * even_parts(face, width.dtype)))
         whole = jnp.zeros((points, face, points, face), shared.dtype)
-        for gear, radius, own in zip(places.gears, radii, (self.external_width, self.internal_width), strict=True):
+        widths, layers = (self.external_width, self.internal_width), self._layers(places)
+        for gear, radius, own, layer in zip(places.gears, radii, widths, layers, strict=True):
             short, ground = self._reach(gear)
+            middle = jnp.sqrt(short * ground)  # of the foundation under the loaded tooth
             for along, across in (
                 (self._beam(gear, radius), _across(places.face * width, width, own, short)),
-                (self._foundation(gear, radius), _across(places.face * width, width, own, jnp.sqrt(short * ground))),
+                (self._foundation(gear, radius, layer), _across(places.face * width, width, own, middle)),
                 (self._contact(gear, radius, shared), slices),
             ):
                 whole = whole + along[:, None, :, None] * across[None, :, None, :]
@@ -146,8 +154,10 @@ class ElasticTeeth(AbstractToothCompliance):
         tooth = jnp.repeat(pair, points)
         ahead = tooth[None, :] - tooth[:, None]
         whole = jnp.zeros((size, face, size, face), pair.dtype)
-        for gear, radius, own in zip(places.gears, radii, (self.external_width, self.internal_width), strict=True):
-            at_root, layer = _at_root(gear, radius.ravel()), self._layer(gear, jnp.asarray(self.rim))
+        widths, layers = (self.external_width, self.internal_width), self._layers(places)
+        for gear, radius, own, layer in zip(places.gears, radii, widths, layers, strict=True):
+            assert layer is not None  # only with a rim do teeth move their neighbours
+            at_root = _at_root(gear, radius.ravel())
             along = jnp.zeros((size, size), pair.dtype)
             for distance in range(1, self.neighbours + 1):
                 moved = at_root @ layer[distance] @ at_root.T
@@ -192,6 +202,13 @@ class ElasticTeeth(AbstractToothCompliance):
         beside = bulge * jnp.abs(height[:, None] - height[None, :]) / jnp.maximum(half[:, None], half[None, :])
         return ((bent + sheared + press) * step).sum(axis=-1) + 0.5 * across[:, None] * across[None, :] * beside
 
+    def _layers(self, places: Places) -> tuple[Array, Array] | tuple[None, None]:
+        """Compliance of the rim of each gear (`_layer`), if there is one."""
+        if self.rim is None:
+            return None, None
+        first, second = places.gears
+        return self.known_layers or (self._layer(first, self.rim), self._layer(second, self.rim))
+
     def _layer(self, gear: InvoluteGear, held: Scalar) -> Float[Array, "distance 3 3"]:
         """Compliance of the rim between the root of a tooth and the roots of the teeth ahead (`layer_compliance`)."""
         sign, root = (-1.0 if gear.internal else 1.0), gear.root_radius
@@ -204,11 +221,13 @@ class ElasticTeeth(AbstractToothCompliance):
         thick = 2 * gear.section(root_of(gear))[1]
         return layer_compliance(apart, thick, depth, self.line_contact.plane_modulus, self.poissons_ratio)
 
-    def _foundation(self, gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point point"]:
+    def _foundation(
+        self, gear: InvoluteGear, radius: Float[Array, " point"], layer: Float[Array, "distance 3 3"] | None
+    ) -> Float[Array, "point point"]:
         """Foundation under the loaded tooth: approach per force for a unit of width [m2/N]."""
         at_root = _at_root(gear, radius)
-        if self.rim is not None:
-            return at_root @ self._layer(gear, jnp.asarray(self.rim))[0] @ at_root.T
+        if layer is not None:
+            return at_root @ layer[0] @ at_root.T
         thick, nu = 2 * gear.section(root_of(gear))[1], self.poissons_ratio
         cross = (1 - 2 * nu) / (1 - nu) / thick
         zero = jnp.zeros_like(cross)

@@ -28,9 +28,9 @@ from gearjax import units
 from gearjax.checks import ParameterError
 from gearjax.compliance.base import AbstractSliceCompliance
 from gearjax.compliance.line_contact import HertzLineContact
-from gearjax.contact import CoupledSprings, LinearSprings, LineSprings, Slices, Springs
+from gearjax.contact import CoupledSprings, LinearSprings, LineSprings, Slices, Springs, join_springs
 from gearjax.geometry.involute import InvoluteGear
-from gearjax.parameters import check_parameters, length, name, number
+from gearjax.parameters import check_parameters, known_beside, length, name, number, with_known
 from gearjax.typing import Array, Float, Number, Scalar
 
 PLACES_ALONG = 20
@@ -77,12 +77,15 @@ class ToothSlices(AbstractSliceCompliance):
     """
 
     kind: ClassVar[str] = "tooth_slices"
+    precomputes: ClassVar[bool] = True
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
     poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
     contact: str = name(default="constant", names=("constant", "hertz"))
     coupling_length: Number | None = number(units.RATIO, above=0.0, at_most=100.0, default=None, example=1.5)
     pinion_bore: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="40 mm")
     wheel_bore: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="60 mm")
+
+    known_bodies: tuple[Float[Array, " place"], ...] | None = known_beside()
 
     def __check_init__(self):
         check_parameters(self)
@@ -109,10 +112,23 @@ class ToothSlices(AbstractSliceCompliance):
                 words = f"must be below the root diameter, {root / units.mm:.6g} mm, by 5 % or more"
                 raise ParameterError(f"compliance.{key}", f"{float(bore) / units.mm:.6g} mm", words)
 
+    def precomputed(self, slices: tuple[Slices, ...]) -> "ToothSlices":
+        return with_known(self, known_bodies=tuple(self._along_path(mesh) for mesh in slices))
+
+    def of_meshes(self, slices: tuple[Slices, ...]) -> Springs:
+        bodies = self.known_bodies or (None,) * len(slices)
+        springs = [self._springs(mesh, body) for mesh, body in zip(slices, bodies, strict=True)]
+        return join_springs(springs, slices[0].share.shape[0])
+
     def springs(self, slices: Slices) -> Springs:
+        return self._springs(slices, None)
+
+    def _springs(self, slices: Slices, along_path: Float[Array, " place"] | None) -> Springs:
         normal = jnp.cos(slices.pair.base_helix_angle) ** 2
         width = slices.pair.face_width / slices.share.shape[-1]
-        body = normal * self._bodies(slices)
+        along_path = self._along_path(slices) if along_path is None else along_path
+        middle, half = _middle_and_half(slices)
+        body = normal * _series(along_path, (slices.roll[0] - middle) / half)
         pressed = normal * 4 / (math.pi * self.line_contact.plane_modulus)
         if self.coupling_length is not None:
             return CoupledSprings(self._coupled(slices, body, pressed / width))
@@ -120,21 +136,21 @@ class ToothSlices(AbstractSliceCompliance):
             return LinearSprings((slices.share * width / (body + pressed)).ravel())
         return self._hertz(slices, body, normal, width)
 
-    def _bodies(self, slices: Slices) -> Float[Array, "block pair slice"]:
-        """Compliance of tooth and foundation of both gears in the transverse section, per slice [m2/N].
+    def _along_path(self, slices: Slices) -> Float[Array, " place"]:
+        """Compliance of tooth and foundation of both gears in the transverse section along the path of contact, as
+        coefficients of Chebyshev polynomials [m2/N].
 
         It is a smooth function of the length of roll, interpolated by a polynomial through its values at some points of
-        the path of contact. These values do not depend on the input angle and are therefore calculated only once.
+        the path of contact, which do not depend on the input angle.
         """
-        path = slices.pair.contact_path
-        middle, half = 0.5 * (path.begin + path.end), 0.5 * (path.end - path.begin)
+        middle, half = _middle_and_half(slices)
         first = middle + half * jnp.asarray(PLACES, middle.dtype)
         rolls = first, slices.pair.other_roll(first)
         values = [
             self.body(gear, roll / gear.base_radius, bore)
             for gear, roll, bore in zip(slices.pair.gears, rolls, (self.pinion_bore, self.wheel_bore), strict=True)
         ]
-        return _series(jnp.asarray(TO_SERIES, middle.dtype) @ (values[0] + values[1]), (slices.roll[0] - middle) / half)
+        return jnp.asarray(TO_SERIES, middle.dtype) @ (values[0] + values[1])
 
     def body(self, gear: InvoluteGear, roll: Array, bore: Scalar | None) -> Array:
         """Compliance of tooth and foundation of one gear: deflection in the transverse section per force per width
@@ -262,6 +278,12 @@ def _energy(
     moment = across * (arm[..., None] - level) - along * half[..., None]
     bent = 12 * moment**2 / thick**3 + (SHEAR * rigidity * across**2 + along**2) / thick
     return (bent * step * weights).sum(axis=-1)
+
+
+def _middle_and_half(slices: Slices) -> tuple[Scalar, Scalar]:
+    """Middle of the path of contact and half of its length, as lengths of roll of the pinion [m]."""
+    path = slices.pair.contact_path
+    return 0.5 * (path.begin + path.end), 0.5 * (path.end - path.begin)
 
 
 def _series(factors: Float[Array, " place"], x: Array) -> Array:

@@ -133,6 +133,8 @@ class InvolutePair(eqx.Module):
             ``a sin alpha_wt`` [m].
         contact_path: path of contact from A to E between the tips of both gears [m]. It does not consider undercut,
             which `helical_checks.faults` reports.
+        backlash: travel along the line of action between the flanks, in the transverse section [m]; negative if the
+            teeth overlap.
     """
 
     teeth: tuple[int, int] = eqx.field(static=True)
@@ -154,6 +156,7 @@ class InvolutePair(eqx.Module):
     working_pressure_angle: Scalar
     tangent_length: Scalar
     contact_path: ContactPath
+    backlash: Scalar
 
     def __init__(
         self,
@@ -185,9 +188,11 @@ class InvolutePair(eqx.Module):
         first, second = (gear.base_radius for gear in self.gears)
         self.base_distance = second + self._sign * first
         self.base_pitch = jnp.pi * self.transverse_module * jnp.cos(self.transverse_pressure_angle)
-        tight = self.tight_centre_distance if centre_distance is None else centre_distance
-        self.centre_distance = as_leaf(tight)
-        self._work_out_contact()
+        tight = self.tight_pressure_angle
+        self.centre_distance = as_leaf(
+            self.base_distance / jnp.cos(tight) if centre_distance is None else centre_distance
+        )
+        self._work_out_contact(tight)
 
     def _gears(
         self, to_transverse: Scalar, tip_diameters: Sequence[Any] | Array | None
@@ -205,14 +210,17 @@ class InvolutePair(eqx.Module):
 
         return gear(0), gear(1)
 
-    def _work_out_contact(self) -> None:
-        """Set the working pressure angle, the length of the line of action and the path of contact."""
+    def _work_out_contact(self, tight: Scalar) -> None:
+        """Set the working pressure angle, the length of the line of action, the path of contact and the backlash."""
         distance, base, (first, second) = self.centre_distance, self.base_distance, self.gears
         self.working_pressure_angle = jnp.arccos(base / distance)
         self.tangent_length = jnp.sqrt((distance - base) * (distance + base))
         end, other_end = (gear.base_radius * gear.tip_roll for gear in (first, second))
         pitch = first.base_radius * self.tangent_length / base
         self.contact_path = ContactPath(self._sign * (self.tangent_length - other_end), pitch, end)
+        teeth = self.teeth[1] + self._sign * self.teeth[0]
+        wider = involute(self.working_pressure_angle) - involute(tight)
+        self.backlash = self._sign * teeth * self.base_pitch / jnp.pi * wider
 
     @property
     def _sign(self) -> int:
@@ -255,14 +263,6 @@ class InvolutePair(eqx.Module):
         backlash at a longer centre distance, an internal pair at a shorter one.
         """
         return self.base_distance / jnp.cos(self.tight_pressure_angle)
-
-    @property
-    def backlash(self) -> Scalar:
-        """Travel along the line of action between the flanks, in the transverse section [m]; negative if the teeth
-        overlap."""
-        teeth = self.teeth[1] + self._sign * self.teeth[0]
-        wider = involute(self.working_pressure_angle) - involute(self.tight_pressure_angle)
-        return self._sign * teeth * self.transverse_module * jnp.cos(self.transverse_pressure_angle) * wider
 
     def other_roll(self, length: Array) -> Array:
         """Lengths of roll of gear 2 at the contact points with given lengths of roll of gear 1, any shape [m]."""

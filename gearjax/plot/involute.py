@@ -98,7 +98,7 @@ def save_pair_figure(scene: Scene, theta: float, forces: ArrayLike, path: Path) 
 
 def _zones(scene: Scene, system: InvoluteRV, theta: float, forces: np.ndarray) -> tuple[list[Zone], bool]:
     """The pairs to draw of each external gear, on the flanks that carry more, and whether these are back flanks."""
-    teeth, rolls, normals, gap = _seen(scene.physics("backlash"), jnp.asarray(theta, scene.dtype))
+    teeth, rolls, normals, gap = _seen(scene.precomputed("backlash"), jnp.asarray(theta, scene.dtype))
     places = []
     for pair_roll, (sine, cosine), base, centre in zip(
         rolls, normals, system.pair.base_radii, (float(system.centre_distance), 0.0), strict=True

@@ -72,7 +72,7 @@ def _whole_cycles(scene: Scene, case: Case) -> tuple[np.ndarray, np.ndarray] | N
         values = simulate(scene, ts, case.torque, start=run.start).te
     else:
         torque = torque_history(scene, jnp.asarray(ts), case.torque) if case.analysis == "static" else None
-        values = _curve(scene.physics("backlash", "compliance"), jnp.asarray(ts * speed, scene.dtype), torque)
+        values = _curve(scene.precomputed("backlash", "compliance"), jnp.asarray(ts * speed, scene.dtype), torque)
     return np.asarray(values)[first:], ts[first:] * speed
 
 

@@ -23,7 +23,7 @@ from gearjax.contact.helical_mesh import (
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
 from gearjax.geometry.plane_of_action import SlicePoints
-from gearjax.parameters import angle, check_parameters, count, length, name, number
+from gearjax.parameters import angle, check_parameters, count, known_beside, length, name, number, with_known
 from gearjax.sketch import ANTICLOCKWISE, CLOCKWISE, Sketch, SketchedBody
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Number, Scalar
@@ -89,6 +89,7 @@ class HelicalPair(AbstractSystem):
     """
 
     kind: ClassVar[str] = "helical_pair"
+    precomputes: ClassVar[bool] = True
     has_slices: ClassVar[bool] = True
 
     pinion_teeth: int = count(at_least=5, at_most=2000, example=19)
@@ -112,6 +113,8 @@ class HelicalPair(AbstractSystem):
     pairs: int | None = count(default=None, at_most=100, example=4)
     tip_contact: str = name(default="ends", names=tuple(MARGIN))
 
+    known_pair: InvolutePair | None = known_beside()
+
     def __check_init__(self):
         check_parameters(self)
         if self.wheel_kind == "internal" and self.pinion_teeth >= self.wheel_teeth:
@@ -133,9 +136,14 @@ class HelicalPair(AbstractSystem):
             words = f"must be at least {touching}, as many as touch at once (total contact ratio {ratio:.4g})"
             raise ParameterError("pairs", self.pairs, words)
 
+    def precomputed(self) -> "HelicalPair":
+        return with_known(self, known_pair=self.pair)
+
     @property
     def pair(self) -> InvolutePair:
         """Both gears in mesh."""
+        if self.known_pair is not None:
+            return self.known_pair
         named, dtype = rack_of(self.rack), jnp.result_type(self.normal_module)
         own = {key: getattr(self, key) for key in ("addendum", "dedendum", "fillet_radius")}
         given = {key: getattr(named, key) if value is None else value for key, value in own.items()}

@@ -27,7 +27,7 @@ from gearjax.contact.helical_mesh import (
 from gearjax.contact.slices import by_side
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, InvolutePair, rack_of
-from gearjax.parameters import check_parameters, count, counts, name, number, series
+from gearjax.parameters import check_parameters, count, counts, known_beside, name, number, series, with_known
 from gearjax.sketch import ANTICLOCKWISE, CLOCKWISE, Sketch, SketchedBody, beyond
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Number, Scalar
@@ -89,6 +89,7 @@ class HelicalTrain(AbstractSystem):
     """
 
     kind: ClassVar[str] = "helical_train"
+    precomputes: ClassVar[bool] = True
     has_slices: ClassVar[bool] = True
 
     pinion_teeth: tuple[int, ...] = counts(at_least=5, at_most=2000, example=[21, 19])
@@ -108,6 +109,8 @@ class HelicalTrain(AbstractSystem):
     slices: int = count(default=20, at_most=1000)
     pairs: int | None = count(default=None, at_most=100, example=4)
     tip_contact: str = name(default="ends", names=tuple(MARGIN))
+
+    known_gears: tuple[InvolutePair, ...] | None = known_beside()
 
     def __check_init__(self):
         check_parameters(self)
@@ -145,9 +148,14 @@ class HelicalTrain(AbstractSystem):
                 words = f"must be {meshes}, one per mesh, or one for all" + (", or none" if follows else "")
                 raise ParameterError(key, f"{number} values", words)
 
+    def precomputed(self) -> "HelicalTrain":
+        return with_known(self, known_gears=self._gears)
+
     @property
     def _gears(self) -> tuple[InvolutePair, ...]:
         """The gears of each mesh."""
+        if self.known_gears is not None:
+            return self.known_gears
         rack = rack_of(self.rack)
         made = []
         for mesh, teeth in enumerate(zip(self.pinion_teeth, self.wheel_teeth, strict=True)):
