@@ -11,7 +11,9 @@ import os
 import runpy
 import shutil
 import tempfile
+import time
 from pathlib import Path
+from typing import Any
 
 # Before numpy loads: workers share the cores, where threads of linear algebra that wait for each other cost a quarter.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -111,7 +113,13 @@ def pytest_xdist_auto_num_workers() -> int:
     return min(cores, MOST_WORKERS)
 
 
+UNTIL = "GEARJAX_TESTS_UNTIL"  # time, in seconds since 1970, after which no long test begins
+NO_TIME = "no time left"
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    if time.time() > float(os.environ.get(UNTIL, "inf")):
+        pytest.skip(NO_TIME)
     careful = "XLA_FLAGS" in os.environ or item.get_closest_marker("runs_long") is not None
     jax.config.update("jax_disable_most_optimizations", not careful)
 
@@ -164,10 +172,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first, so that no worker is left with one at the end.
 
     A worker has a file to itself: what its tests have in common is traced once. That takes a fifth less than tests one
-    by one to whichever worker is free.
+    by one to whichever worker is free. Where the time is limited, each day begins a third of the files later than the
+    day before, so that what had no time left on one day has it on the next.
     """
     place = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.name, len(place)))
+    if UNTIL in os.environ:
+        files = list(dict.fromkeys(item.path for item in items))
+        first = int(float(os.environ[UNTIL]) // 86_400) % 3 * len(files) // 3
+        place = {path: place for place, path in enumerate(files[first:] + files[:first])}
+        items.sort(key=lambda item: place[item.path])
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """How many tests had no time left, and where they are."""
+    late = [report for report in terminalreporter.stats.get("skipped", []) if NO_TIME in str(report.longrepr)]
+    if late:
+        files = sorted({Path(report.nodeid.partition("::")[0]).name for report in late})
+        terminalreporter.write_line(f"{len(late)} tests of {len(files)} files had no time left: {', '.join(files)}")
 
 
 MOST_MAPS = 30_000
