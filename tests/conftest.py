@@ -217,8 +217,8 @@ def pytest_runtest_logfinish() -> None:
 def _give_back() -> None:
     """Return freed memory to the system, which glibc does not do by itself.
 
-    Without it a worker that has once held too much looks as if it still did, and its programs are cleared every few
-    tests until the end: that doubled the time of CI.
+    Without it a worker that has once held too much looks as if it still did: workers of CI cleared all their programs
+    every ten tests from the tenth minute on.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:

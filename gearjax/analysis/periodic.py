@@ -1,15 +1,17 @@
 """Periodic response of a scene whose excitation has one period: shooting method, and sweeps over speed.
 
-The shooting method solves for the initial state by Newton's method of optimistix. The implicit function theorem gives
-its derivatives, so that the iterations do not enter a gradient. `gearjax.analysis.harmonic_balance` does the same.
+The shooting method solves for the initial state by Newton's method. The implicit function theorem gives its derivatives
+(`jax.lax.custom_root`), so that the iterations do not enter a gradient. A period is integrated in two places of the
+program only, with its slopes in the loop and with its states at the end, because each of them takes seconds to compile.
 """
 
 import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
@@ -18,6 +20,8 @@ from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
+
+TOLERANCE = 1e-10  # of Newton's method, of scaled numbers
 
 
 class Periodic(eqx.Module):
@@ -124,30 +128,80 @@ def shoot(problem: Problem, steps: int, guess: Array | None, settle: int, max_st
     if settle:
         start = jax.lax.scan(lambda state, _: (motion.end(state), None), start, None, length=settle)[0]
 
-    def lacking(state: Array, motion: OfOutput | OfStructure) -> Array:
-        return motion.end(state) - state
-
-    state, solver = start, optimistix.Newton(rtol=1e-10, atol=1e-10)
-    if max_steps:
-        state = optimistix.root_find(lacking, solver, start, motion, max_steps=max_steps, throw=False).value
+    state, slope = _returning(motion, start, max_steps)
     course = motion.course(state)
     left = jnp.abs(course.states[-1] - state).max()
     size = jnp.abs(course.states[:, 0]).max()
-    frozen = jax.lax.stop_gradient(state)
-    slope = jax.jacfwd(lambda flat: motion.end(flat.reshape(state.shape)).ravel())(frozen.ravel())
     states = course.states[:-1] * motion.scale[None]
     supported = not problem.scene.output_alone
     return Periodic(
         problem.period / steps * jnp.arange(steps).astype(state.dtype),
         states[:, 0, 0],
         states[:, 1, 0],
-        jax.lax.stop_gradient(eigenvalues(jax.lax.stop_gradient(slope))),
+        jax.lax.stop_gradient(eigenvalues(slope)),
         left / size,
         jnp.where((left <= 1e-6 * size) & jnp.isfinite(left), 0, 1),
         states[0] if supported else states[0, :, 0],
         states[:, 0, 1:] if supported else None,
         problem.scene.coordinates,
     )
+
+
+class Newton(NamedTuple):
+    """Newton's method on the way.
+
+    Args:
+        steps: number of steps taken, -1 before the first evaluation.
+        state: scaled state at the start of the period, shape (2 coordinate,).
+        lacking: its change over the period.
+        slope: derivative of ``lacking``.
+        change: length of the last step, over its tolerance.
+    """
+
+    steps: Array
+    state: Float[Array, " number"]
+    lacking: Float[Array, " number"]
+    slope: Float[Array, "number number"]
+    change: Scalar
+
+
+def _returning(motion: OfOutput | OfStructure, start: Array, max_steps: int) -> tuple[Array, Array]:
+    """State that returns after a period, and the slope of the return map there, which has no derivative.
+
+    With ``max_steps`` zero the state is the start.
+    """
+    begin = jax.lax.stop_gradient(start).ravel()
+
+    def lacking(flat: Array) -> Array:
+        return motion.end(flat.reshape(start.shape)).ravel() - flat
+
+    def search(lacking: Callable[[Array], Array], begin: Array) -> tuple[Array, Array]:
+        def going_on(now: Newton) -> Array:
+            there = (now.change <= 1) & (jnp.abs(now.lacking) <= TOLERANCE * (1 + jnp.abs(now.state))).all()
+            lost = (now.steps >= 0) & ~jnp.isfinite(now.lacking).all()
+            return (now.steps < max_steps) & ~there & ~lost
+
+        def step(now: Newton) -> Newton:
+            way = jnp.where(now.steps < 0, 0.0, -jnp.linalg.solve(now.slope, now.lacking))
+            state = now.state + way
+            slope, left = jax.jacfwd(lambda flat: (lacking(flat),) * 2, has_aux=True)(state)
+            change = jnp.where(now.steps < 0, jnp.inf, jnp.abs(way / (TOLERANCE * (1 + jnp.abs(state)))).max())
+            return Newton(now.steps + 1, state, left, slope, change)
+
+        unknown = jnp.full_like(begin, jnp.inf)
+        first = Newton(jnp.asarray(-1), begin, unknown, jnp.eye(len(begin), dtype=begin.dtype), jnp.inf * begin[0])
+        found = jax.lax.while_loop(going_on, step, first)
+        return found.state, found.slope
+
+    def solve(linear: Callable[[Array], Array], right: Array) -> Array:
+        return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(right)), right)
+
+    if max_steps:
+        flat, slope = jax.lax.custom_root(lacking, begin, search, solve, has_aux=True)
+    else:
+        _, slope = search(lacking, begin)
+        flat = start.ravel()
+    return flat.reshape(start.shape), jax.lax.stop_gradient(slope) + jnp.eye(len(begin), dtype=begin.dtype)
 
 
 class Sweep(eqx.Module):

@@ -73,7 +73,7 @@ def periodic_motion(
         raise SceneError(
             "periodic_motion needs known numbers, not traced ones: use shooting under jit, vmap and gradients"
         )
-    state = _linear_start(problem, steps)
+    state, scale = _linear_start(problem, steps)
     if not bool(jnp.isfinite(state).all()):
         raise SceneError(
             f"there is no equilibrium to start from: no flank carries torque = {float(problem.torque):g} N*m"
@@ -83,13 +83,13 @@ def periodic_motion(
         ends = np.asarray(ends)
         away = [_distance(ends[-1], ends[-1 - periods]) for periods in range(1, longest + 1)]
         for periods in (number for number, distance in enumerate(away, start=1) if distance < RETURNED):
-            motion = _shot(problem, steps, state, periods)
-            begins = np.asarray(motion.start).reshape(2, -1) / np.asarray(_scale(problem, steps))
+            motion = _shot(problem, steps, state * scale, periods)
+            begins = np.asarray(motion.start).reshape(2, -1) / np.asarray(scale)
             near = _distance(begins, ends[-1]) < max(SAME, 10 * away[periods - 1])
             stays = bool((jnp.abs(motion.multipliers) < 1 + NEUTRAL).all())  # undamped motions neither grow nor die out
             if int(motion.result) == 0 and stays and near:
                 return motion
-    return dataclasses.replace(_shot(problem, steps, state, longest, search=0), result=jnp.asarray(2))
+    return dataclasses.replace(_shot(problem, steps, state * scale, longest, search=0), result=jnp.asarray(2))
 
 
 def _distance(one: np.ndarray, other: np.ndarray) -> float:
@@ -98,22 +98,19 @@ def _distance(one: np.ndarray, other: np.ndarray) -> float:
     return far / size if size > 0 and np.isfinite(far) else (0.0 if far == 0 else np.inf)
 
 
-def _shot(problem: Problem, steps: int, state: Array, periods: int, search: int = 40) -> Periodic:
+def _shot(problem: Problem, steps: int, guess: Array, periods: int, search: int = 40) -> Periodic:
     """Shooting from a state over several periods; with ``search`` 0 the motion is integrated only."""
     several = problem._replace(period=problem.period * periods)
-    guess = state * _scale(problem, steps)
     motion = shoot(several, periods * steps, guess, 0, search)
     return dataclasses.replace(motion, periods=periods)
 
 
 @eqx.filter_jit
-def _scale(problem: Problem, steps: int) -> Array:
-    return return_map(problem, steps).scale
+def _linear_start(problem: Problem, steps: int) -> tuple[Array, Array]:
+    """Scaled initial state of the motion that would be periodic if the contacts kept their initial state, and its scale.
 
-
-@eqx.filter_jit
-def _linear_start(problem: Problem, steps: int) -> Array:
-    """Initial state of the motion that would be periodic if the contacts kept their initial state: one Newton step."""
+    The state is one Newton step away from the equilibrium.
+    """
     motion = return_map(problem, steps)
     begin = motion.resting()
 
@@ -124,7 +121,7 @@ def _linear_start(problem: Problem, steps: int) -> Array:
     slope, ended = jax.jacfwd(end, has_aux=True)(begin.ravel())
     lacking = ended - begin.ravel()
     start = begin + jnp.linalg.solve(jnp.eye(len(lacking), dtype=begin.dtype) - slope, lacking).reshape(begin.shape)
-    return jnp.where(jnp.isfinite(start).all(), start, begin)
+    return jnp.where(jnp.isfinite(start).all(), start, begin), motion.scale
 
 
 @eqx.filter_jit
