@@ -107,7 +107,7 @@ def _shot(problem: Problem, steps: int, guess: Array, periods: int, search: int 
 
 @eqx.filter_jit
 def _linear_start(problem: Problem, steps: int) -> tuple[Array, Array]:
-    """Scaled initial state of the motion that would be periodic if the contacts kept their initial state, and its scale.
+    """Scaled initial state of the motion that would be periodic if the contacts kept their first state, and its scale.
 
     The state is one Newton step away from the equilibrium.
     """
