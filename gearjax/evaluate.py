@@ -33,10 +33,25 @@ def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def evaluated_once(function: Callable[..., Any], *arguments: Any) -> Any:
-    """As `evaluated`, but quicker when it is called again; within the trace of something else a part of that trace."""
-    if is_concrete((arguments, jnp.zeros(()))):  # in a trace a new zero is a tracer
+    """As `evaluated`, but the results of the last arguments are kept; in the trace of something else a part of it.
+
+    Arguments are the same if their arrays, which JAX does not change, are the same objects.
+    """
+    numbers, structure = jax.tree.flatten(arguments)
+    if not is_concrete((numbers, jnp.zeros(()))):  # in a trace a new zero is a tracer
+        return function(*arguments)
+    if not all(isinstance(number, jax.Array) for number in numbers):
         return _program(function)(*arguments)
-    return function(*arguments)
+    key = function, structure, tuple(map(id, numbers))
+    if key not in _results:
+        while len(_results) >= MOST_KEPT:
+            _results.pop(next(iter(_results)), None)
+        _results[key] = numbers, _program(function)(*arguments)
+    return _results[key][1]
+
+
+MOST_KEPT = 16
+_results: dict[Any, tuple[list[Any], Any]] = {}  # with the arguments, so that no other array has the identity of one
 
 
 @functools.cache

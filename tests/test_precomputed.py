@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax import evaluate
 from gearjax.compliance.elastic_teeth import ElasticTeeth
 from gearjax.compliance.tooth_slices import ToothSlices
 from gearjax.evaluate import evaluated_once
@@ -103,3 +104,16 @@ def test_in_a_trace_it_is_a_part_of_the_trace():
     traced = jax.make_jaxpr(lambda x: x * evaluated_once(jnp.sin, jnp.asarray(0.5)))(1.0)
     assert any(equation.primitive.name == "sin" for equation in traced.jaxpr.eqns)
     assert float(evaluated_once(jnp.sin, jnp.asarray(0.5))) == pytest.approx(np.sin(0.5))
+
+
+def test_results_of_the_same_arrays_are_kept_and_those_of_others_are_not(monkeypatch):
+    ran = []
+    monkeypatch.setattr(evaluate, "_program", lambda function: lambda *given: ran.append(given) or function(*given))
+    monkeypatch.setattr(evaluate, "_results", {})
+    first, equal = jnp.asarray(1.5), jnp.asarray(1.5)
+    for argument, runs in ((first, 1), (first, 1), (equal, 2), (first, 2), (np.asarray(1.5), 3), (np.asarray(1.5), 4)):
+        assert float(evaluate.evaluated_once(jnp.sin, argument)) == pytest.approx(np.sin(1.5))
+        assert len(ran) == runs
+    for number in range(3 * evaluate.MOST_KEPT):  # whose identities may be those of arrays that are gone
+        assert float(evaluate.evaluated_once(jnp.sin, jnp.asarray(0.1 * number))) == pytest.approx(np.sin(0.1 * number))
+    assert len(evaluate._results) == evaluate.MOST_KEPT
