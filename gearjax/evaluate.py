@@ -43,11 +43,13 @@ def evaluated_once(function: Callable[..., Any], *arguments: Any) -> Any:
     if not all(isinstance(number, jax.Array) for number in numbers):
         return _program(function)(*arguments)
     key = function, structure, tuple(map(id, numbers))
-    if key not in _results:
+    kept = _results.get(key)
+    if kept is None:
+        kept = numbers, _program(function)(*arguments)
         while len(_results) >= MOST_KEPT:
             _results.pop(next(iter(_results)), None)
-        _results[key] = numbers, _program(function)(*arguments)
-    return _results[key][1]
+        _results[key] = kept
+    return kept[1]
 
 
 MOST_KEPT = 16
