@@ -45,6 +45,7 @@ def test_a_batch_of_scenes_equals_a_loop(scene, with_contact, analysis, law, rng
     ]
     run = ANALYSES[analysis]
     together = jax.vmap(lambda s: run(s, ts))(batched(scenes))
+    leaves_of = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(together)}
     alone = jax.jit(lambda s: run(s, ts))
     for index, single in enumerate(scenes):
         apart = alone(single)
@@ -52,9 +53,12 @@ def test_a_batch_of_scenes_equals_a_loop(scene, with_contact, analysis, law, rng
             np.testing.assert_allclose(getattr(together, name)[index], getattr(apart, name), rtol=1e-12, atol=1e-18)
         if analysis in ("static", "dynamic"):
             np.testing.assert_allclose(together.load_sharing[index], apart.load_sharing, rtol=1e-9)
-        for one, other in zip(jax.tree.leaves(together), jax.tree.leaves(apart), strict=True):
+        for path, other in jax.tree_util.tree_leaves_with_path(apart):
+            # the place of a smooth top is known to the root of the rounding of its values only
+            exact = 1e-6 if jax.tree_util.keystr(path).endswith(("theta_maximum", "theta_minimum")) else 1e-12
             scale = float(jnp.abs(other).max()) + 1e-300
-            np.testing.assert_allclose(one[index], other, rtol=1e-12, atol=1e-12 * scale)
+            one = leaves_of[jax.tree_util.keystr(path)][index]
+            np.testing.assert_allclose(one, other, rtol=exact, atol=exact * scale)
 
 
 @pytest.mark.slow
