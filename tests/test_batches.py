@@ -54,11 +54,14 @@ def test_a_batch_of_scenes_equals_a_loop(scene, with_contact, analysis, law, rng
         if analysis in ("static", "dynamic"):
             np.testing.assert_allclose(together.load_sharing[index], apart.load_sharing, rtol=1e-9)
         for path, other in jax.tree_util.tree_leaves_with_path(apart):
-            # the place of a smooth top is known to the root of the rounding of its values only
-            exact = 1e-6 if jax.tree_util.keystr(path).endswith(("theta_maximum", "theta_minimum")) else 1e-12
-            scale = float(jnp.abs(other).max()) + 1e-300
-            one = leaves_of[jax.tree_util.keystr(path)][index]
-            np.testing.assert_allclose(one, other, rtol=exact, atol=exact * scale)
+            name = jax.tree_util.keystr(path)
+            one, scale = leaves_of[name][index], float(jnp.abs(other).max()) + 1e-300
+            if name.endswith(("theta_maximum", "theta_minimum")) and analysis in ("no_load", "static"):
+                # the curve is flat at its top: rounding of its values moves the place by the root of that rounding
+                assert float(jnp.abs(one - other)) <= 1e-6 * scale
+                one, other = (run(single, place[None] / single.system.input_speed).te[0] for place in (one, other))
+                scale = float(jnp.abs(apart.te).max())
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * scale)
 
 
 @pytest.mark.slow
