@@ -13,6 +13,7 @@ from gearjax.analysis import (
     FixedStep,
     Interference,
     LostMotion,
+    MeshingImpacts,
     MeshStiffness,
     Motion,
     NaturalModes,
@@ -38,6 +39,7 @@ from gearjax.analysis import (
     interference,
     lost_motion,
     mesh_stiffness,
+    meshing_impact,
     natural_modes,
     one_contact,
     order_spectrum,
@@ -126,6 +128,7 @@ from gearjax.identification import (
     reassemble,
     synthetic_measurement,
 )
+from gearjax.impact import MeshingImpact, Pulses
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.influence import (
     InfluenceTable,
@@ -285,6 +288,8 @@ __all__ = [
     "MeasuredPitch",
     "Measurement",
     "MeshStiffness",
+    "MeshingImpact",
+    "MeshingImpacts",
     "Minimisation",
     "MomentOfInertia",
     "Motion",
@@ -302,6 +307,7 @@ __all__ = [
     "ProfileForm",
     "ProfileSlope",
     "Published",
+    "Pulses",
     "QuadraticContact",
     "QuasiStatic",
     "RVCycloidal",
@@ -374,6 +380,7 @@ __all__ = [
     "lost_motion",
     "matched_assembly",
     "mesh_stiffness",
+    "meshing_impact",
     "minimise",
     "monte_carlo",
     "natural_modes",

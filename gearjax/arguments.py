@@ -129,6 +129,12 @@ def torque(name: str, value: Any) -> None:
     torques(name, value)
 
 
+def positive_torque(name: str, value: Any) -> None:
+    """Refuse anything but one torque above zero [N m]."""
+    torque(name, value)
+    positive(name, value)
+
+
 def angles(name: str, value: Any) -> None:
     """Refuse anything but increasing angles, shape (n,) [rad]; warn if they look like degrees."""
     _increasing(name, value, 1, "give input angles of shape (n,)")

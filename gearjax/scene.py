@@ -34,6 +34,7 @@ from gearjax.contact import (
 from gearjax.coordinates import Coordinates, check_offered
 from gearjax.errors import AbstractError
 from gearjax.evaluate import evaluated_once
+from gearjax.impact import MeshingImpact, Pulses
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import AbstractLoad
 from gearjax.parameters import Named, strong, with_known
@@ -45,7 +46,7 @@ from gearjax.systems import AbstractSystem
 from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float, Scalar
 
-_OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping")
+_OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping", "impact")
 Stiffness = Literal["rigid", "mean", "varying"]
 
 
@@ -66,6 +67,8 @@ class Scene(eqx.Module):
         shafts: shafts on which bodies of a train turn together, by name; those of the gear set itself are rigid if they
             are not listed.
         body_inertia: inertia of bodies that move on their own, by body, for the dynamic transmission error.
+        impact: impact of the teeth as they come into mesh, a force in motion: `MeshingImpact`, or the `Pulses` of
+            `gearjax.meshing_impact`.
         run: analyses that the configuration asked for; not part of the physics.
 
     Raises:
@@ -86,11 +89,17 @@ class Scene(eqx.Module):
     supports: Mapping[str, Support] = eqx.field(default_factory=dict)
     shafts: Mapping[str, Shaft] = eqx.field(default_factory=dict)
     body_inertia: Mapping[str, BodyInertia] = eqx.field(default_factory=dict)
+    impact: MeshingImpact | Pulses | None = None
     run: Run | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         from gearjax.gear_set_checks import check_gear_set
-        from gearjax.scene_checks import check_body, check_coupled, check_moving  # that module imports this one
+        from gearjax.scene_checks import (
+            check_body,
+            check_coupled,
+            check_impact,
+            check_moving,
+        )  # that module imports this one
 
         if not isinstance(self.system, AbstractSystem):
             is_path = isinstance(self.system, str | Path)
@@ -128,6 +137,7 @@ class Scene(eqx.Module):
 
         check_moving(self)
         check_coupled(self)
+        check_impact(self)
         check_gear_set(self)
 
     @property
@@ -207,14 +217,16 @@ class Scene(eqx.Module):
         These are the system, its errors, reference and contact law, and the named optional slots; supports stay with
         the compliance. Every number becomes an array of a definite dtype.
         """
-        unused: dict = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
+        changed: dict = {slot: None for slot in (*_OPTIONAL, "run") if slot not in slots}
+        if "impact" in slots and isinstance(self.impact, MeshingImpact):
+            changed["impact"] = self.impact.counted(self)
         moving = "inertia" in slots and bool(self.body_inertia)
         if not moving:
-            unused["body_inertia"] = {}
+            changed["body_inertia"] = {}
         if not moving and not {"compliance", "supports"} & set(slots):  # without forces nothing deflects
-            unused["supports"] = {}
-            unused["shafts"] = {name: shaft.rigid for name, shaft in self.shafts.items()}
-        return self._with(**unused)
+            changed["supports"] = {}
+            changed["shafts"] = {name: shaft.rigid for name, shaft in self.shafts.items()}
+        return self._with(**changed)
 
     def precomputed(self, *slots: str) -> "Scene":
         """The scene as `physics` gives it, with all that its contacts need at every input angle worked out beforehand.
@@ -233,7 +245,7 @@ class Scene(eqx.Module):
     @property
     def springs_alone(self) -> "Scene":
         """The scene reduced to the parts that the springs depend on; scenes with other errors then share a program."""
-        others = dict.fromkeys(("load", "inertia", "damping", "reference", "run"))
+        others = dict.fromkeys(("load", "inertia", "damping", "impact", "reference", "run"))
         return self._with(**others, errors={}, body_inertia={}, contact=HardContact())
 
     def _with(self, **changed: Any) -> "Scene":

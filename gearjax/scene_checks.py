@@ -16,6 +16,7 @@ from gearjax.compliance import (
 from gearjax.contact import CoupledSprings, HardContact, Pose, Request
 from gearjax.errors import AbstractError
 from gearjax.evaluate import evaluated
+from gearjax.impact import Pulses
 from gearjax.scene import Scene
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float
@@ -79,6 +80,18 @@ def check_moving(scene: Scene) -> None:
         if set(layout.mesh) != set(range(meshes)):
             words = f"Layout(..., mesh=...) must give the mesh of each contact, 0 to {meshes - 1}"
             raise SceneError(f"the layout of {system.kind} has meshes {sorted(set(layout.mesh))}: {words}")
+
+
+def check_impact(scene: Scene) -> None:
+    """Refuse an impact of teeth where it does not occur, or where the teeth strike each other without it."""
+    system = scene.system
+    if scene.impact is None:
+        return
+    if system.meshing_in is not None and system.meshing_in.system is system:
+        words = "the teeth themselves strike each other in motion: leave out [impact], or give tip_contact"
+        raise SceneError(f'[impact]: with tip_contact = "corner" {words} = "ends"')
+    if system.meshing_in is None and not (isinstance(scene.impact, Pulses) and scene.springs_apart):
+        raise SceneError(f"[impact] is for a helical_pair, not for a {system.kind}")
 
 
 def check_coupled(scene: Scene) -> None:

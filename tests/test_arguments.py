@@ -148,6 +148,8 @@ def test_shapes_of_one_number(scene):
         ("grid_search", {"step": {PHASE: np.nan}}, "step of errors.planet_1.phase = nan: must be finite"),
         ("local_sensitivity", {"at": ["a"]}, "at = .*: must be a real number"),
         ("contact_pressure", {"te": THETA}, "te = .*: must be a result of transmission_error"),
+        ("meshing_impact", {"torque": -1.0}, "torque = -1: must be above 0"),
+        ("meshing_impact", {"torque": 1.0, "stiffness": "hard"}, "stiffness = .*: must be a real number"),
         ("face_load", {"result": THETA}, "result = .*: must be a result of transmission_error or simulate"),
         ("bearing_forces", {"result": THETA}, "result = .*: must be a result of transmission_error or simulate"),
         ("Tolerances", {"distributions": {AMPLITUDE: stats.norm(1e-5, 1e-6)}}, "rv_continuous_frozen.*is of scipy"),

@@ -32,6 +32,7 @@ LAYERS = {
     "influence": 1,
     "load": 1,
     "inertia": 1,
+    "impact": 2,
     "supports": 1,
     "structure": 1,
     "sketch": 0,

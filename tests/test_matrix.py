@@ -274,6 +274,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
     "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
+    "meshing_impact": lambda case: gj.meshing_impact(case.moved, TORQUE).force,
     "mesh_stiffness": lambda case: gj.mesh_stiffness(case.moved, case.theta, TORQUE),
     "natural_modes": lambda case: gj.natural_modes(case.moved, TORQUE).frequencies,
     "one_contact": lambda case: gj.one_contact(case.still, TORQUE).error(0.8 * TORQUE),
@@ -394,6 +395,10 @@ REFUSED = {  # function, gear set and kind of number, or "" for all: what is mis
     ("accuracy_grades", "", ""): "lists no measured_flank",
     ("bearing_forces", "", ""): "need supports",
     ("contact_pressure", "two_kv", ""): "line contacts",
+    **{
+        ("meshing_impact", kind, ""): "is for a helical_pair"
+        for kind in ("two_kv", "rv_cycloidal", "involute_rv", "elliptic_pair", "helical_train")
+    },
     ("contact_pressure", "elliptic_pair", ""): "line contacts",
     **{
         ("face_load", kind, ""): "needs slices across the face"

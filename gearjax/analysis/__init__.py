@@ -7,6 +7,7 @@ from gearjax.analysis.face_load import FaceLoad, face_load
 from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.harmonic_balance import harmonic_balance
+from gearjax.analysis.meshing_impact import MeshingImpacts, meshing_impact
 from gearjax.analysis.metrics import FewAngles
 from gearjax.analysis.modes import ExponentialParabola
 from gearjax.analysis.motion import Motion
@@ -43,6 +44,7 @@ __all__ = [
     "Interference",
     "LostMotion",
     "MeshStiffness",
+    "MeshingImpacts",
     "Motion",
     "NaturalModes",
     "Periodic",
@@ -67,6 +69,7 @@ __all__ = [
     "interference",
     "lost_motion",
     "mesh_stiffness",
+    "meshing_impact",
     "natural_modes",
     "one_contact",
     "order_spectrum",

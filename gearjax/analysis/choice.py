@@ -24,7 +24,7 @@ from gearjax.scene import Scene
 from gearjax.scene_checks import require_springs_apart
 from gearjax.typing import Array
 
-MODELLED = ("backlash", "compliance", "load", "inertia", "damping")
+MODELLED = ("backlash", "compliance", "load", "inertia", "damping", "impact")
 STEP = 0.4  # default step over the longest step
 MOST_STEPS = 1_000_000_000
 WINDOW, FEWEST = (3000, 2000), 8  # steps per window for many and for few windows, and the fewest windows that pay
@@ -220,7 +220,8 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
 
 
 def _load_changes(scene: Scene) -> bool:
-    return not scene.system.turns_evenly or (scene.load is not None and scene.load.alternates)
+    uneven = not scene.system.turns_evenly or scene.impact is not None
+    return uneven or (scene.load is not None and scene.load.alternates)
 
 
 def stiffness_order(scene: Scene) -> float:

@@ -13,8 +13,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.contact import ContactSet, Layout, LinearSprings, Pose, equilibrium
 from gearjax.dependence import depends
+from gearjax.impact import Pulses
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 
@@ -55,6 +57,8 @@ class Equation(eqx.Module):
         scale: position per scaled position [rad].
         inertia: moment of inertia about the output's axis [kg m2]; constant, even if the levers change over time.
         mass: equivalent mass on the line of action, from which the damping is computed [kg].
+        pulses: impacts of the teeth as they come into mesh; ``None`` without.
+        lever: mean lever of the driving flanks, through which the impacts act [m/rad].
         levers_turn: whether the levers change over time.
         turns_evenly: whether the ideal output turns evenly.
         layout: sides and pairs of the contacts.
@@ -66,6 +70,8 @@ class Equation(eqx.Module):
     scale: Scalar
     inertia: Scalar
     mass: Scalar
+    pulses: Pulses | None
+    lever: Scalar
     levers_turn: bool = eqx.field(static=True)
     turns_evenly: bool = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
@@ -73,6 +79,7 @@ class Equation(eqx.Module):
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "Equation":
         """The equation, scaled for the scene."""
+        pulses = pulses_of(scene, torque)
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
         contacts = scene.contacts(start)
@@ -82,14 +89,14 @@ class Equation(eqx.Module):
         frequency = jnp.sqrt(stiffness / inertia)
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
-        numbers = frequency, scale, inertia, mass
+        numbers = frequency, scale, inertia, mass, pulses, jnp.mean(arm)
         return cls(scene, torque, *numbers, turn, scene.system.turns_evenly, contacts.layout)
 
     @property
     def load_varies(self) -> bool:
-        """Whether the load changes over time."""
+        """Whether the load, or an impact, changes over time."""
         assert self.scene.load is not None
-        return self.scene.load.alternates or not self.turns_evenly
+        return self.pulses is not None or self.scene.load.alternates or not self.turns_evenly
 
     def torque_at(self, time: Scalar) -> Scalar:
         """Load torque plus the torque that accelerates the ideal output [N m]."""
@@ -99,6 +106,13 @@ class Equation(eqx.Module):
         if self.turns_evenly:
             return torque
         return torque + self.inertia * self.scene.system.output_acceleration(time)
+
+    def acting_at(self, time: Scalar) -> Scalar:
+        """The torque that contacts and inertia balance in motion: the load, less what the impacts carry [N m]."""
+        if self.pulses is None:
+            return self.torque_at(time)
+        speed = self.scene.system.input_speed
+        return self.torque_at(time) + self.lever * self.pulses.at(speed * time, speed)
 
     def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Levers and stiffness of the contacts at a time [s]."""
@@ -131,7 +145,7 @@ class Equation(eqx.Module):
 
     def excitation(self, time: Scalar) -> Excitation:
         """Contacts and load at a time [s]."""
-        return Excitation(self.gaps(self.instant(time)), self.springs(time)[1], self.torque_at(time))
+        return Excitation(self.gaps(self.instant(time)), self.springs(time)[1], self.acting_at(time))
 
     def _contacts(self, time: Scalar) -> ContactSet:
         return self.scene.contacts(self.scene.system.input_speed * time, "varying")
@@ -212,7 +226,7 @@ class Equation(eqx.Module):
         """Fastest rate of a scene, which a step has to resolve [rad/s].
 
         It is the largest of these: the highest natural frequency, the decay rate of all dampers together, and the rates
-        of the highest harmonic of the stiffness, of the load and of the bodies.
+        of the highest harmonic of the stiffness, of the load, of the impacts and of the bodies.
         """
         scene = self.scene
         assert scene.load is not None
@@ -224,6 +238,8 @@ class Equation(eqx.Module):
             scene.load.rate(speed, orders),
             turning_rate(scene),
         ]
+        if self.pulses is not None:
+            rates.append(self.pulses.rate())
         if scene.damping is not None:
             stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
             rates.append(scene.damping.coefficient(stiffness, self.mass).sum() / self.mass)

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
+from gearjax.analysis.choice import MODELLED
+from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.resting import resistance
 from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.clearance import InitialBacklash
@@ -77,10 +79,10 @@ def one_contact(
     under torques near this one, also for scenes with coupled springs, which `gearjax.simulate` refuses.
 
     It neglects contacts that open or close with the torque (`Reduction.error` gives the error at other torques), and
-    the masses of bodies on supports, which move without delay. [damping] counts as many pairs as carry on average. If
-    [backlash] is listed, the back flank has the position under the reversed torque and the stiffness of the driving
-    flank. Static analyses of the reduced scene use the mean stiffness, as for every gear set; `Reduction.static` uses
-    the stiffness at each angle.
+    the masses of bodies on supports, which move without delay. [damping] counts as many pairs as carry on average, and
+    the pulses of [impact] are those at this torque. If [backlash] is listed, the back flank has the position under the
+    reversed torque and the stiffness of the driving flank. Static analyses of the reduced scene use the mean stiffness,
+    as for every gear set; `Reduction.static` uses the stiffness at each angle.
 
     Args:
         scene: the scene, with a compliance.
@@ -131,6 +133,8 @@ def one_contact(
         jnp.asarray(system.input_speed), lever, tuple(Waves.of(gap, harmonics) for gap in gaps), period, names
     )
     parts = {name: getattr(scene, name) for name in ("load", "contact", "inertia", "run")}
+    if scene.impact is not None:
+        parts["impact"] = pulses_of(scene.precomputed(*MODELLED), torque)
     if whole.has_back:
         parts["backlash"] = InitialBacklash(jnp.zeros((), scene.dtype))
     if scene.damping is not None:  # the ratio is that of one pair, whose stiffness is a part of the whole

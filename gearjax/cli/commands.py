@@ -18,6 +18,7 @@ from gearjax.cli.tables import (
     print_accuracy,
     print_cases,
     print_face_load,
+    print_impacts,
     print_optimisation,
     print_rows,
     print_shifts,
@@ -32,6 +33,8 @@ from gearjax.results import (
     face_load_factors,
     graded_gears,
     growth_remark,
+    impacts_as_json,
+    impacts_of,
     remarks,
     run_cases,
     save,
@@ -134,6 +137,9 @@ def _run(
     factors = face_load_factors(scene, cases)
     if factors:
         told["face_load_factor"] = factors
+    impacts = impacts_as_json(impacts_of(scene, cases))
+    if impacts:
+        told["meshing_impact"] = impacts
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second to import; a run with --json need not wait
 
@@ -147,6 +153,7 @@ def _run(
     else:
         print_cases(cases, 1 / scene.system.orders["output"], scene.system.told_of_forces)
         print_face_load(factors)
+        print_impacts(impacts)
         print_accuracy(graded)
 
 

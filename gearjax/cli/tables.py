@@ -2,6 +2,7 @@
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -52,6 +53,17 @@ def print_face_load(factors: dict[str, float]) -> None:
         each = "; ".join(f"{title}: {factor:.3f}" for title, factor in factors.items())
         words = "highest load per width across the face over the mean, of the loads averaged over the record"
         output().print(f"face load factor K_Hbeta: {each} ({words})", soft_wrap=True)
+
+
+def print_impacts(impacts: dict[str, dict[str, Any]]) -> None:
+    """Print the impacts of the teeth as they come into mesh; nothing if there are none."""
+    for title, found in impacts.items():
+        several = f", at most {found['largest_force_N']:.4g} N" if found["pairs"] > 1 else ""
+        output().print(
+            f"meshing impact, {title}: {found['force_N']:.4g} N{several}, for {found['duration_us']:.4g} us, at "
+            f"{found['velocity_m_s']:.4g} m/s",
+            soft_wrap=True,
+        )
 
 
 def print_accuracy(gears: list[GradedGear]) -> None:

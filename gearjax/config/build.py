@@ -19,6 +19,7 @@ from gearjax.config.tables import Key, as_toml, keys_of, known_keys, read_parame
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import AbstractError, MeasuredFlank
+from gearjax.impact import MeshingImpact
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
@@ -44,6 +45,7 @@ SECTIONS = (
     "compliance",
     "inertia",
     "damping",
+    "impact",
     "supports",
     "shafts",
     "load",
@@ -210,7 +212,12 @@ def _scene(tables: dict[str, Any]) -> Scene:
         parts["compliance"] = compliance.made_for(*flank_radii(system))
     tables, of_bodies = _apart("inertia", tables)
     inertia = MomentOfInertia if "moment_of_inertia" in tables.get("inertia", {}) else EquivalentMass
-    for section, part in (("backlash", InitialBacklash), ("inertia", inertia), ("damping", DampingRatio)):
+    for section, part in (
+        ("backlash", InitialBacklash),
+        ("inertia", inertia),
+        ("damping", DampingRatio),
+        ("impact", MeshingImpact),
+    ):
         if section in tables:
             parts[section] = _part(section, tables[section], part)
     for section, slot, part in (

@@ -26,6 +26,7 @@ from gearjax.config.tolerance import (
     Assembly,
     ToleranceSection,
 )
+from gearjax.impact import MeshingImpact
 from gearjax.inertia import OF_WAY, BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.parameters import Parameter, declared
@@ -108,7 +109,7 @@ def template(kind: str) -> str:
     text += _reference(text)
     for slot, parts in _slots():
         text += _slot(text, slot, parts)
-    text += _supports(text, scene)
+    text += _impact(text) + _supports(text, scene)
     text += _run(loads(text))
     for section in (_optimise, _identify, _tolerance):
         text += _if_it_loads(text, section(loads(text)))
@@ -269,6 +270,17 @@ def _slot(text: str, slot: str, parts: Iterable[Any]) -> str:
             prose = "".join(map(_prose, summary(part) + told(part, words, words)))
             sections += f"\n{prose}{INSTEAD}\n{_commented(section)}"
     return sections
+
+
+def _impact(text: str) -> str:
+    """The section of impacts, commented out; empty if the gear set has none."""
+    section = _part("impact", MeshingImpact)
+    if _fault(text + section):
+        return ""
+    known = declared(MeshingImpact)
+    says = summary(MeshingImpact) + told(MeshingImpact, dict.fromkeys(known), {n: limits(p) for n, p in known.items()})
+    keys = "".join(f"{name} = {example(parameter)}\n" for name, parameter in known.items())
+    return f"\n{''.join(map(_prose, says))}{_commented(f'[impact]{chr(10)}{keys}')}"
 
 
 def _supports(text: str, scene: Scene) -> str:

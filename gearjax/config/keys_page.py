@@ -23,6 +23,7 @@ from gearjax.config.tolerance import (
     ToleranceSection,
 )
 from gearjax.errors import MeasuredFlank
+from gearjax.impact import MeshingImpact
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load import LOADS
 from gearjax.markdown import plain
@@ -59,11 +60,12 @@ def keys_page() -> str:
             *_of_kinds("compliance", kinds("gearjax.compliances")),
             *_of_kinds("contact", CONTACTS),
         ],
-        "Inertia, damping, supports, shafts, load": [
+        "Inertia, damping, impact, supports, shafts, load": [
             _part("[inertia], as a mass", EquivalentMass),
             _part("[inertia], about the axis of the output", MomentOfInertia),
             _part("[inertia.BODY]", BodyInertia),
             _part("[damping]", DampingRatio),
+            _part("[impact]", MeshingImpact),
             _part("[supports.BODY]", Support),
             _part("[shafts.NAME]", Shaft),
             *_of_kinds("load", LOADS),

@@ -106,30 +106,46 @@ def _corner_gap(pair: InvolutePair, length: Array, beyond: Array) -> Array:
     path, (first, second) = pair.contact_path, pair.gears
     far = jnp.minimum(beyond, CORNERS * pair.base_pitch)
     distance, sign = pair.centre_distance, -1.0 if pair.internal else 1.0
-
-    def corner(gear_tip: Scalar, base: Scalar, touching: Array) -> tuple[Array, Array]:
-        """Place of the corner of a tip, along the line of centres and across it [m]."""
-        tip = gear_tip / base
-        turned = pair.working_pressure_angle - touching / base + tip - jnp.arctan(tip)
-        radius = base * jnp.sqrt(1 + tip * tip)
-        return radius * jnp.cos(turned), radius * jnp.sin(turned)
-
-    def to_flank(base: Scalar, touching: Array, along: Array, across: Array) -> tuple[Array, Array]:
-        """Distance from a point to a flank [m], and angle of the flank's normal, which is alpha_wt at contact [rad]."""
-        squared = (along * along + across * across) / base**2 - 1
-        roll = jnp.sqrt(jnp.maximum(squared, SHALLOWEST))
-        place = jnp.arctan2(across, along)
-        flank = pair.working_pressure_angle - touching / base + roll - jnp.arctan(roll)
-        return base * (flank - place), place + jnp.arctan(roll)
-
     # beyond the end of the path: the corner of gear 1 touches the flank of gear 2
     at = path.end + far
-    along, across = corner(path.end, first.base_radius, at)
-    last, _ = to_flank(second.base_radius, pair.other_roll(at), distance - sign * along, -sign * across)
+    along, across = _corner(pair, path.end, first.base_radius, at)
+    last, _ = _to_flank(pair, second.base_radius, pair.other_roll(at), distance - sign * along, -sign * across)
     # before the beginning: the corner of gear 2 touches the flank of gear 1, whose normal has another lever on gear 2
-    at = path.begin - far
-    along, across = corner(pair.other_roll(path.begin), second.base_radius, pair.other_roll(at))
-    start, leans = to_flank(first.base_radius, at, sign * (distance - along), -sign * across)
-    start = start * second.base_radius / (distance * jnp.cos(leans) - sign * first.base_radius)
-    gap = jnp.where(length > path.end, sign * last, jnp.where(length < path.begin, start, 0.0))
+    start, leverage = entering_corner(pair, far)
+    gap = jnp.where(length > path.end, sign * last, jnp.where(length < path.begin, start / leverage, 0.0))
     return jnp.maximum(gap, 0.0)
+
+
+def entering_corner(pair: InvolutePair, far: Array) -> tuple[Array, Array]:
+    """The corner of the tip of gear 2 before the beginning of the path of contact.
+
+    Args:
+        pair: the gears.
+        far: distance of the point at which the flanks would touch from the beginning of the path [m].
+
+    Returns:
+        Distance of the corner from the flank of gear 1, along its normal [m], and the lever of this normal on gear 2,
+        over the base radius [-].
+    """
+    (first, second), distance = pair.gears, pair.centre_distance
+    sign, at = -1.0 if pair.internal else 1.0, pair.contact_path.begin - far
+    along, across = _corner(pair, pair.other_roll(pair.contact_path.begin), second.base_radius, pair.other_roll(at))
+    apart, leans = _to_flank(pair, first.base_radius, at, sign * (distance - along), -sign * across)
+    return apart, (distance * jnp.cos(leans) - sign * first.base_radius) / second.base_radius
+
+
+def _corner(pair: InvolutePair, gear_tip: Scalar, base: Scalar, touching: Array) -> tuple[Array, Array]:
+    """Place of the corner of a tip, along the line of centres and across it [m]."""
+    tip = gear_tip / base
+    turned = pair.working_pressure_angle - touching / base + tip - jnp.arctan(tip)
+    radius = base * jnp.sqrt(1 + tip * tip)
+    return radius * jnp.cos(turned), radius * jnp.sin(turned)
+
+
+def _to_flank(pair: InvolutePair, base: Scalar, touching: Array, along: Array, across: Array) -> tuple[Array, Array]:
+    """Distance from a point to a flank [m], and angle of the flank's normal, which is alpha_wt at contact [rad]."""
+    squared = (along * along + across * across) / base**2 - 1
+    roll = jnp.sqrt(jnp.maximum(squared, SHALLOWEST))
+    place = jnp.arctan2(across, along)
+    flank = pair.working_pressure_angle - touching / base + roll - jnp.arctan(roll)
+    return base * (flank - place), place + jnp.arctan(roll)

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,7 +20,7 @@ from gearjax.plot.noncircular import noncircular_figure
 from gearjax.plot.plane_of_action import plane_of_action_figure
 from gearjax.plot.schematic import schematic_figure
 from gearjax.plot.torque_sweep import torque_sweep_figure
-from gearjax.results import Case, against_torque, forces_on_bearings, order_lines, required_run
+from gearjax.results import Case, against_torque, forces_on_bearings, impacts_of, order_lines, required_run
 from gearjax.scene import Scene
 from gearjax.systems import AbstractNoncircularPair, AbstractSystem, HelicalPair, HelicalTrain, InvoluteRV, RVCycloidal
 from gearjax.units import arcmin, um
@@ -114,6 +116,27 @@ def bearing_figure(scene: Scene, cases: list[Case]) -> Figure | None:
             own = [(name, np.asarray(found.of(name))) for name in found.names if unit_of(name) == unit]
             rows += [(case, label, own)] if own else []
     return _of_bodies(scene, "Forces of bodies on their supports", rows) if rows else None
+
+
+def impact_figure(scene: Scene, cases: list[Case]) -> Figure | None:
+    """Draw the force of the impacts over one pitch, and the largest force of each pair; ``None`` without impacts."""
+    impacts = impacts_of(scene, cases)
+    if not impacts:
+        return None
+    several = any(len(found.force) > 1 for found in impacts.values())
+    figure, axes = new_figure(2 if several else 1)
+    speed = float(scene.system.input_speed)
+    for title, found in impacts.items():
+        pulses, start = found.pulses, float(found.theta[0])
+        time = np.linspace(-0.1, 1.1, 601) * found.pitch / speed
+        force = jax.vmap(pulses.at, (0, None))(jnp.asarray(start + time * speed), scene.system.input_speed)
+        axes[0].plot(1e3 * time, np.asarray(force), label=title)
+        if several:
+            axes[1].plot(np.arange(len(found.force)), np.asarray(found.force), linewidth=0.8, label=title)
+    finish(axes[0], "Meshing impact", x="time after the first pair touches [ms]", y="force [N]")
+    if several:
+        finish(axes[1], "Largest force of each pair of teeth", y="force [N]", x="pair of teeth")
+    return figure
 
 
 def _of_bodies(scene: Scene, title: str, rows: list[tuple[Case, str, list[tuple[str, np.ndarray]]]]) -> Figure:
@@ -256,6 +279,7 @@ def save_figures(scene: Scene, cases: list[Case], folder: Path) -> list[Path]:
         "order_spectrum.png": spectrum_figure(scene, cases),
         "support_displacements.png": moved_figure(scene, cases),
         "bearing_forces.png": bearing_figure(scene, cases),
+        "meshing_impact.png": impact_figure(scene, cases),
         "torque_sweep.png": None if (sweep := against_torque(scene, cases)) is None else torque_sweep_figure(sweep),
     }
     if any(isinstance(error, AbstractMeasured) for error in scene.errors.values()):

@@ -12,7 +12,7 @@ from gearjax.results.cases import (
     save,
     stored_config,
 )
-from gearjax.results.loads_on_parts import face_load_factors, forces_on_bearings
+from gearjax.results.loads_on_parts import face_load_factors, forces_on_bearings, impacts_as_json, impacts_of
 from gearjax.results.optimisation import Optimisation, optimise, save_optimisation
 from gearjax.results.spectra import OrderLines, order_lines
 from gearjax.results.torques import against_torque
@@ -31,6 +31,8 @@ __all__ = [
     "graded_gears",
     "growth_remark",
     "highest_load_sharing",
+    "impacts_as_json",
+    "impacts_of",
     "optimise",
     "order_lines",
     "remarks",

@@ -1,10 +1,20 @@
-"""What a run tells of the loads on faces and bearings."""
+"""What a run tells of the loads on faces and bearings, and of impacts."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gearjax.analysis import Backlash, BearingForces, Motion, TransmissionError, bearing_forces, face_load
+from gearjax.analysis import (
+    Backlash,
+    BearingForces,
+    MeshingImpacts,
+    Motion,
+    TransmissionError,
+    bearing_forces,
+    face_load,
+    meshing_impact,
+)
+from gearjax.impact import MeshingImpact
 from gearjax.scene import Scene
 
 if TYPE_CHECKING:
@@ -35,3 +45,26 @@ def forces_on_bearings(scene: Scene, result: TransmissionError | Backlash | Moti
     if not scene.supports or not isinstance(result, TransmissionError | Motion) or result.forces is None:
         return None
     return bearing_forces(scene, result)
+
+
+def impacts_of(scene: Scene, cases: "list[Case]") -> dict[str, MeshingImpacts]:
+    """Impacts of the teeth as they come into mesh in each case in motion, by its title; empty if none are listed."""
+    if not isinstance(scene.impact, MeshingImpact):
+        return {}
+    moving = [case for case in cases if case.analysis == "dynamic" and case.torque > 0]
+    return {case.title: meshing_impact(scene, case.torque) for case in moving}
+
+
+def impacts_as_json(impacts: dict[str, MeshingImpacts]) -> dict[str, dict[str, Any]]:
+    """Means and largest values of the impacts of each case, for JSON."""
+    return {
+        title: {
+            "pairs": len(found.force),
+            "force_N": float(found.force.mean()),
+            "largest_force_N": float(found.force.max()),
+            "velocity_m_s": float(found.velocity.mean()),
+            "duration_us": float(found.duration.mean()) * 1e6,
+            "ahead_um": float(found.ahead.mean()) * 1e6,
+        }
+        for title, found in impacts.items()
+    }

@@ -17,7 +17,19 @@ from gearjax.typing import Array, Float
 
 Where = str | Sequence[str] | Callable[[Scene], Any]
 Bounds = Mapping[str, tuple[float, float]]
-PARTS = ("system", "errors", "backlash", "compliance", "supports", "shafts", "inertia", "damping", "load", "contact")
+PARTS = (
+    "system",
+    "errors",
+    "backlash",
+    "compliance",
+    "supports",
+    "shafts",
+    "inertia",
+    "damping",
+    "impact",
+    "load",
+    "contact",
+)
 OF_BODIES = {"inertia": "body_inertia"}  # slot with the numbers of single bodies, [inertia.BODY]
 _PROBE = 1e-6  # replaces a zero beside a free number when the influence of the free number is tested [SI]
 

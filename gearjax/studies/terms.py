@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from gearjax import units
+from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.quasi_static import no_load, play, static
 from gearjax.arguments import numbers, one_positive, torque
 from gearjax.checks import ParameterError, is_concrete, nearest
@@ -25,7 +26,7 @@ SLOTS = {
     "no_load": (),
     "static": ("backlash", "compliance"),
     "backlash": ("backlash",),
-    "dynamic": ("backlash", "compliance", "load", "inertia", "damping"),
+    "dynamic": MODELLED,
 }
 
 

@@ -2,8 +2,8 @@
 
 import abc
 import math
-from collections.abc import Mapping
-from typing import ClassVar, Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -51,6 +51,28 @@ class GearOutlines(Protocol):
             backlash: distance between its back flanks and the back flanks of the other gear [m].
         """
         ...
+
+
+class MeshingIn(NamedTuple):
+    """How pairs of teeth come into mesh at the beginning of a path of contact.
+
+    Args:
+        system: the gear set with contact that goes on at the corners of the tips.
+        begin: input angle at which each slice of pair 0 is at the beginning of its path of contact, shape (slice,)
+            [rad].
+        early: input angle before that from which the gap of a slice is known [rad].
+        late: input angle after that at which a slice is in the middle of its path of contact [rad].
+        radius: travel along the line of action per input angle [m/rad].
+        leverage: function from a distance before the path [m] to the lever on the wheel of the flank's normal, over the
+            lever on the path [-].
+    """
+
+    system: "AbstractSystem"
+    begin: Float[Array, " slice"]
+    early: Scalar
+    late: Scalar
+    radius: Scalar
+    leverage: Callable[[Scalar], Scalar]
 
 
 class AbstractSystem(eqx.Module):
@@ -144,6 +166,11 @@ class AbstractSystem(eqx.Module):
     def output(self, theta: Scalar) -> Scalar:
         """Ideal output angle at an input angle [rad]; for non-circular gears it is not proportional to that angle."""
         return self.orders["output"] * theta
+
+    @property
+    def meshing_in(self) -> MeshingIn | None:
+        """How pairs of teeth come into mesh; ``None`` if they do not at the beginning of a path of contact."""
+        return None
 
     @property
     def turns_evenly(self) -> bool:

@@ -1,5 +1,6 @@
 """Helical and spur pairs on parallel axes, external and internal: contact lines cut into slices (ISO 21771)."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Mapping
@@ -22,10 +23,10 @@ from gearjax.contact.helical_mesh import (
 )
 from gearjax.geometry.helical_checks import faults
 from gearjax.geometry.helical_pair import ISO_53, BasicRack, InvolutePair, rack_of
-from gearjax.geometry.plane_of_action import SlicePoints
+from gearjax.geometry.plane_of_action import CORNERS, SlicePoints, entering_corner, middles
 from gearjax.parameters import angle, check_parameters, count, known_beside, length, name, number, with_known
 from gearjax.sketch import ANTICLOCKWISE, CLOCKWISE, Sketch, SketchedBody
-from gearjax.systems.base import AbstractSystem
+from gearjax.systems.base import AbstractSystem, MeshingIn
 from gearjax.typing import Number, Scalar
 
 PINION, WHEEL = "pinion", "wheel"
@@ -209,6 +210,21 @@ class HelicalPair(AbstractSystem):
     def stages(self) -> tuple[HelicalMesh, ...]:
         """The only mesh, cut into slices."""
         return (HelicalMesh(self.pair, self._pairs, self.slices, self.tip_contact == "corner"),)
+
+    @property
+    def meshing_in(self) -> MeshingIn:
+        pair, system = self.pair, self
+        path, radius = pair.contact_path, pair.gears[0].base_radius
+        if self.tip_contact != "corner":
+            more = min(1 + self._pairs, self.pinion_teeth, self.wheel_teeth)  # corners reach further than the path
+            system = dataclasses.replace(self, tip_contact="corner", pairs=more)
+        begin = path.begin - path.pitch - middles(pair.face_width, self.slices) * jnp.tan(pair.base_helix_angle)
+        early, late = CORNERS * pair.base_pitch, 0.5 * (path.end - path.begin)
+
+        def leverage(ahead: Scalar) -> Scalar:
+            return entering_corner(pair, jnp.maximum(ahead, 0.0))[1]
+
+        return MeshingIn(system, begin / radius, early / radius, late / radius, radius, leverage)
 
     def layout(self, request: Request) -> Layout:
         return helical_layout((self._pairs,), self.slices, request.back)

@@ -89,8 +89,8 @@ class Forcing(eqx.Module):
     def torques(self, time: Scalar, steps: int) -> Array:
         """Load of each step of a block [N m]; one number if the load is constant."""
         if not self.oscillator.equation.load_varies:
-            return self.oscillator.equation.torque_at(time)
-        return jax.vmap(lambda step: self.oscillator.equation.torque_at(time + step * self.oscillator.step))(
+            return self.oscillator.equation.acting_at(time)
+        return jax.vmap(lambda step: self.oscillator.equation.acting_at(time + step * self.oscillator.step))(
             jnp.arange(steps).astype(time.dtype)
         )
 

@@ -16,9 +16,11 @@ import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from gearjax.analysis.equation import LENGTH_SCALE, turning_rate
+from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.modes.springs import MeanSprings
 from gearjax.contact import ContactSet, Layout, LinearSprings, equilibrium
 from gearjax.dependence import depends
+from gearjax.impact import Pulses
 from gearjax.scene import Scene
 from gearjax.structure import Structure
 from gearjax.typing import Array, Bool, Float, Int, Scalar
@@ -35,6 +37,7 @@ class Excitation(NamedTuple):
         jacobian_rate, gap_rate: rates of Jacobian and gaps; ``None`` without dampers.
         stiffness: stiffness of the contacts, shape (contact,) [N/m].
         torque: load torque [N m].
+        struck: generalised forces of the impacts, shape (coordinate,) [N m, N]; ``None`` without.
     """
 
     jacobian: Array
@@ -43,6 +46,7 @@ class Excitation(NamedTuple):
     gap_rate: Array | None
     stiffness: Array
     torque: Array
+    struck: Array | None
 
 
 class StructureEquation(eqx.Module):
@@ -64,6 +68,7 @@ class StructureEquation(eqx.Module):
         levers_turn: whether the Jacobian changes over time.
         turns_evenly: whether the ideal output turns evenly.
         layout: sides and pairs of the contacts.
+        pulses: impacts of the teeth as they come into mesh; ``None`` without.
     """
 
     scene: Scene
@@ -80,10 +85,12 @@ class StructureEquation(eqx.Module):
     turns_evenly: bool = eqx.field(static=True)
     free: int = eqx.field(static=True)
     holds: tuple[int, ...] = eqx.field(static=True)
+    pulses: Pulses | None = None
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "StructureEquation":
         """The equation, scaled for the scene."""
+        pulses = pulses_of(scene, torque)
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
         structure, layout, springs = scene.structure, scene.layout, MeanSprings.of(scene, torque)
@@ -112,7 +119,7 @@ class StructureEquation(eqx.Module):
         rates = whole, contact, turn
         return cls(
             *(scene, torque, structure, jacobian, springs, coefficient, scale, *rates, layout),
-            *(scene.system.turns_evenly, contacts.free, contacts.holds),
+            *(scene.system.turns_evenly, contacts.free, contacts.holds, pulses),
         )
 
     @property
@@ -130,6 +137,14 @@ class StructureEquation(eqx.Module):
             return torque
         return torque + self.structure.mass[0, 0] * self.scene.system.output_acceleration(time)
 
+    def struck_at(self, time: Scalar) -> Float[Array, " coordinate"] | None:
+        """Generalised forces of the impacts, ``V^T f_s``, along the mean direction of the springs [N m, N]."""
+        if self.pulses is None:
+            return None
+        speed = self.scene.system.input_speed
+        along = self.springs.mean * self.springs.carries
+        return self.pulses.at(speed * time, speed) * (along @ self.jacobian) / along.sum()
+
     def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
         """Contacts and load at a time [s], with rates if dampers need them or ``moving`` asks for them."""
 
@@ -140,9 +155,10 @@ class StructureEquation(eqx.Module):
 
         if self.coefficient is None and not moving:
             jacobian, gap, stiffness = contacts(time)
-            return Excitation(jacobian, gap, None, None, stiffness, self.torque_at(time))
+            return Excitation(jacobian, gap, None, None, stiffness, self.torque_at(time), self.struck_at(time))
         (jacobian, gap, stiffness), rates = jax.jvp(contacts, (time,), (jnp.ones_like(time),))
-        return Excitation(jacobian, gap, rates[0], rates[1], stiffness, self.torque_at(time))
+        loads = self.torque_at(time), self.struck_at(time)
+        return Excitation(jacobian, gap, rates[0], rates[1], stiffness, *loads)
 
     def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
         """Elastic forces, shape (contact,), and damper forces, shape (damper,), of the contacts [N].
@@ -199,8 +215,9 @@ class StructureEquation(eqx.Module):
         return pull + now.jacobian[self.springs.damped].T @ damping
 
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
-        """Generalised forces that do not depend on the coordinates: load torque, centrifugal forces [N m, N]."""
-        return self.structure.push.at[0].add(-now.torque)
+        """Generalised forces that do not depend on the coordinates: load torque, impacts, centrifugal ones [N m, N]."""
+        given = self.structure.push.at[0].add(-now.torque)
+        return given if now.struck is None else given - now.struck
 
     def acceleration(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " coordinate"]:
         """Acceleration of the coordinates [rad/s2, m/s2]."""
@@ -276,6 +293,8 @@ class StructureEquation(eqx.Module):
             scene.load.rate(speed, orders),
             turning_rate(scene),
         ]
+        if self.pulses is not None:
+            rates.append(self.pulses.rate())
         return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
 
 

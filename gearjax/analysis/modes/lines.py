@@ -27,6 +27,8 @@ class Driving(NamedTuple):
         gap_rate: rate of the gaps of contacts with dampers, shape (damper,) [m/s]; ``None`` without dampers.
         stiffness: stiffness of the contacts, shape (contact,) [N/m].
         torque: load torque [N m].
+        struck: generalised forces of the impacts, shape (coordinate,) [N m, N]; ``None`` without, and if lines are
+            contacts.
     """
 
     lever: Array | None
@@ -35,6 +37,7 @@ class Driving(NamedTuple):
     gap_rate: Array | None
     stiffness: Array
     torque: Array
+    struck: Array | None
 
 
 class Lines(eqx.Module):
@@ -121,9 +124,9 @@ class Lines(eqx.Module):
         now, first = self.equation.excitation(time), self.equation.springs.damped
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
-            return Driving(None, now.gap, None, heard, now.stiffness, now.torque)
+            return Driving(None, now.gap, None, heard, now.stiffness, now.torque, None)
         rate = None if now.jacobian_rate is None else now.jacobian_rate[first].T
-        return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.torque)
+        return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.torque, now.struck)
 
     def overlap(self, now: Driving, sight: Array) -> Float[Array, " contact"]:
         """Overlap of the contacts [m]."""
@@ -171,6 +174,7 @@ class Lines(eqx.Module):
         if now.lever is None:
             return kept - force
         first = jnp.zeros_like(seen).at[0].set(1.0)
+        kept = kept if now.struck is None else kept - now.struck
         return kept + equation.structure.push - now.torque * first - now.lever @ force
 
     def _of_mean(self, mean: Array, seen: Array) -> Array:
