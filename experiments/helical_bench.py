@@ -3,8 +3,9 @@
 Designs: peak-to-peak static TE of micro-geometries (two reliefs, crowning) at five torques and 64 angles of a mesh; the
 peer is numpy, by sorted contacts, all angles and torques of a design at once. Motion: slices at 2,104 rpm over some
 meshes, against DOP853 of scipy at a tolerance that gives the same error, and our own Runge-Kutta steps of the same
-error. Speeds: the periodic motion at 200 of them in one batch, of slices and as one contact. Tasks take turns, times
-are medians after compilation.
+error. Speeds: the periodic motion at 200 of them in one batch, of slices and as one contact. Hunting period: 893 meshes
+with run-out of both gears, as one contact of 5,358 harmonics; harmonic balance against our own even steps and DOP853.
+Tasks take turns, times are medians after compilation.
 
     python experiments/helical_bench.py [--designs 1000] [--repeats 5]
 
@@ -23,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from peers import agree, interleaved, sized
 from scipy.integrate import solve_ivp
+from scipy.interpolate import make_interp_spline
 
 import gearjax as gj
 from gearjax.units import arcmin, rpm, um
@@ -32,6 +34,7 @@ TORQUES, ANGLES = np.array([100.0, 200.0, 400.0, 600.0, 830.0]), 64
 SPEED, EACH = 2104 * rpm, 64
 SLOWEST, FASTEST = 200 * rpm, 12000 * rpm
 TORQUE, AT_ONCE = 830.0, 10
+HUNTING, SETTLED = 893, 64  # meshes of a hunting period, and those that a start takes to die out
 
 
 def pair() -> gj.Scene:
@@ -136,7 +139,7 @@ class Motion:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options = sized(parser, designs=(1000, 10), repeats=(5, 1), speeds=(200, 0), meshes=(16, 1))
+    options = sized(parser, designs=(1000, 10), repeats=(5, 1), speeds=(200, 0), meshes=(16, 1), hunted=(893, 19))
     scene = pair()
     designs = Designs(scene, options.designs)
     tasks = {"gearjax": designs.ours, "numpy": designs.by_numpy}
@@ -163,6 +166,7 @@ def main() -> None:
         agree("    largest error", motion.off(te), 1e-3, "arcmin")
     if options.speeds:
         waterfalls(scene, options)
+    hunting(options)
 
 
 def waterfalls(scene: gj.Scene, options: argparse.Namespace) -> None:
@@ -178,6 +182,81 @@ def waterfalls(scene: gj.Scene, options: argparse.Namespace) -> None:
     for name, spent in seconds.items():
         lost = int((np.asarray(results[name].result) != 0).sum())
         print(f"  {name:24s} {spent:8.3f} s (first call {first[name]:.1f} s), {lost} not found")
+
+
+class Hunting:
+    """The pair with run-out of its gears as one contact over a period, 6 harmonics to each mesh."""
+
+    def __init__(self, meshes: int):
+        whole = gj.load(CONFIG)
+        names = [name for name in whole.errors if meshes == HUNTING or name != "wheel"]  # the pinion's run-out alone
+        whole = dataclasses.replace(whole, errors={name: whole.errors[name] for name in names})
+        scene = dataclasses.replace(pair(), errors=whole.errors)
+        angle, self.meshes = meshes * 2 * np.pi / scene.system.pinion_teeth, meshes
+        self.scene = gj.one_contact(scene, TORQUE, period=angle, samples=16 * meshes, harmonics=6 * meshes).scene
+        self.period, self.lever = angle / float(SPEED), float(self.scene.system.lever)
+        self.ts = np.arange((meshes + SETTLED) * 16) * self.period / meshes / 16
+        self.exact = self.balanced(36, 96)
+
+    def balanced(self, harmonics: int, samples: int) -> np.ndarray:
+        """Displacement along the line of action, 16 samples a mesh, by harmonic balance [m]."""
+        found = gj.harmonic_balance(
+            self.scene,
+            TORQUE,
+            self.period,
+            harmonics=harmonics * self.meshes - 1,
+            samples=samples * self.meshes,
+        )
+        if int(found.result):
+            raise SystemExit("harmonic balance did not converge")
+        return np.asarray(found.te)[:: samples // 16] * self.lever
+
+    def by_steps(self, each: int) -> np.ndarray:
+        """The same by even steps, after as many meshes as the start takes to die out."""
+        stepper = gj.FixedStep(per_sample=each // 16)
+        te = np.asarray(gj.simulate(self.scene, self.ts, TORQUE, stepper=stepper).te) * self.lever
+        return np.roll(te[SETTLED * 16 :], SETTLED * 16)
+
+    def by_scipy(self) -> np.ndarray:
+        """The same by DOP853 on splines of stiffness and gap."""
+        system, springs = self.scene.system, self.scene.compliance
+        each = 64 * self.meshes
+        phase = 2 * np.pi * np.arange(each + 1) / each
+        time = phase / (2 * np.pi) * self.period
+        stiffness, gap = (
+            make_interp_spline(time, np.append(wave[:-1], wave[0]), k=5, bc_type="periodic")
+            for wave in (np.asarray(part.at(jnp.asarray(phase))) for part in (springs.waves, system.gaps[0]))
+        )
+        rate = gap.derivative()
+        mass = float(self.scene.inertia.moment_of_inertia) / self.lever**2
+        damping = float(self.scene.damping.ratio) * np.sqrt(2 * float(springs.waves.mean) * mass)
+
+        def field(time: float, state: np.ndarray) -> list[float]:
+            at = time % self.period
+            overlap = -state[0] - gap(at)
+            force = stiffness(at) * overlap + damping * (-state[1] - rate(at)) if overlap > 0 else 0.0
+            return [state[1], (force - TORQUE / self.lever) / mass]
+
+        start = [self.exact[0], 0.0]
+        found = solve_ivp(field, (0.0, self.ts[-1]), start, "DOP853", self.ts, rtol=1e-8, atol=1e-12)
+        return np.roll(found.y[0][SETTLED * 16 :], SETTLED * 16)
+
+
+def hunting(options: argparse.Namespace) -> None:
+    """The periodic motion over all meshes of a hunting period."""
+    period = Hunting(options.hunted)
+    tasks = {
+        "harmonic balance, 16 a mesh": lambda: period.balanced(16, 48),
+        "harmonic balance, 24 a mesh": lambda: period.balanced(24, 64),
+        "even steps, 256 a mesh": lambda: period.by_steps(256),
+        "even steps, 1024 a mesh": lambda: period.by_steps(1024),
+        "scipy": period.by_scipy,
+    }
+    results, first, seconds = interleaved(tasks, options.repeats, slow=1.0)
+    print(f"hunting period, {options.hunted} meshes, as one contact")
+    for name, spent in seconds.items():
+        print(f"  {name:28s} {spent:8.3f} s (first call {first[name]:.1f} s)")
+        agree("    largest error", float(np.abs(results[name] - period.exact).max()) / um, 1e-3, "um")
 
 
 if __name__ == "__main__":

@@ -227,8 +227,9 @@ def test_the_force_is_along_v_of_the_paper():
     pair = scene.system.pair
     alpha, beta = float(pair.working_pressure_angle), float(pair.base_helix_angle)
     normal = np.array([math.sin(alpha) * math.cos(beta), math.cos(alpha) * math.cos(beta), -math.sin(beta)])
-    wanted = -np.array([float(pair.gears[1].base_radius) * math.cos(beta), *normal]) * float(found.force[0])
-    np.testing.assert_allclose(equation.struck_at(time), wanted, rtol=1e-9)
+    wanted = -np.array([float(pair.gears[1].base_radius) * math.cos(beta), *normal])
+    np.testing.assert_allclose(equation.along, wanted, rtol=1e-9)
+    assert float(equation.struck_at(time)) == pytest.approx(float(found.force[0]), rel=1e-9)
     ts = np.arange(6 * 64) * found.pitch / float(scene.system.input_speed) / 64
     modes = gj.simulate(scene, ts, 830.0)
     step = gj.chosen_steps(scene, ts, 830.0).step

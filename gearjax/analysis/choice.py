@@ -27,6 +27,7 @@ from gearjax.typing import Array
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping", "impact")
 STEP = 0.4  # default step over the longest step
 MOST_STEPS = 1_000_000_000
+MANY_HARMONICS = 100  # of the stiffness, which the fitted march writes out one by one
 WINDOW, FEWEST = (3000, 2000), 8  # steps per window for many and for few windows, and the fewest windows that pay
 FORGOTTEN = 12.0  # duration of a warm-up, in time constants of the decay
 APART = 1e-4, 1e4  # allowed difference of windows where they meet: scaled position (1e-9 m), or spacings of the dtype
@@ -112,10 +113,11 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
     """Windows for a record, or ``None`` if they would not pay.
 
     They do not pay if the record is short, the damping weak, or the load changes. Nor do they if the levers of many
-    contacts change with the angle: that march takes minutes to compile and is not faster than constant modes.
+    contacts change with the angle, or if the stiffness has many harmonics: that march takes minutes to compile and is
+    not faster than constant modes.
     """
     decay = float(limits.decay)
-    if decay <= 0 or _load_changes(scene) or scene.system.by_constant_modes:
+    if decay <= 0 or _load_changes(scene) or _by_constant_modes(scene):
         return None
     warm_up = FORGOTTEN / decay
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
@@ -154,7 +156,7 @@ def method_of(
             raise SceneError(f"{words}: give FixedStep(...) without windows")
         return _modes(scene, ts, steps)
     alternates = scene.load is not None and scene.load.alternates  # the march then warns of meaningless gradients
-    if scene.system.by_constant_modes and stepper.windows is None and not alternates:
+    if _by_constant_modes(scene) and stepper.windows is None and not alternates:
         return _modes(scene, ts, steps)
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
@@ -204,8 +206,12 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
         return ChosenSteps(type(method.solver).__name__, given, step)
     if isinstance(method, Modes):
         if scene.output_alone:
-            changes = "the levers of many contacts change with the angle"
-            reason = changes if scene.springs_apart else "the contacts are slices of contact lines"
+            reason = "the contacts are slices of contact lines"
+            if scene.springs_apart:
+                turning = scene.system.by_constant_modes
+                reason = (
+                    "the levers of many contacts change with the angle" if turning else "the stiffness has many waves"
+                )
             return ChosenSteps("constant modes", reason, step)
         moving = ", ".join(scene.coordinates[1:4]) + (", ..." if len(scene.coordinates) > 4 else "")
         return ChosenSteps("constant modes", f"further coordinates move: {moving}", step)
@@ -217,6 +223,11 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
         "undamped" if scene.damping is None else "the load changes" if _load_changes(scene) else "the record is short"
     )
     return ChosenSteps("fitted march", f"{reason}; without windows: {whole if stepper is None else 'as given'}", step)
+
+
+def _by_constant_modes(scene: Scene) -> bool:
+    """Whether the fitted march does not suit a scene in which it would be possible."""
+    return scene.system.by_constant_modes or scene.linear_compliance.harmonics > MANY_HARMONICS
 
 
 def _load_changes(scene: Scene) -> bool:

@@ -1,26 +1,36 @@
 """Periodic response as a Fourier series: harmonic balance.
 
-The unknowns are Fourier coefficients of the output, or of the approaches at the contacts of a structure
-(`gearjax.analysis.modes.lines`). Newton's method of optimistix finds them, and the implicit function theorem gives
-their derivatives.
+The unknowns are Fourier coefficients of lines (`gearjax.analysis.modes.lines`): of the approach at each contact if
+levers are constant and contacts are few, otherwise of the coordinates. The structure with the mean springs of its
+contacts answers the inputs of the lines by its receptance, harmonic by harmonic. The inputs are evaluated in time, and
+fast Fourier transforms take one to the other. Newton's method finds the coefficients, and the implicit function theorem
+gives their derivatives (`jax.lax.custom_root`). For many coefficients, such as those of a hunting period, no matrix is
+formed: GMRES solves for each step. It needs few iterations, because the mean springs are a part of the receptance.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-import optimistix
 
 from gearjax import arguments
-from gearjax.analysis.equation import LENGTH_SCALE, Equation
-from gearjax.analysis.modes import Lines, StructureEquation
+from gearjax.analysis.equation import LENGTH_SCALE
+from gearjax.analysis.modes import Driving, Lines, StructureEquation
 from gearjax.analysis.periodic import Periodic
 from gearjax.analysis.return_map import Problem
 from gearjax.checks import ParameterError, SceneError
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Complex, Float, Scalar
+
+TOLERANCE = 1e-10  # of Newton's method, relative
+MATRIX = 2000  # unknowns up to which Newton's method has a matrix
+ROUGH = 1e-3  # relative error of its steps without a matrix; the next step corrects it
+KRYLOV, RESTARTS = 40, 3  # iterations of GMRES before it restarts, and its starts
+SLOWEST = 0.5  # share of the residual that a step without a matrix may leave; more means that it leads nowhere
+AT_ONCE = 256  # places whose excitation and static equilibrium are found together
 
 
 @arguments.checked(harmonics=arguments.whole(1), samples=arguments.whole(3))
@@ -66,181 +76,205 @@ def harmonic_balance(
     return _harmonic_balance(problem, harmonics, samples, guess, max_steps)
 
 
-class Series(NamedTuple):
-    """A Fourier series (mean, cosines, sines) and the even places of its period at which it is evaluated.
+class Balance(eqx.Module):
+    """The equations of harmonic balance.
+
+    The dynamic stiffness of each harmonic, including mean springs and dampers of the contacts, is
+    ``Z = K + i w C - w^2 M``. Inputs act through G, and the lines see ``L Z^-1 G``.
 
     Args:
-        places: places as fractions of the period, shape (n,).
-        values: value of each function at each place, shape (n, function).
-        rates: derivative of each function with respect to its angle (order times phase), shape (n, function).
-        orders: orders of the functions, shape (function,).
-        weights: weights of the values at the places in each coefficient, shape (function, n).
+        lines: lines of the contacts.
+        table: excitation at even places of the period, the first axis of each leaf.
+        answers: complex displacement of the coordinates per input, ``Z^-1 G``, of the mean and each harmonic.
+        size: scaling of the lines [m, rad].
+        period: the period [s].
+        rest: coordinates of the static equilibrium at these places, shape (n, coordinate) [rad, m]; where there is
+            none, those of the first place.
     """
 
-    places: Array
-    values: Array
-    rates: Array
-    orders: Array
-    weights: Array
+    lines: Lines
+    table: Driving
+    answers: Complex[Array, "harmonic coordinate input"]
+    size: Float[Array, " line"]
+    period: Scalar
+    rest: Float[Array, "n coordinate"]
 
     @classmethod
-    def of(cls, harmonics: int, samples: int, dtype: jnp.dtype) -> "Series":
-        """A series with a number of harmonics, at a number of places."""
-        places, order = np.arange(samples) / samples, np.arange(1, harmonics + 1)
-        angle = 2 * np.pi * places[:, None] * order[None, :]
-        values = np.concatenate([np.ones((samples, 1)), np.cos(angle), np.sin(angle)], axis=1)
-        rates = np.concatenate([np.zeros((samples, 1)), -np.sin(angle), np.cos(angle)], axis=1)
-        shares = np.concatenate([[1 / samples], np.full(2 * harmonics, 2 / samples)])
-        parts = places, values, rates, np.concatenate([[0.0], order, order]), shares[:, None] * values.T
-        return cls(*(jnp.asarray(part, dtype) for part in parts))
+    def of(cls, problem: Problem, harmonics: int, samples: int) -> "Balance":
+        """The equations for a number of harmonics, with forces evaluated at a number of even places."""
+        period = problem.period
+        equation = StructureEquation.of(problem.scene, problem.torque)
+        lines = Lines.of(equation, jnp.zeros_like(period))
+        lengths = jnp.full(lines.seen.shape[:1], LENGTH_SCALE, equation.scale.dtype)
+
+        def at(time: Scalar) -> tuple[Driving, Array]:
+            now = equation.excitation(time)
+            return lines.driving(time), equation.resting(now.jacobian, now.gap, now.stiffness, now.torque)[0]
+
+        times = _places(samples, period.dtype) * period
+        table, rest = jax.lax.map(at, times, batch_size=min(AT_ONCE, samples))
+        rest = jax.lax.stop_gradient(jnp.where(jnp.isfinite(rest), rest, rest[:1]))
+        answers = _answers(lines, 2 * jnp.pi / period * jnp.arange(harmonics + 1).astype(period.dtype))
+        return cls(lines, table, answers, lengths if lines.apart else equation.scale, period, rest)
+
+    @property
+    def samples(self) -> int:
+        """Number of places at which forces are evaluated."""
+        return self.table.gap.shape[0]
 
     @property
     def harmonics(self) -> int:
         """Number of harmonics."""
-        return len(self.orders) // 2
-
-    def apart(self, numbers: Float[Array, "function column"]) -> tuple[Array, Array, Array]:
-        """Coefficients of the mean, of cosines and of sines."""
-        return numbers[0], numbers[1 : self.harmonics + 1], numbers[self.harmonics + 1 :]
-
-    def motion(self, numbers: Float[Array, "function coordinate"], period: Scalar) -> tuple[Array, Array, Array]:
-        """Coordinates, velocities and accelerations, shape (n, coordinate)."""
-        rate = (2 * jnp.pi / period * self.orders)[:, None]
-        return self.values @ numbers, self.rates @ (rate * numbers), -self.values @ (rate**2 * numbers)
-
-
-class OfOutput:
-    """Harmonic balance of a scene whose output alone moves: unknowns are its coefficients, shape (function, 1)."""
-
-    def __init__(self, problem: Problem, series: Series):
-        self.equation, self.series, self.period = Equation.of(problem.scene, problem.torque), series, problem.period
-
-    def seen(self, place: Float[Array, "n 1"]) -> Float[Array, "n 1"]:
-        """The scaled unknown curves, from the coordinates over time."""
-        return place / self.equation.scale
-
-    def resting(self) -> Float[Array, " 1"]:
-        """Scaled coordinates of the static equilibrium."""
-        return self.equation.initial(jnp.zeros_like(self.period), "equilibrium")[:1]
-
-    @property
-    def scale(self) -> Float[Array, " 1"]:
-        """Coordinates per scaled coordinate."""
-        return self.equation.scale[None]
-
-    def lacking(self, numbers: Float[Array, "function 1"]) -> Float[Array, "function 1"]:
-        """Residual of the equation of motion, as the static displacement that it would cause."""
-        equation = self.equation
-
-        def at(time: Scalar, place: Array, speed: Array, acceleration: Array) -> Array:
-            now, size = equation.excitation(time), equation.scale
-            own = equation.acceleration(now, place[0] * size, speed[0] * size) / size
-            return (own - acceleration[0])[None] / equation.frequency**2
-
-        times = self.series.places * self.period
-        return self.series.weights @ jax.vmap(at)(times, *self.series.motion(numbers, self.period))
-
-    def coordinates(self, numbers: Float[Array, "function 1"]) -> Float[Array, "function 1"]:
-        """Coefficients of the coordinates [rad]."""
-        return numbers * self.equation.scale
-
-
-class OfStructure:
-    """Harmonic balance of bodies on supports: unknowns are coefficients of lines (`modes.Lines`).
-
-    The coefficients have shape (function, line). If levers are constant, a line is the approach of one contact, however
-    many coordinates move behind it. The dynamic stiffness of each harmonic, including mean springs of the contacts, is
-    ``Z = K + i w C - w^2 M``. The lines respond to the inputs by the receptance ``L Z^-1 G``.
-    """
-
-    def __init__(self, problem: Problem, series: Series):
-        equation = StructureEquation.of(problem.scene, problem.torque)
-        self.equation, self.series, self.period = equation, series, problem.period
-        self.lines = Lines.of(equation, jnp.zeros_like(problem.period))
-        lengths = jnp.full(self.lines.seen.shape[:1], LENGTH_SCALE, equation.scale.dtype)
-        self.size = lengths if self.lines.apart else equation.scale
-        self.answers = self._answers()
+        return self.answers.shape[0] - 1
 
     @property
     def scale(self) -> Float[Array, " coordinate"]:
         """Coordinates per scaled coordinate [rad, m]."""
-        return self.equation.scale
+        return self.lines.equation.scale
 
     def seen(self, place: Float[Array, "n coordinate"]) -> Float[Array, "n line"]:
         """The scaled unknown curves of the lines, from the coordinates over time."""
         return place @ self.lines.seen.T / self.size[None]
 
-    def resting(self) -> Float[Array, " line"]:
-        """Scaled lines of the static equilibrium."""
-        place = self.equation.initial(jnp.zeros_like(self.period), "equilibrium")[0] * self.scale
-        return self.seen(place[None])[0]
+    def coefficients(self, curves: Float[Array, "n column"]) -> Float[Array, "function column"]:
+        """Mean, cosines and sines of curves at the even places."""
+        waves = jnp.fft.rfft(curves, axis=0)[: self.harmonics + 1] / self.samples
+        return jnp.concatenate([waves[:1].real, 2 * waves[1:].real, -2 * waves[1:].imag])
 
-    def _answers(self) -> Complex[Array, "harmonic coordinate input"]:
-        """Complex displacement of the coordinates per input of the lines, ``Z^-1 G``, of the mean and each harmonic."""
-        lines, parts, size = self.lines, self.equation.structure, self.scale
-        stiffness, damping = lines.whole
-        rates = 2 * jnp.pi / self.period * jnp.arange(self.series.harmonics + 1).astype(size.dtype)
+    def waves(self, numbers: Float[Array, "function column"]) -> Complex[Array, "harmonic column"]:
+        """Complex amplitudes of the mean and each harmonic, from the coefficients."""
+        mean, cosine, sine = jnp.split(numbers, [1, self.harmonics + 1])
+        return jax.lax.complex(jnp.concatenate([mean, cosine]), jnp.concatenate([jnp.zeros_like(mean), -sine]))
 
-        def of(rate: Scalar) -> Array:
-            real, imaginary = stiffness - rate**2 * parts.mass, rate * damping
-            both = jnp.outer(size, size)
-            whole = jax.lax.complex(real * both, imaginary * both)
-            answer = jnp.linalg.solve(whole, (size[:, None] * lines.acting).astype(whole.dtype))
-            return size.astype(answer.dtype)[:, None] * answer
+    def motion(self, waves: Complex[Array, "harmonic column"]) -> tuple[Array, Array]:
+        """Values and rates of curves at the even places, from complex amplitudes, shape (n, column)."""
+        order = 2 * jnp.pi / self.period * jnp.arange(self.harmonics + 1).astype(self.period.dtype)
+        lines = waves.at[1:].multiply(0.5) * self.samples
+        turned = jax.lax.complex(-order[:, None] * lines.imag, order[:, None] * lines.real)
+        both = jnp.fft.irfft(jnp.concatenate([lines, turned], axis=1), self.samples, axis=0)
+        return both[:, : waves.shape[1]], both[:, waves.shape[1] :]
 
-        return jax.vmap(of)(rates)
-
-    def _inputs(self, numbers: Float[Array, "function line"]) -> Float[Array, "function input"]:
-        """Coefficients of the inputs (forces) that follow from the curves."""
+    def answer(self, numbers: Float[Array, "function line"]) -> Complex[Array, "harmonic coordinate"]:
+        """Complex amplitudes of the coordinates that follow from the curves of the lines [rad, m]."""
         lines = self.lines
-        seen, rate, _ = self.series.motion(numbers * self.size[None], self.period)
+        seen, rate = self.motion(self.waves(numbers * self.size[None]))
 
-        def at(time: Scalar, seen: Array, rate: Array) -> Array:
-            now = lines.driving(time)
+        def at(now: Driving, seen: Array, rate: Array) -> Array:
             return jnp.concatenate([lines.inputs(now, lines.sight(seen, rate)), lines.known(now)])
 
-        return self.series.weights @ jax.vmap(at)(self.series.places * self.period, seen, rate)
+        inputs = self.waves(self.coefficients(jax.vmap(at)(self.table, seen, rate)))
+        return jnp.einsum("hci,hi->hc", self.answers, inputs)
 
     def lacking(self, numbers: Float[Array, "function line"]) -> Float[Array, "function line"]:
         """Residual: the curves that follow from the inputs, minus the given curves."""
-        return self.coordinates(numbers) @ self.lines.seen.T / self.size[None] - numbers
-
-    def coordinates(self, numbers: Float[Array, "function line"]) -> Float[Array, "function coordinate"]:
-        """Coefficients of the coordinates that follow from the curves [rad, m]."""
-        mean, cosine, sine = self.series.apart(self._inputs(numbers))
-        waves = jax.lax.complex(cosine, -sine)
-        amplitudes = jnp.einsum("hci,hi->hc", self.answers[1:], waves)
-        still = (self.answers[0].real @ mean)[None]
-        return jnp.concatenate([still, amplitudes.real, -amplitudes.imag])
+        answer = self.answer(numbers) @ self.lines.seen.T.astype(self.answers.dtype)
+        return jnp.concatenate([answer.real, -answer.imag[1:]]) / self.size[None] - numbers
 
 
-def _posed(problem: Problem, series: Series) -> OfOutput | OfStructure:
-    return (OfOutput if problem.scene.springs_apart else OfStructure)(problem, series)
+def _places(samples: int, dtype: jnp.dtype) -> Float[Array, " n"]:
+    """Even places of a period, as fractions of it."""
+    return jnp.arange(samples).astype(dtype) / samples
+
+
+def _answers(lines: Lines, rates: Float[Array, " harmonic"]) -> Complex[Array, "harmonic coordinate input"]:
+    """Complex displacement of the coordinates per input of the lines at some angular frequencies [rad/s]."""
+    size, mass = lines.equation.scale, lines.equation.structure.mass
+    stiffness, damping = lines.whole
+
+    def of(rate: Scalar) -> Array:
+        both = jnp.outer(size, size)
+        whole = jax.lax.complex((stiffness - rate**2 * mass) * both, rate * damping * both)
+        answer = jnp.linalg.solve(whole, (size[:, None] * lines.acting).astype(whole.dtype))
+        return size.astype(answer.dtype)[:, None] * answer
+
+    return jax.vmap(of)(rates)
+
+
+def _root(lacking: Callable[[Array], Array], start: Array, max_steps: int) -> tuple[Array, Scalar]:
+    """Coefficients at which nothing is lacking, by Newton's method, and what is lacking over the largest of them.
+
+    The latter has no derivative. The coefficients have those of the implicit function theorem.
+    """
+    begin = jax.lax.stop_gradient(start)
+    by_matrix = start.size <= MATRIX
+
+    def search(lacking: Callable[[Array], Array], begin: Array) -> tuple[Array, Array]:
+        def step(now: Newton) -> Newton:
+            numbers = now.numbers - now.way
+            if by_matrix:
+                slope, left = jax.jacfwd(lambda flat: (lacking(flat.reshape(begin.shape)).ravel(),) * 2, has_aux=True)(
+                    numbers.ravel()
+                )
+                way = jnp.linalg.solve(slope, left)
+            else:
+                left, along = jax.linearize(lacking, numbers)
+                way = _without_matrix(along, left, ROUGH)
+            rest = jnp.abs(left).max() / jnp.abs(numbers).max()
+            return Newton(now.steps + 1, numbers, way.reshape(begin.shape), rest, now.rest)
+
+        def going_on(now: Newton) -> Array:
+            leads = True if by_matrix else now.rest < SLOWEST * now.before
+            unfinished = (now.rest > TOLERANCE) & jnp.isfinite(now.rest) & leads
+            return (now.steps < 0) | ((now.steps < max_steps) & unfinished)
+
+        unknown = jnp.full_like(begin[0, 0], jnp.inf)
+        first = Newton(jnp.asarray(-1), begin, jnp.zeros_like(begin), unknown, unknown)
+        found = jax.lax.while_loop(going_on, step, first)
+        return found.numbers, found.rest
+
+    def solve(linear: Callable[[Array], Array], right: Array) -> Array:
+        if not by_matrix:
+            # the tolerance of GMRES depends on the right side, which has no transpose of its own
+            accurate = partial(_without_matrix, accuracy=TOLERANCE)
+            return jax.lax.custom_linear_solve(linear, right, accurate, transpose_solve=accurate)
+        slope = jax.jacfwd(lambda flat: linear(flat.reshape(right.shape)).ravel())(jnp.zeros_like(right).ravel())
+        return jnp.linalg.solve(slope, right.ravel()).reshape(right.shape)
+
+    numbers, rest = jax.lax.custom_root(lacking, begin, search, solve, has_aux=True)
+    return numbers, jax.lax.stop_gradient(rest)
+
+
+class Newton(NamedTuple):
+    """Newton's method on the way.
+
+    Args:
+        steps: number of steps taken, -1 before the first evaluation.
+        numbers: coefficients.
+        way: the step that follows, to be subtracted.
+        rest: what is lacking, over the largest coefficient.
+        before: the same a step before.
+    """
+
+    steps: Array
+    numbers: Array
+    way: Array
+    rest: Scalar
+    before: Scalar
+
+
+def _without_matrix(linear: Callable[[Array], Array], right: Array, accuracy: float) -> Array:
+    """Solution of linear equations by GMRES, to a relative accuracy."""
+    tolerance = max(accuracy, 10 * float(jnp.finfo(right.dtype).eps))
+    return jax.scipy.sparse.linalg.gmres(
+        linear, right, tol=tolerance, restart=KRYLOV, maxiter=RESTARTS, solve_method="incremental"
+    )[0]
 
 
 @eqx.filter_jit
 def _harmonic_balance(problem: Problem, harmonics: int, samples: int, guess: Array | None, max_steps: int) -> Periodic:
-    period, series = problem.period, Series.of(harmonics, samples, problem.period.dtype)
-    posed = _posed(problem, series)
+    period = problem.period
+    balance = Balance.of(problem, harmonics, samples)
     if guess is None:
-        rest = posed.resting()
-        curve = jnp.broadcast_to(rest, (samples, *rest.shape))
+        curve = balance.seen(balance.rest)
     else:
-        begins = jnp.linspace(0.0, 1.0, guess.shape[0] + 1).astype(period.dtype)[:-1]
-        curve = posed.seen(jax.vmap(lambda one: jnp.interp(series.places, begins, one, period=1.0), 1, 1)(guess))
-    solver, start = optimistix.Newton(rtol=1e-10, atol=1e-10), series.weights @ curve
-
-    def left(numbers: Array, problem: Problem) -> Array:
-        """Coefficients of the residual."""
-        return _posed(problem, series).lacking(numbers)
-
-    numbers = optimistix.root_find(left, solver, start, problem, max_steps=max_steps, throw=False).value
-    rest = jnp.abs(posed.lacking(numbers)).max() / jnp.abs(numbers).max()
-    place, speed, _ = series.motion(posed.coordinates(numbers), period)
+        begins, places = _places(guess.shape[0], period.dtype), _places(samples, period.dtype)
+        curve = balance.seen(jax.vmap(lambda one: jnp.interp(places, begins, one, period=1.0), 1, 1)(guess))
+    numbers, rest = _root(lambda numbers: balance.lacking(numbers), balance.coefficients(curve), max_steps)
+    place, speed = balance.motion(balance.answer(numbers))
     unknown = jnp.full((2 * place.shape[1],), jnp.nan, period.dtype)
     state, supported = jnp.stack([place[0], speed[0]]), not problem.scene.output_alone
     return Periodic(
-        series.places * period,
+        _places(samples, period.dtype) * period,
         place[:, 0],
         speed[:, 0],
         jax.lax.complex(unknown, unknown),

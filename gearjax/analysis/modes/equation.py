@@ -37,7 +37,7 @@ class Excitation(NamedTuple):
         jacobian_rate, gap_rate: rates of Jacobian and gaps; ``None`` without dampers.
         stiffness: stiffness of the contacts, shape (contact,) [N/m].
         torque: load torque [N m].
-        struck: generalised forces of the impacts, shape (coordinate,) [N m, N]; ``None`` without.
+        struck: force of the impacts [N]; ``None`` without.
     """
 
     jacobian: Array
@@ -137,13 +137,16 @@ class StructureEquation(eqx.Module):
             return torque
         return torque + self.structure.mass[0, 0] * self.scene.system.output_acceleration(time)
 
-    def struck_at(self, time: Scalar) -> Float[Array, " coordinate"] | None:
-        """Generalised forces of the impacts, ``V^T f_s``, along the mean direction of the springs [N m, N]."""
-        if self.pulses is None:
-            return None
+    @property
+    def along(self) -> Float[Array, " coordinate"]:
+        """V: generalised forces per force of the impacts, along the mean direction of the springs [m, -]."""
+        weights = self.springs.mean * self.springs.carries
+        return weights @ self.jacobian / weights.sum()
+
+    def struck_at(self, time: Scalar) -> Scalar | None:
+        """Force of the impacts at a time [s] [N]; ``None`` without."""
         speed = self.scene.system.input_speed
-        along = self.springs.mean * self.springs.carries
-        return self.pulses.at(speed * time, speed) * (along @ self.jacobian) / along.sum()
+        return None if self.pulses is None else self.pulses.at(speed * time, speed)
 
     def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
         """Contacts and load at a time [s], with rates if dampers need them or ``moving`` asks for them."""
@@ -217,7 +220,7 @@ class StructureEquation(eqx.Module):
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
         """Generalised forces that do not depend on the coordinates: load torque, impacts, centrifugal ones [N m, N]."""
         given = self.structure.push.at[0].add(-now.torque)
-        return given if now.struck is None else given - now.struck
+        return given if now.struck is None else given - now.struck * self.along
 
     def acceleration(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " coordinate"]:
         """Acceleration of the coordinates [rad/s2, m/s2]."""

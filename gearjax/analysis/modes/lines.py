@@ -2,8 +2,8 @@
 
 A line is a row of L: ``s = L q`` is its displacement, u its input force, and G takes the inputs to the coordinates. If
 the levers are constant and the contacts not more than the coordinates, each contact is a line, and G has further
-columns for the load torque and for centrifugal forces. Otherwise L is the identity, and u are generalised forces. A
-sight is the vector on which the inputs depend: s, and rates of s if needed. Letters are those of
+columns for the load torque, for centrifugal forces and for impacts. Otherwise L is the identity, and u are generalised
+forces. A sight is the vector on which the inputs depend: s, and rates of s if needed. Letters are those of
 `gearjax.analysis.modes.steps`.
 """
 
@@ -27,8 +27,7 @@ class Driving(NamedTuple):
         gap_rate: rate of the gaps of contacts with dampers, shape (damper,) [m/s]; ``None`` without dampers.
         stiffness: stiffness of the contacts, shape (contact,) [N/m].
         torque: load torque [N m].
-        struck: generalised forces of the impacts, shape (coordinate,) [N m, N]; ``None`` without, and if lines are
-            contacts.
+        struck: force of the impacts [N]; ``None`` without.
     """
 
     lever: Array | None
@@ -85,6 +84,8 @@ class Lines(eqx.Module):
         columns = [jacobian.T, jnp.zeros((coordinates, 1), jacobian.dtype).at[0].set(-1.0)]
         if equation.pushed:
             columns.append(equation.structure.push[:, None])
+        if now.struck is not None:
+            columns.append(-equation.along[:, None])
         if coefficient is not None:
             damping = jnp.diag(layout.on_first(coefficient))
         return cls(equation, jacobian, jnp.concatenate(columns, axis=1), jnp.diag(held), damping, apart)
@@ -124,7 +125,7 @@ class Lines(eqx.Module):
         now, first = self.equation.excitation(time), self.equation.springs.damped
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
-            return Driving(None, now.gap, None, heard, now.stiffness, now.torque, None)
+            return Driving(None, now.gap, None, heard, now.stiffness, now.torque, now.struck)
         rate = None if now.jacobian_rate is None else now.jacobian_rate[first].T
         return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.torque, now.struck)
 
@@ -149,10 +150,11 @@ class Lines(eqx.Module):
         return total(now.lever[:, self.equation.springs.damped], heard) + total(now.lever_rate, seen) - now.gap_rate
 
     def known(self, now: Driving) -> Float[Array, " known"]:
-        """Inputs that do not depend on the motion, if lines are contacts: load torque and centrifugal forces."""
+        """Inputs that do not depend on the motion, if lines are contacts: load torque, centrifugal forces, impacts."""
         if not self.apart:
             return jnp.zeros((0,), now.torque.dtype)
-        return jnp.stack([now.torque, jnp.ones_like(now.torque)]) if self.equation.pushed else now.torque[None]
+        pushed = (jnp.ones_like(now.torque),) if self.equation.pushed else ()
+        return jnp.stack([now.torque, *pushed, *(() if now.struck is None else (now.struck,))])
 
     def inputs(self, now: Driving, sight: Array) -> Float[Array, " line"]:
         """The inputs u of the lines [N, N m].
@@ -174,7 +176,7 @@ class Lines(eqx.Module):
         if now.lever is None:
             return kept - force
         first = jnp.zeros_like(seen).at[0].set(1.0)
-        kept = kept if now.struck is None else kept - now.struck
+        kept = kept if now.struck is None else kept - now.struck * equation.along
         return kept + equation.structure.push - now.torque * first - now.lever @ force
 
     def _of_mean(self, mean: Array, seen: Array) -> Array:
