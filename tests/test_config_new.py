@@ -67,7 +67,7 @@ def test_each_option_loads_when_it_is_put_in(text):
     for places in found:
         other = put_in(text, places)
         changed += tomllib.loads(other) != tomllib.loads(text)
-        assert tomllib.loads(other).keys() <= {*tomllib.loads(text), "published", "supports"}
+        assert tomllib.loads(other).keys() <= {*tomllib.loads(text), "published", "supports", "impact"}
         fault = mistake(other)
         if fault:
             noted = " ".join(line[2:] for line in lines[: places[0]] if line.startswith("# "))

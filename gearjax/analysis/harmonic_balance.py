@@ -26,6 +26,7 @@ from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Complex, Float, Scalar
 
 TOLERANCE = 1e-10  # of Newton's method, relative
+ROUNDED = 1e-6  # residual below which a step that does not make it smaller is the last: in float32 it is rounding
 MATRIX = 2000  # unknowns up to which Newton's method has a matrix
 ROUGH = 1e-3  # relative error of its steps without a matrix; the next step corrects it
 KRYLOV, RESTARTS = 40, 3  # iterations of GMRES before it restarts, and its starts
@@ -214,7 +215,8 @@ def _root(lacking: Callable[[Array], Array], start: Array, max_steps: int) -> tu
 
         def going_on(now: Newton) -> Array:
             leads = True if by_matrix else now.rest < SLOWEST * now.before
-            unfinished = (now.rest > TOLERANCE) & jnp.isfinite(now.rest) & leads
+            rounded = (now.rest < ROUNDED) & (now.rest >= now.before)
+            unfinished = (now.rest > TOLERANCE) & jnp.isfinite(now.rest) & leads & ~rounded
             return (now.steps < 0) | ((now.steps < max_steps) & unfinished)
 
         unknown = jnp.full_like(begin[0, 0], jnp.inf)

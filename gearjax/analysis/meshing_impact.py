@@ -34,7 +34,7 @@ class MeshingImpacts(eqx.Module):
         duration: time t_s in which the speed becomes zero, shape (pair,) [s].
         pitch: input angle from one pair to the next [rad].
         result: 0 found; 1 the teeth touch before the search begins, or not until the middle of their path, or there is
-            no equilibrium under the torque, shape (pair,). If it is not 0, the other results are nan.
+            no equilibrium under the torque, shape (pair,). If it is not 0, place, speed and force are nan.
     """
 
     theta: Float[Array, " pair"]
@@ -148,11 +148,11 @@ def _impacts(scene: Scene, torque: Scalar, impact: MeshingImpact) -> MeshingImpa
         angle, found = _first_touch(lambda angle: overlaps(angle)[0][own].max(), looks + pair * pitch)
         whole, contacts = overlaps(angle)
         found = found & jnp.isfinite(whole).all()
-        slice_ = jnp.argmax(whole[own])
-        place = own[slice_]
+        touching = jnp.argmax(whole[own])
+        place = own[touching]
         _, closing = jax.jvp(lambda at: scene.contacts(at).gap[place], (angle,), (jnp.ones_like(angle),))
         kept = _stiffness(contacts, own, whole.max()) if stiffness is None else stiffness
-        ahead = (entering.begin[slice_] + pair * pitch - angle) * entering.radius
+        ahead = (entering.begin[touching] + pair * pitch - angle) * entering.radius
         # gaps are what the wheel turns by, with the lever of the path: at a corner the normal has another one
         parts = angle, ahead, -scene.system.input_speed * closing * entering.leverage(ahead)
         return *(jnp.where(found, part, jnp.nan) for part in parts), kept, _mass(scene, contacts, place), found
