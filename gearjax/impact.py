@@ -28,8 +28,8 @@ class MeshingImpact(eqx.Module):
 
     Under load the teeth that are in mesh deflect, so that the next pair touches too early or, if its flanks are
     relieved, while its flanks still approach each other. The impact is a half-sine pulse along the normal of the
-    flanks, `gearjax.meshing_impact`, under the size of the load torque. It is for gear sets whose contact ends with the path of contact; with
-    ``tip_contact = "corner"`` the teeth themselves strike each other.
+    flanks, `gearjax.meshing_impact`, under the size of the load torque. It is for gear sets whose contact ends with the
+    path of contact; with ``tip_contact = "corner"`` the teeth themselves strike each other.
 
     Args:
         stiffness: stiffness K_s of the pair that strikes [N/m]; without it, that of the pair's own springs if it
