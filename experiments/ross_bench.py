@@ -33,6 +33,8 @@ The law is the same. What differs, each shown by a table:
 Times are medians, of three runs in ROSS (a torque takes ROSS the same each time, so that its loop over torques is its
 time for one). The first call, which compiles, is apart; left out are numba's compilation and the building of the
 machine in ROSS, once per design.
+
+Before these, natural frequencies of a helical pair (`ross_modes`).
 """
 
 import argparse
@@ -51,6 +53,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numpy as np
 from peers import agree, interleaved, sized
+from ross_modes import compare_modes
 
 import gearjax as gj
 from gearjax import units
@@ -310,6 +313,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="one spur pair with backlash: gearjax against ROSS")
     parser.add_argument("--ross-python", required=True, help="a Python that has ross-rotordynamics 3")
     given = sized(parser, repeats=(9, 1))
+    compare_modes(given.ross_python)
     runs = ross_runs()
     if given.short:
         compare(by_ross(given.ross_python, [run | SHORT for run in runs if run["name"] == COMPARED]))
