@@ -94,12 +94,9 @@ class Scene(eqx.Module):
 
     def __check_init__(self):
         from gearjax.gear_set_checks import check_gear_set
-        from gearjax.scene_checks import (
-            check_body,
-            check_coupled,
-            check_impact,
-            check_moving,
-        )  # that module imports this one
+
+        # that module imports this one
+        from gearjax.scene_checks import check_body, check_coupled, check_impact, check_moving
 
         if not isinstance(self.system, AbstractSystem):
             is_path = isinstance(self.system, str | Path)

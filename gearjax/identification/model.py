@@ -20,12 +20,8 @@ LANES = 1 << 15  # rows times points that are computed at once, so that they sta
 FEW = 6  # contacts, up to which their balance is written as one expression
 LOOKS = 7  # rows at which the linearity of the gaps is tested
 TRIED = 3  # points that are compared at these rows
-MOVING = (
-    "load",
-    "inertia",
-    "damping",
-    "impact",
-)  # slots that act in motion only; a model at rest keeps those with unknowns too
+# slots that act in motion only; a model at rest keeps those with unknowns too
+MOVING = ("load", "inertia", "damping", "impact")
 STRAIGHT = 1e-6  # of the largest change of a gap or stiffness: deviation up to which the model counts as linear
 
 
