@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gearjax.scene import Scene  # that module imports this one
 
 MOST_PAIRS, AT_ONCE = 20_000, 16  # pairs of teeth in all, and those computed side by side
-ALIKE = 100.0  # largest difference of the gaps of teeth that are alike, in spacings of the dtype at 1 m
+ALIKE = 1.0  # largest difference of the gaps of teeth that are alike, in spacings of the dtype at 1 m
 LONGEST = 4  # pitches that a pulse may last; faster gears have no time for an impact
 
 

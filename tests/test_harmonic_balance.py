@@ -115,3 +115,16 @@ def test_a_reduction_with_many_harmonics_moves(scene):
     assert gj.chosen_steps(few, ts, 100.0).scheme.startswith("fitted march")
     first, second = (gj.simulate(reduced, ts, 100.0).te for reduced in (few, many))
     assert float(jnp.abs(first - second).max()) < 1e-3 * float(jnp.ptp(first))
+
+
+@pytest.mark.slow
+def test_single_precision(scene):
+    """It ends when rounding is reached, not after all steps, and agrees to a part in 10,000 of the swing."""
+    scene = dataclasses.replace(scene, errors={})
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
+    wide, narrow = (
+        gj.harmonic_balance(one, TORQUE, period_of(scene, 1), harmonics=8, max_steps=12) for one in (scene, single)
+    )
+    assert narrow.te.dtype == jnp.float32
+    assert int(narrow.result) == 0
+    np.testing.assert_allclose(narrow.te, wide.te, rtol=0, atol=1e-4 * float(wide.peak_to_peak))
