@@ -287,6 +287,8 @@ def test_extremes():
     moving = {"load": gj.ConstantLoad(), "impact": gj.MeshingImpact(), "damping": gj.DampingRatio(0.05)}
     still = gj.simulate(dataclasses.replace(scene, **moving), np.linspace(0.0, 0.01, 65), 0.0)
     assert np.isfinite(np.asarray(still.te)).all()
+    with pytest.raises(gj.SceneError, match=r"not finite: no impact is found under 1e\+09 N\*m \(pairs .*: 1\)"):
+        gj.simulate(dataclasses.replace(scene, **moving), np.linspace(0.0, 0.01, 65), 1e9)
 
 
 def test_what_has_no_impact_is_refused():

@@ -32,10 +32,12 @@ from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.follow import QuasiStatic, follow
 from gearjax.analysis.growth import growth, growth_in_modes, watch
 from gearjax.analysis.integrate import Even, integrated, recorded
+from gearjax.analysis.meshing_impact import meshing_impact
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.motion import Motion
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, Stepper
 from gearjax.checks import SceneError, is_concrete
+from gearjax.impact import MeshingImpact
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Scalar
@@ -99,7 +101,8 @@ def simulate(
     method, ts = method_of(scene, ts, torque, stepper, limits), jnp.asarray(ts)
     motion = _simulate(physics, ts, torque, settle, start, method)
     if is_concrete(motion.result) and int(motion.result):
-        raise SceneError(f"dynamic: {FAULTS[int(motion.result)]}{advice(limits, method, int(motion.result))}")
+        fault = int(motion.result)
+        raise SceneError(f"dynamic: {FAULTS[fault]}{advice(limits, method, fault)}{_of_impacts(physics, torque)}")
     if (
         limits is not None
         and is_concrete(motion.defect)
@@ -183,6 +186,15 @@ def growth_rate(
             "the growth rate needs evenly spaced ts and steps of the fitted scheme: stepper=FixedStep(...)"
         )
     return _growth_rate(physics, jnp.asarray(ts), torque, start, method.spacing)
+
+
+def _of_impacts(scene: Scene, torque: Scalar) -> str:
+    """Words on impacts that were not found, where a motion failed; otherwise an empty text."""
+    if not isinstance(scene.impact, MeshingImpact) or not is_concrete(torque) or not float(torque) > 0:
+        return ""
+    lost = int((meshing_impact(scene, torque).result != 0).sum())
+    words = f"pairs that touch too far before their path of contact, or not until its middle: {lost}"
+    return f": no impact is found under {float(torque):g} N*m ({words})" if lost else ""
 
 
 @eqx.filter_jit
