@@ -188,10 +188,10 @@ class Hunting:
     """The pair with run-out of its gears as one contact over a period, 6 harmonics to each mesh."""
 
     def __init__(self, meshes: int):
-        whole = gj.load(CONFIG)
-        names = [name for name in whole.errors if meshes == HUNTING or name != "wheel"]  # the pinion's run-out alone
-        whole = dataclasses.replace(whole, errors={name: whole.errors[name] for name in names})
-        scene = dataclasses.replace(pair(), errors=whole.errors)
+        errors = dict(gj.load(CONFIG).errors)
+        if meshes != HUNTING:  # a turn of the pinion, whose run-out alone repeats
+            del errors["wheel"]
+        scene = dataclasses.replace(pair(), errors=errors)
         angle, self.meshes = meshes * 2 * np.pi / scene.system.pinion_teeth, meshes
         self.scene = gj.one_contact(scene, TORQUE, period=angle, samples=16 * meshes, harmonics=6 * meshes).scene
         self.period, self.lever = angle / float(SPEED), float(self.scene.system.lever)

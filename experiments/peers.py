@@ -2,6 +2,7 @@
 
 import argparse
 import ctypes
+import json
 import subprocess
 import tempfile
 import time
@@ -43,6 +44,17 @@ def agree(words: str, apart: float, most: float, unit: str = "") -> None:
     print(line, flush=True)
     if not apart <= most:
         raise SystemExit(f"the programs differ by more than they may: {line.strip()}")
+
+
+def by_another_python(python: str, source: str, given: dict[str, Any]) -> Any:
+    """Answer of a program in another environment; it reads one JSON file and writes another, its two arguments."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "peer.py").write_text(source, encoding="utf-8")
+        (folder / "given.json").write_text(json.dumps(given), encoding="utf-8")
+        command = [python, folder / "peer.py", folder / "given.json", folder / "found.json"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return json.loads((folder / "found.json").read_text(encoding="utf-8"))
 
 
 def compiled_c(source: str, *flags: str) -> ctypes.CDLL:

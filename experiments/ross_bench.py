@@ -38,13 +38,9 @@ Before these, natural frequencies of a helical pair (`ross_modes`).
 """
 
 import argparse
-import json
 import math
-import subprocess
-import tempfile
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 import jax
@@ -52,7 +48,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numpy as np
-from peers import agree, interleaved, sized
+from peers import agree, by_another_python, interleaved, sized
 from ross_modes import compare_modes
 
 import gearjax as gj
@@ -257,23 +253,17 @@ def ross_runs() -> list[dict[str, Any]]:
 
 def by_ross(python: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Answers of ROSS to runs."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        given = {
-            "teeth": TEETH,
-            "base_radii": BASE_RADII,
-            "inertias": INERTIAS,
-            "pressure_angle": PRESSURE_ANGLE,
-            "stiffness": STIFFNESS,
-            "damping": DAMPING,
-            "error": ERROR,
-            "runs": runs,
-        }
-        (folder / "peer.py").write_text(ROSS, encoding="utf-8")
-        (folder / "given.json").write_text(json.dumps(given), encoding="utf-8")
-        command = [python, folder / "peer.py", folder / "given.json", folder / "found.json"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        return json.loads((folder / "found.json").read_text(encoding="utf-8"))
+    given = {
+        "teeth": TEETH,
+        "base_radii": BASE_RADII,
+        "inertias": INERTIAS,
+        "pressure_angle": PRESSURE_ANGLE,
+        "stiffness": STIFFNESS,
+        "damping": DAMPING,
+        "error": ERROR,
+        "runs": runs,
+    }
+    return by_another_python(python, ROSS, given)
 
 
 def compare(peer: dict[str, Any]) -> None:

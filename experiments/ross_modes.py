@@ -10,14 +10,9 @@ angle b (`MultiRotor.compute_coupling_matrix`). The normal of a helical flank, a
 therefore compared twice: as ROSS has them, and with the normal in its matrix.
 """
 
-import json
-import subprocess
-import tempfile
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
-from peers import agree
+from peers import agree, by_another_python
 
 import gearjax as gj
 from gearjax.units import deg, mm
@@ -95,13 +90,7 @@ def compare_modes(python: str) -> None:
         **{"masses": MASSES, "transverse": TRANSVERSE, "polar": (1e7, MOMENT), "mesh": MESH},
         **{"x": 2e8, "z": 1e8, "tilt": 1e7},
     }
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "peer.py").write_text(ROSS, encoding="utf-8")
-        (folder / "given.json").write_text(json.dumps(given), encoding="utf-8")
-        command = [python, folder / "peer.py", folder / "given.json", folder / "found.json"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        found = json.loads((folder / "found.json").read_text(encoding="utf-8"))
+    found = by_another_python(python, ROSS, given)
     for helix, (as_it_is, mended) in zip(HELIX_ANGLES, found, strict=True):
         own = ours(helix)
         words = f"helix angle {helix / deg:.4g} deg, natural frequencies"

@@ -62,8 +62,7 @@ def plane_speed(scene, theta, lag):
 
         return involute(radius) - involute(base[number] / math.cos(alpha))
 
-    # flanks press along (sin alpha, cos alpha): the roots of the pinion's tooth are behind its tip where it turns
-    way = 1.0 if inner else -1.0
+    way = 1.0 if inner else -1.0  # sense in which the wheel turns
     tip = 0.5 * float(pair.tip_diameters[1])
     corner = centre + turned(pitch - centre, -unwound(tip, 1)) * tip / np.linalg.norm(pitch - centre)
     moved = centre + turned(corner - centre, way * (theta * ratio + lag))
@@ -282,8 +281,6 @@ def test_extremes():
     hardly = gj.meshing_impact(scene, 1e9)
     assert hardly.result.tolist() == [1]  # the pair touches before its gap is known
     assert np.isnan(float(hardly.force[0]))
-    apart = gj.meshing_impact(dataclasses.replace(scene, errors={"tip": gj.TipRelief("wheel", 3e-3, 1e-3)}), 1.0)
-    assert apart.result.tolist() in ([0], [1])
     moving = {"load": gj.ConstantLoad(), "impact": gj.MeshingImpact(), "damping": gj.DampingRatio(0.05)}
     still = gj.simulate(dataclasses.replace(scene, **moving), np.linspace(0.0, 0.01, 65), 0.0)
     assert np.isfinite(np.asarray(still.te)).all()

@@ -69,6 +69,8 @@ class StructureEquation(eqx.Module):
         turns_evenly: whether the ideal output turns evenly.
         layout: sides and pairs of the contacts.
         pulses: impacts of the teeth as they come into mesh; ``None`` without.
+        along: V, generalised forces per force of the impacts, along the mean direction of the springs, shape
+            (coordinate,) [m, -]; ``None`` without impacts.
     """
 
     scene: Scene
@@ -86,6 +88,7 @@ class StructureEquation(eqx.Module):
     free: int = eqx.field(static=True)
     holds: tuple[int, ...] = eqx.field(static=True)
     pulses: Pulses | None = None
+    along: Float[Array, " coordinate"] | None = None
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "StructureEquation":
@@ -117,9 +120,13 @@ class StructureEquation(eqx.Module):
             drag = _fastest(structure.mass, springs.dampers(jacobian, coefficient)) ** 2
             contact = jnp.maximum(contact, drag)
         rates = whole, contact, turn
+        along = None
+        if pulses is not None:
+            weights = springs.mean * springs.carries
+            along = weights @ jacobian / weights.sum()
         return cls(
             *(scene, torque, structure, jacobian, springs, coefficient, scale, *rates, layout),
-            *(scene.system.turns_evenly, contacts.free, contacts.holds, pulses),
+            *(scene.system.turns_evenly, contacts.free, contacts.holds, pulses, along),
         )
 
     @property
@@ -136,12 +143,6 @@ class StructureEquation(eqx.Module):
         if self.turns_evenly:
             return torque
         return torque + self.structure.mass[0, 0] * self.scene.system.output_acceleration(time)
-
-    @property
-    def along(self) -> Float[Array, " coordinate"]:
-        """V: generalised forces per force of the impacts, along the mean direction of the springs [m, -]."""
-        weights = self.springs.mean * self.springs.carries
-        return weights @ self.jacobian / weights.sum()
 
     def struck_at(self, time: Scalar) -> Scalar | None:
         """Force of the impacts at a time [s] [N]; ``None`` without."""
@@ -220,7 +221,7 @@ class StructureEquation(eqx.Module):
     def given(self, now: Excitation) -> Float[Array, " coordinate"]:
         """Generalised forces that do not depend on the coordinates: load torque, impacts, centrifugal ones [N m, N]."""
         given = self.structure.push.at[0].add(-now.torque)
-        return given if now.struck is None else given - now.struck * self.along
+        return given if now.struck is None or self.along is None else given - now.struck * self.along
 
     def acceleration(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " coordinate"]:
         """Acceleration of the coordinates [rad/s2, m/s2]."""

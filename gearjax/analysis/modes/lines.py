@@ -84,7 +84,7 @@ class Lines(eqx.Module):
         columns = [jacobian.T, jnp.zeros((coordinates, 1), jacobian.dtype).at[0].set(-1.0)]
         if equation.pushed:
             columns.append(equation.structure.push[:, None])
-        if now.struck is not None:
+        if equation.along is not None:
             columns.append(-equation.along[:, None])
         if coefficient is not None:
             damping = jnp.diag(layout.on_first(coefficient))
@@ -176,7 +176,8 @@ class Lines(eqx.Module):
         if now.lever is None:
             return kept - force
         first = jnp.zeros_like(seen).at[0].set(1.0)
-        kept = kept if now.struck is None else kept - now.struck * equation.along
+        if now.struck is not None and equation.along is not None:
+            kept = kept - now.struck * equation.along
         return kept + equation.structure.push - now.torque * first - now.lever @ force
 
     def _of_mean(self, mean: Array, seen: Array) -> Array:
