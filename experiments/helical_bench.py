@@ -246,10 +246,12 @@ def hunting(options: argparse.Namespace) -> None:
     """The periodic motion over all meshes of a hunting period."""
     period = Hunting(options.hunted)
     tasks = {
-        "harmonic balance, 16 a mesh": lambda: period.balanced(16, 48),
-        "harmonic balance, 24 a mesh": lambda: period.balanced(24, 64),
-        "even steps, 256 a mesh": lambda: period.by_steps(256),
+        "harmonic balance, 12 a mesh": lambda: period.balanced(12, 32),
+        "harmonic balance, 16 a mesh": lambda: period.balanced(16, 32),
+        "harmonic balance, 20 a mesh": lambda: period.balanced(20, 48),
+        "even steps, 192 a mesh": lambda: period.by_steps(192),
         "even steps, 1024 a mesh": lambda: period.by_steps(1024),
+        "even steps, 6144 a mesh": lambda: period.by_steps(6144),
         "scipy": period.by_scipy,
     }
     results, first, seconds = interleaved(tasks, options.repeats, slow=1.0)

@@ -232,12 +232,11 @@ class Scene(eqx.Module):
         studies, `physics` is right.
         """
         scene = self.physics(*slots)
-        compliance = scene.compliance
-        springs = compliance if isinstance(compliance, AbstractSliceCompliance | AbstractToothCompliance) else None
-        if not (scene.system.precomputes or (springs is not None and springs.precomputes)):
+        springs = scene.compliance if getattr(scene.compliance, "precomputes", False) else None
+        if not scene.system.precomputes and springs is None:
             return scene
         system, known = evaluated_once(_precomputed, scene.system, springs)
-        return with_known(scene, system=system, compliance=compliance if springs is None else known)
+        return with_known(scene, system=system, compliance=scene.compliance if springs is None else known)
 
     @property
     def springs_alone(self) -> "Scene":
@@ -392,8 +391,10 @@ class Scene(eqx.Module):
 def _precomputed(system: AbstractSystem, springs: Any) -> tuple[AbstractSystem, Any]:
     """A gear set and the compliance of its teeth, precomputed."""
     system = system.precomputed()
-    if springs is None or not springs.precomputes:
-        return system, springs
+    if springs is None:
+        return system, None
+    if isinstance(springs, AbstractCompliance):
+        return system, springs.precomputed()
     slices = isinstance(springs, AbstractSliceCompliance)
     pose = pose_of(system, jnp.zeros_like(system.input_speed), Request(slices=slices, places=not slices))
     return system, springs.precomputed(pose.slices if slices else pose.places)

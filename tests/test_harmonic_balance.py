@@ -98,7 +98,19 @@ def test_waves_are_the_sum_of_their_harmonics(number):
     turned = angle[:, None] * np.arange(1, number + 1)[None]
     wanted = 0.3 + np.cos(turned) @ cosine + np.sin(turned) @ sine
     waves = Waves(jnp.asarray(0.3), jnp.asarray(cosine), jnp.asarray(sine))
-    np.testing.assert_allclose(waves.at(jnp.asarray(angle)), wanted, atol=1e-12)
+    slope = (np.arange(1, number + 1) * (np.cos(turned) * sine - np.sin(turned) * cosine)).sum(axis=1)
+    for curve in (waves, waves.tabulated()):
+        values, slopes = jax.jvp(curve.at, (jnp.asarray(angle),), (jnp.ones(50),))
+        np.testing.assert_allclose(values, wanted, atol=1e-12)
+        np.testing.assert_allclose(slopes, slope, atol=2e-13 * number)
+    assert (waves.tabulated().table is None) == (number <= 64)
+    by_amplitude = jax.jit(jax.jacrev(lambda cosine: Waves(waves.mean, cosine, waves.sine).at(jnp.asarray(angle[:3]))))
+    np.testing.assert_allclose(by_amplitude(waves.cosine), np.cos(turned[:3]), atol=1e-12)
+    single = jax.tree.map(lambda part: part.astype(jnp.float32), waves)
+    narrow = single.at(jnp.asarray(angle / 9, jnp.float32))
+    turned = np.float32(angle / 9)[:, None] * np.arange(1.0, number + 1)[None]
+    exact = 0.3 + np.cos(turned) @ cosine + np.sin(turned) @ sine
+    np.testing.assert_allclose(narrow, exact, atol=4e-7 * number)
 
 
 @pytest.mark.slow

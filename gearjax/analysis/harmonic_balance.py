@@ -29,7 +29,7 @@ TOLERANCE = 1e-10  # of Newton's method, relative
 ROUNDED = 1e-6  # residual below which a step that does not make it smaller is the last: in float32 it is rounding
 MATRIX = 2000  # unknowns up to which Newton's method has a matrix
 ROUGH = 1e-3  # relative error of its steps without a matrix; the next step corrects it
-KRYLOV, RESTARTS = 40, 3  # iterations of GMRES before it restarts, and its starts
+KRYLOV = (12, 3), (40, 3)  # iterations of GMRES before it restarts and its starts, in easy and in hard equations
 SLOWEST = 0.5  # share of the residual that a step without a matrix may leave; more means that it leads nowhere
 AT_ONCE = 256  # places whose excitation and static equilibrium are found together
 
@@ -86,7 +86,8 @@ class Balance(eqx.Module):
     Args:
         lines: lines of the contacts.
         table: excitation at even places of the period, the first axis of each leaf.
-        answers: complex displacement of the coordinates per input, ``Z^-1 G``, of the mean and each harmonic.
+        answers: complex displacement of the coordinates per input of a line, ``Z^-1 G``, of the mean and each harmonic.
+        forced: complex displacement of the coordinates by the inputs that do not depend on the motion [rad, m].
         size: scaling of the lines [m, rad].
         period: the period [s].
         rest: coordinates of the static equilibrium at these places, shape (n, coordinate) [rad, m]; where there is
@@ -95,7 +96,8 @@ class Balance(eqx.Module):
 
     lines: Lines
     table: Driving
-    answers: Complex[Array, "harmonic coordinate input"]
+    answers: Complex[Array, "harmonic coordinate line"]
+    forced: Complex[Array, "harmonic coordinate"]
     size: Float[Array, " line"]
     period: Scalar
     rest: Float[Array, "n coordinate"]
@@ -116,7 +118,9 @@ class Balance(eqx.Module):
         table, rest = jax.lax.map(at, times, batch_size=min(AT_ONCE, samples))
         rest = jax.lax.stop_gradient(jnp.where(jnp.isfinite(rest), rest, rest[:1]))
         answers = _answers(lines, 2 * jnp.pi / period * jnp.arange(harmonics + 1).astype(period.dtype))
-        return cls(lines, table, answers, lengths if lines.apart else equation.scale, period, rest)
+        answers, known = jnp.split(answers, [len(lines.seen)], axis=2)
+        forced = jnp.einsum("hci,hi->hc", known, _amplitudes(jax.vmap(lines.known)(table), harmonics))
+        return cls(lines, table, answers, forced, lengths if lines.apart else equation.scale, period, rest)
 
     @property
     def samples(self) -> int:
@@ -139,32 +143,34 @@ class Balance(eqx.Module):
 
     def coefficients(self, curves: Float[Array, "n column"]) -> Float[Array, "function column"]:
         """Mean, cosines and sines of curves at the even places."""
-        waves = jnp.fft.rfft(curves, axis=0)[: self.harmonics + 1] / self.samples
-        return jnp.concatenate([waves[:1].real, 2 * waves[1:].real, -2 * waves[1:].imag])
+        waves = _amplitudes(curves, self.harmonics)
+        return jnp.concatenate([waves.real, -waves[1:].imag])
 
     def waves(self, numbers: Float[Array, "function column"]) -> Complex[Array, "harmonic column"]:
         """Complex amplitudes of the mean and each harmonic, from the coefficients."""
         mean, cosine, sine = jnp.split(numbers, [1, self.harmonics + 1])
         return jax.lax.complex(jnp.concatenate([mean, cosine]), jnp.concatenate([jnp.zeros_like(mean), -sine]))
 
-    def motion(self, waves: Complex[Array, "harmonic column"]) -> tuple[Array, Array]:
-        """Values and rates of curves at the even places, from complex amplitudes, shape (n, column)."""
-        order = 2 * jnp.pi / self.period * jnp.arange(self.harmonics + 1).astype(self.period.dtype)
-        lines = waves.at[1:].multiply(0.5) * self.samples
-        turned = jax.lax.complex(-order[:, None] * lines.imag, order[:, None] * lines.real)
-        both = jnp.fft.irfft(jnp.concatenate([lines, turned], axis=1), self.samples, axis=0)
-        return both[:, : waves.shape[1]], both[:, waves.shape[1] :]
+    def values(self, waves: Complex[Array, "harmonic column"]) -> Float[Array, "n column"]:
+        """Values of curves at the even places, from complex amplitudes."""
+        return jnp.fft.irfft(waves.at[1:].multiply(0.5) * self.samples, self.samples, axis=0)
+
+    def rates(self, waves: Complex[Array, "harmonic column"]) -> Float[Array, "n column"]:
+        """Rates of curves at the even places, from complex amplitudes."""
+        order = 2 * jnp.pi / self.period * jnp.arange(self.harmonics + 1).astype(self.period.dtype)[:, None]
+        return self.values(jax.lax.complex(-order * waves.imag, order * waves.real))
 
     def answer(self, numbers: Float[Array, "function line"]) -> Complex[Array, "harmonic coordinate"]:
         """Complex amplitudes of the coordinates that follow from the curves of the lines [rad, m]."""
-        lines = self.lines
-        seen, rate = self.motion(self.waves(numbers * self.size[None]))
+        lines, waves = self.lines, self.waves(numbers * self.size[None])
+        seen = self.values(waves)
+        rate = self.rates(waves) if lines.hears_speed else jnp.zeros_like(seen)
 
         def at(now: Driving, seen: Array, rate: Array) -> Array:
-            return jnp.concatenate([lines.inputs(now, lines.sight(seen, rate)), lines.known(now)])
+            return lines.inputs(now, lines.sight(seen, rate))
 
-        inputs = self.waves(self.coefficients(jax.vmap(at)(self.table, seen, rate)))
-        return jnp.einsum("hci,hi->hc", self.answers, inputs)
+        inputs = _amplitudes(jax.vmap(at)(self.table, seen, rate), self.harmonics)
+        return jnp.einsum("hci,hi->hc", self.answers, inputs) + self.forced
 
     def lacking(self, numbers: Float[Array, "function line"]) -> Float[Array, "function line"]:
         """Residual: the curves that follow from the inputs, minus the given curves."""
@@ -175,6 +181,12 @@ class Balance(eqx.Module):
 def _places(samples: int, dtype: jnp.dtype) -> Float[Array, " n"]:
     """Even places of a period, as fractions of it."""
     return jnp.arange(samples).astype(dtype) / samples
+
+
+def _amplitudes(curves: Float[Array, "n column"], harmonics: int) -> Complex[Array, "harmonic column"]:
+    """Complex amplitudes of the mean and each harmonic of curves at even places of a period."""
+    waves = jnp.fft.rfft(curves, axis=0)[: harmonics + 1] / curves.shape[0]
+    return waves.at[1:].multiply(2.0)
 
 
 def _answers(lines: Lines, rates: Float[Array, " harmonic"]) -> Complex[Array, "harmonic coordinate input"]:
@@ -255,11 +267,20 @@ class Newton(NamedTuple):
 
 
 def _without_matrix(linear: Callable[[Array], Array], right: Array, accuracy: float) -> Array:
-    """Solution of linear equations by GMRES, to a relative accuracy."""
+    """Solution of linear equations by GMRES, to a relative accuracy.
+
+    An iteration takes time with the size of its basis, whether filled or not, and easy equations need a small one only.
+    """
     tolerance = max(accuracy, 10 * float(jnp.finfo(right.dtype).eps))
-    return jax.scipy.sparse.linalg.gmres(
-        linear, right, tol=tolerance, restart=KRYLOV, maxiter=RESTARTS, solve_method="incremental"
-    )[0]
+
+    def solve(size: int, starts: int, begin: Array) -> Array:
+        return jax.scipy.sparse.linalg.gmres(
+            linear, right, begin, tol=tolerance, restart=size, maxiter=starts, solve_method="incremental"
+        )[0]
+
+    first = solve(*KRYLOV[0], jnp.zeros_like(right))
+    left = jnp.linalg.norm(right - linear(first)) > tolerance * jnp.linalg.norm(right)
+    return jax.lax.cond(left, lambda begin: solve(*KRYLOV[1], begin), lambda begin: begin, first)
 
 
 @eqx.filter_jit
@@ -272,7 +293,8 @@ def _harmonic_balance(problem: Problem, harmonics: int, samples: int, guess: Arr
         begins, places = _places(guess.shape[0], period.dtype), _places(samples, period.dtype)
         curve = balance.seen(jax.vmap(lambda one: jnp.interp(places, begins, one, period=1.0), 1, 1)(guess))
     numbers, rest = _root(lambda numbers: balance.lacking(numbers), balance.coefficients(curve), max_steps)
-    place, speed = balance.motion(balance.answer(numbers))
+    waves = balance.answer(numbers)
+    place, speed = balance.values(waves), balance.rates(waves)
     unknown = jnp.full((2 * place.shape[1],), jnp.nan, period.dtype)
     state, supported = jnp.stack([place[0], speed[0]]), not problem.scene.output_alone
     return Periodic(

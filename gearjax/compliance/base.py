@@ -33,6 +33,16 @@ class AbstractCompliance(eqx.Module):
     def peak_stiffness(self) -> Scalar:
         """Upper bound of the stiffness of a pair [N/m]."""
 
+    @property
+    def precomputes(self) -> bool:
+        """Whether it has numbers that do not depend on the input angle and are worth working out only once
+        (`precomputed`)."""
+        return False
+
+    def precomputed(self) -> "AbstractCompliance":
+        """The same compliance, with what its stiffness needs at every mesh phase worked out."""
+        return self
+
 
 class AbstractCoupledCompliance(eqx.Module):
     """Compliance of coupled contacts, such as the teeth of one body. ``kind`` is its name in a configuration.
@@ -90,9 +100,11 @@ class AbstractToothCompliance(eqx.Module):
         """
         return self
 
-    precomputes: ClassVar[bool] = False
-    """Whether it has numbers that do not depend on the input angle and are worth working out only once
-    (`precomputed`)."""
+    @property
+    def precomputes(self) -> bool:
+        """Whether it has numbers that do not depend on the input angle and are worth working out only once
+        (`precomputed`)."""
+        return False
 
     def precomputed(self, places: Places) -> "AbstractToothCompliance":
         """The same compliance, with what its influence needs at every input angle of a gear set worked out.
@@ -128,9 +140,11 @@ class AbstractSliceCompliance(eqx.Module):
         """Whether the slices are coupled."""
         return False
 
-    precomputes: ClassVar[bool] = False
-    """Whether it has numbers that do not depend on the input angle and are worth working out only once
-    (`precomputed`)."""
+    @property
+    def precomputes(self) -> bool:
+        """Whether it has numbers that do not depend on the input angle and are worth working out only once
+        (`precomputed`)."""
+        return False
 
     def precomputed(self, slices: tuple[Slices, ...]) -> "AbstractSliceCompliance":
         """The same compliance, with what its springs need at every input angle of a gear set worked out.

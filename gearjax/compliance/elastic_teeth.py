@@ -87,7 +87,6 @@ class ElasticTeeth(AbstractToothCompliance):
     """
 
     kind: ClassVar[str] = "elastic_teeth"
-    precomputes: ClassVar[bool] = True
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
     poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
     external_width: Number = length(at_least=1e-6, at_most=10.0, example="6.5 mm")
@@ -108,6 +107,10 @@ class ElasticTeeth(AbstractToothCompliance):
     @property
     def line_contact(self) -> HertzLineContact:
         return HertzLineContact.of_teeth(self)
+
+    @property
+    def precomputes(self) -> bool:
+        return True
 
     def precomputed(self, places: Places) -> "ElasticTeeth":
         return self if self.rim is None else with_known(self, known_layers=self._layers(places))

@@ -77,7 +77,6 @@ class ToothSlices(AbstractSliceCompliance):
     """
 
     kind: ClassVar[str] = "tooth_slices"
-    precomputes: ClassVar[bool] = True
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
     poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
     contact: str = name(default="constant", names=("constant", "hertz"))
@@ -111,6 +110,10 @@ class ToothSlices(AbstractSliceCompliance):
             if bore is not None and not gear.internal and float(bore) > 0.95 * root:
                 words = f"must be below the root diameter, {root / units.mm:.6g} mm, by 5 % or more"
                 raise ParameterError(f"compliance.{key}", f"{float(bore) / units.mm:.6g} mm", words)
+
+    @property
+    def precomputes(self) -> bool:
+        return True
 
     def precomputed(self, slices: tuple[Slices, ...]) -> "ToothSlices":
         return with_known(self, known_bodies=tuple(self._along_path(mesh) for mesh in slices))

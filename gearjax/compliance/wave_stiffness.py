@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from gearjax.compliance.base import AbstractCompliance
 from gearjax.geometry.waves import Waves
+from gearjax.parameters import with_known
 from gearjax.typing import Array, Float, Scalar
 
 
@@ -27,6 +28,13 @@ class WaveStiffness(AbstractCompliance):
 
     def stiffness(self, mesh_angle: Float[Array, " pair"]) -> Float[Array, " pair"]:
         return self.waves.at(mesh_angle)
+
+    @property
+    def precomputes(self) -> bool:
+        return self.waves.many
+
+    def precomputed(self) -> "WaveStiffness":
+        return with_known(self, waves=self.waves.tabulated())
 
     @property
     def harmonics(self) -> int:

@@ -95,11 +95,14 @@ class AbstractSystem(eqx.Module):
     whose levers change with the input angle."""
     has_slices: ClassVar[bool] = False
     """Whether its contacts are slices of contact lines and a pose describes these slices."""
-    precomputes: ClassVar[bool] = False
-    """Whether it has numbers that do not depend on the input angle and are worth working out only once
-    (`precomputed`)."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
+
+    @property
+    def precomputes(self) -> bool:
+        """Whether it has numbers that do not depend on the input angle and are worth working out only once
+        (`precomputed`)."""
+        return False
 
     def precomputed(self) -> "AbstractSystem":
         """The same gear set, with what its pose needs at every input angle worked out, such as sizes of its gears.

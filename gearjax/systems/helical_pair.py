@@ -90,7 +90,6 @@ class HelicalPair(AbstractSystem):
     """
 
     kind: ClassVar[str] = "helical_pair"
-    precomputes: ClassVar[bool] = True
     has_slices: ClassVar[bool] = True
 
     pinion_teeth: int = count(at_least=5, at_most=2000, example=19)
@@ -136,6 +135,10 @@ class HelicalPair(AbstractSystem):
         elif self.pairs < touching:  # possible in a copy with a wider face, which keeps the old number
             words = f"must be at least {touching}, as many as touch at once (total contact ratio {ratio:.4g})"
             raise ParameterError("pairs", self.pairs, words)
+
+    @property
+    def precomputes(self) -> bool:
+        return True
 
     def precomputed(self) -> "HelicalPair":
         return with_known(self, known_pair=self.pair)

@@ -89,7 +89,6 @@ class HelicalTrain(AbstractSystem):
     """
 
     kind: ClassVar[str] = "helical_train"
-    precomputes: ClassVar[bool] = True
     has_slices: ClassVar[bool] = True
 
     pinion_teeth: tuple[int, ...] = counts(at_least=5, at_most=2000, example=[21, 19])
@@ -147,6 +146,10 @@ class HelicalTrain(AbstractSystem):
             if number not in (1, meshes, *((0,) if follows else ())):
                 words = f"must be {meshes}, one per mesh, or one for all" + (", or none" if follows else "")
                 raise ParameterError(key, f"{number} values", words)
+
+    @property
+    def precomputes(self) -> bool:
+        return True
 
     def precomputed(self) -> "HelicalTrain":
         return with_known(self, known_gears=self._gears)

@@ -11,6 +11,7 @@ import numpy as np
 from gearjax.checks import ParameterError
 from gearjax.contact import Layout, Pose, Request
 from gearjax.geometry.waves import Waves
+from gearjax.parameters import with_known
 from gearjax.systems.base import AbstractSystem
 from gearjax.typing import Array, Scalar
 
@@ -35,6 +36,13 @@ class OneContact(AbstractSystem):
     gaps: tuple[Waves, ...]
     period: float = eqx.field(static=True)
     names: tuple[tuple[str, float], ...] = eqx.field(static=True)
+
+    @property
+    def precomputes(self) -> bool:
+        return any(gap.many for gap in self.gaps)
+
+    def precomputed(self) -> "OneContact":
+        return with_known(self, gaps=tuple(gap.tabulated() for gap in self.gaps))
 
     @property
     def bodies(self) -> tuple[str, ...]:
