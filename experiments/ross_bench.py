@@ -34,7 +34,8 @@ Times are medians, of three runs in ROSS (a torque takes ROSS the same each time
 time for one). The first call, which compiles, is apart; left out are numba's compilation and the building of the
 machine in ROSS, once per design.
 
-Before these, natural frequencies of a helical pair (`ross_modes`).
+Before these, natural frequencies of a helical pair (`ross_modes`) and the mesh stiffness of spur pairs
+(`ross_stiffness`).
 """
 
 import argparse
@@ -50,6 +51,7 @@ import jax.numpy as jnp
 import numpy as np
 from peers import agree, by_another_python, interleaved, sized
 from ross_modes import compare_modes
+from ross_stiffness import compare_stiffness
 
 import gearjax as gj
 from gearjax import units
@@ -304,6 +306,7 @@ def main() -> None:
     parser.add_argument("--ross-python", required=True, help="a Python that has ross-rotordynamics 3")
     given = sized(parser, repeats=(9, 1))
     compare_modes(given.ross_python)
+    compare_stiffness(given.ross_python)
     runs = ross_runs()
     if given.short:
         compare(by_ross(given.ross_python, [run | SHORT for run in runs if run["name"] == COMPARED]))

@@ -3,11 +3,14 @@
 import dataclasses
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.compliance.tooth_slices import SAINSOT
+from gearjax.geometry.root_fillet import RootFillet
 from gearjax.units import mm, um
 from tests.helical_pairs import (
     GUO_1,
@@ -95,6 +98,114 @@ def test_foundation_is_near_that_of_an_elastic_layer():
             other = jnp.diagonal(layer._foundation(gear, gear.radius_at(rolls), held))
             assert (own / other > low).all()
             assert (own / other < high).all()
+
+
+def fillet_of(pair, i):
+    return RootFillet(pair.gears[i], pair.racks[i].fillet_radius * pair.normal_module)
+
+
+@pytest.mark.parametrize(("given", "number"), [(GUO_1, 0), (GUO_2, 1), (SPUR, 0), (SPUR, 1)])
+def test_fillet_is_what_the_tip_of_a_rolling_rack_leaves(given, number):
+    """Its points touch the circle of the rack's tip at one place as the rack rolls by, and are outside everywhere else;
+    it joins the root circle and, with the same tangent, the involute."""
+    pair = system_of(given).pair
+    gear, fillet = pair.gears[number], fillet_of(pair, number)
+    half, level, _ = (np.asarray(part) for part in fillet.sections(jnp.linspace(0.0, 1.0, 41)))
+    rolled = np.linspace(-0.1, 3.0, 600_001) * float(gear.module) + float(fillet.place)
+    radius = float(gear.reference_radius)
+    # the rack moves along its pitch line as the gear turns by rolled / radius: its tip in the frame of the tooth
+    turned, depth = rolled / radius, radius - float(fillet.depth)
+    along = float(fillet.place) - rolled
+    across, up = (
+        along * np.cos(turned) + depth * np.sin(turned),
+        depth * np.cos(turned) - along * np.sin(turned),
+    )
+    clear = [np.hypot(across - x, up - y).min() - float(fillet.rounding) for x, y in zip(half, level, strict=True)]
+    np.testing.assert_allclose(clear, 0.0, atol=1e-9 * radius)
+    assert np.hypot(half[0], level[0]) == pytest.approx(float(gear.root_radius), rel=1e-12)
+    assert math.atan2(half[0], level[0]) == pytest.approx(float(fillet.root_angle), rel=1e-12)
+    last = jnp.hypot(half[-1], level[-1])
+    assert half[-1] == pytest.approx(float(last * jnp.sin(gear.half_angle(last))), rel=1e-12)
+    _, (across, rise) = jax.jvp(fillet.at, (gear.pressure_angle,), (jnp.ones(()),))
+    slant = gear.section(last)[2]  # of the normal against the direction across the tooth
+    assert float(jnp.arctan2(-across, rise)) % math.pi == pytest.approx(float(slant) % math.pi, abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("given", "number"), [(GUO_1, 0), (SPUR, 1)])
+def test_energy_of_a_tooth_with_a_fillet_is_that_of_fine_quadrature(given, number):
+    """Bending, shear and compression over the outline as a fine polygon, and gradients by module and shift."""
+    pair = system_of(given).pair
+    gear, fillet = pair.gears[number], fillet_of(pair, number)
+    begin = float(gear.roll_at(jnp.hypot(*fillet.at(gear.pressure_angle))))
+    for roll in (0.8 * begin + 0.2 * float(gear.tip_roll), float(gear.tip_roll)):
+        height, half, slant = (float(part) for part in gear.section(gear.radius_at(jnp.asarray(roll))))
+        below = fillet.sections(jnp.linspace(0.0, 1.0, 40_001))[:2]
+        above = gear.section(gear.radius_at(jnp.linspace(begin, roll, 40_001)[1:]))
+        thick = 2 * np.concatenate([below[0], above[1]])
+        level = np.concatenate([below[1], above[0]])
+        moment = math.cos(slant) * (height - level) - math.sin(slant) * half
+        shear = 1.2 * 2 / 0.7 * math.cos(slant) ** 2 + math.sin(slant) ** 2
+        exact = np.trapezoid(12 * moment**2 / thick**3 + shear / thick, level)
+        assert float(TEETH._tooth(gear, jnp.asarray(roll), fillet)) == pytest.approx(exact, rel=3e-4)
+
+
+def test_foundation_keeps_to_the_printed_bounds():
+    """Bounds that are printed beside the polynomials, for root over bore from 1.4 to 7 and half angles up to 0.12: L is
+    at most 6.94, P at most 13.47, and Q at least 0.141. The polynomials are fits."""
+    angle, ratio = np.meshgrid(np.linspace(0.015, 0.12, 106), np.linspace(1.4, 7.0, 57))
+    values = [
+        a / angle**2 + b * ratio**2 + c * ratio / angle + d / angle + e * ratio + f
+        for a, b, c, d, e, f in SAINSOT.tolist()
+    ]
+    assert values[0].max() == pytest.approx(6.94, rel=2e-3)
+    assert values[2].max() == pytest.approx(13.47, rel=5e-3)
+    assert values[3].min() == pytest.approx(0.141, rel=2e-2)
+
+
+@pytest.mark.slow
+def test_fillets_make_teeth_stiffer():
+    """The foundation comes near that of an elastic layer on rigid ground, which elements hold, for few teeth too; the
+    mean stiffness of the mesh changes smoothly with the radius of the rack's tip, and all is differentiable."""
+    for given in (GUO_1, SPUR):
+        pair = system_of(given).pair
+        for i, gear in enumerate(pair.gears):
+            rolls = jnp.linspace(0.6, 1.0, 3) * gear.tip_roll
+            for ratio in (1.5, 2.0, 3.0):
+                bore, rim = 2 * gear.root_radius / ratio, gear.root_radius * (1 - 1 / ratio)
+                own = TEETH._foundation(gear, rolls, bore, fillet_of(pair, i)) / TEETH.line_contact.plane_modulus
+                layer = gj.ElasticTeeth(**STEEL, external_width=mm, internal_width=mm, rim=rim)
+                other = jnp.diagonal(layer._foundation(gear, gear.radius_at(rolls), layer._layer(gear, layer.rim)))
+                assert (own / other > 0.8).all()
+                assert (own / other < 1.45).all()
+    ratios = []
+    for given in (GUO_1, GUO_2, SPUR):
+        straight, filleted = (
+            stiffness_of(system_of(given), gj.ToothSlices(**STEEL, root=root), meshes_of(system_of(given))).mean()
+            for root in ("straight", "fillet")
+        )
+        ratios.append(filleted / straight)
+    np.testing.assert_allclose(ratios, [1.21, 1.155, 1.19], atol=0.01)
+
+    def swing(numbers):
+        system = system_of(SPUR | {"normal_module": numbers[0] * 3 * mm}, slices=1, pairs=3, fillet_radius=numbers[1])
+        scene = gj.Scene(system, compliance=gj.ToothSlices(**STEEL, root="fillet"))
+        return 1e6 * gj.transmission_error(scene, np.linspace(0.0, 0.3, 16), torque=100.0).te.mean()
+
+    at, step = jnp.asarray([1.0, 0.3]), 1e-5
+    slopes = jax.jit(jax.vmap(jax.grad(swing)))(at[None])[0]
+    values = [swing(at.at[i].add(step)) - swing(at.at[i].add(-step)) for i in (0, 1)]
+    np.testing.assert_allclose(slopes, np.array(values) / (2 * step), rtol=1e-6)
+
+
+def test_roots_by_name():
+    """Internal gears have no fillet of a rack; a root of another name is refused."""
+    with pytest.raises(gj.ParameterError, match="root"):
+        gj.ToothSlices(**STEEL, root="round")
+    ring = system_of(SPUR_RING).pose(jnp.asarray(0.0), gj.Request(slices=True)).slices[0]
+    pinion, none = gj.ToothSlices(**STEEL, root="fillet")._fillets(ring)
+    assert pinion is not None
+    assert none is None
 
 
 @pytest.mark.slow

@@ -10,8 +10,9 @@ A slice is a spur tooth in the transverse section. Under a force per width at a 
   middles of the teeth, whose stiffness grows with the force (Weber and Banaschek).
 
 The sum is the compliance in the transverse section; along the normal of the flanks it is ``cos^2 beta_b`` times the
-sum. The root section is that of straight flanks, without a fillet. With 33 teeth and more, the foundation deflects 1.1
-to 1.4 times as much as the elastic layer of `ElasticTeeth` on a rim of the same depth; with 19 teeth, twice as much.
+sum. The root of an external gear is that of straight flanks, or has the fillet that its rack cuts (`RootFillet`). A
+straight root is thinner. Its foundation deflects 1.1 to 1.4 times as much as the elastic layer of `ElasticTeeth` on a
+rim of the same depth with 33 teeth and more; with 19 teeth, twice as much.
 
 If the slices are coupled along the face, tooth and foundation deflect as an elastic layer whose deflection v decays
 over a length l (``v - l^2 v''`` with free ends).
@@ -30,6 +31,7 @@ from gearjax.compliance.base import AbstractSliceCompliance
 from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import CoupledSprings, LinearSprings, LineSprings, Slices, Springs, join_springs
 from gearjax.geometry.involute import InvoluteGear
+from gearjax.geometry.root_fillet import RootFillet
 from gearjax.parameters import check_parameters, known_beside, length, name, number, with_known
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -66,6 +68,8 @@ class ToothSlices(AbstractSliceCompliance):
         youngs_modulus: Young's modulus E of both gears [Pa].
         poissons_ratio: Poisson's ratio nu of both gears [-].
         contact: contact stiffness of the flanks: ``"constant"``, or ``"hertz"``, which grows with the force.
+        root: root of external gears: ``"straight"``, where flanks reach the root circle without a fillet, or
+            ``"fillet"``, as their rack cuts it. Teeth with fillets are stiffer.
         coupling_length: length l over which deflections decay along the face, in normal modules [-]; without it, the
             slices are independent.
         pinion_bore: diameter at which each pinion is held [m]; without it, a third of its root diameter.
@@ -80,6 +84,7 @@ class ToothSlices(AbstractSliceCompliance):
     youngs_modulus: Number = number(units.PRESSURE, at_least=1e3, at_most=1e13, example="206 GPa")
     poissons_ratio: Number = number(units.RATIO, at_least=0.0, at_most=0.49, example=0.3)
     contact: str = name(default="constant", names=("constant", "hertz"))
+    root: str = name(default="straight", names=("straight", "fillet"))
     coupling_length: Number | None = number(units.RATIO, above=0.0, at_most=100.0, default=None, example=1.5)
     pinion_bore: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="40 mm")
     wheel_bore: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="60 mm")
@@ -149,13 +154,24 @@ class ToothSlices(AbstractSliceCompliance):
         middle, half = _middle_and_half(slices)
         first = middle + half * jnp.asarray(PLACES, middle.dtype)
         rolls = first, slices.pair.other_roll(first)
+        bores = self.pinion_bore, self.wheel_bore
         values = [
-            self.body(gear, roll / gear.base_radius, bore)
-            for gear, roll, bore in zip(slices.pair.gears, rolls, (self.pinion_bore, self.wheel_bore), strict=True)
+            self.body(gear, roll / gear.base_radius, bore, fillet)
+            for gear, roll, bore, fillet in zip(slices.pair.gears, rolls, bores, self._fillets(slices), strict=True)
         ]
         return jnp.asarray(TO_SERIES, middle.dtype) @ (values[0] + values[1])
 
-    def body(self, gear: InvoluteGear, roll: Array, bore: Scalar | None) -> Array:
+    def _fillets(self, slices: Slices) -> tuple[RootFillet | None, ...]:
+        """Fillets of both gears, where they have some."""
+        if self.root == "straight":
+            return None, None
+        module = slices.pair.normal_module
+        return tuple(
+            None if gear.internal else RootFillet(gear, rack.fillet_radius * module)
+            for gear, rack in zip(slices.pair.gears, slices.pair.racks, strict=True)
+        )
+
+    def body(self, gear: InvoluteGear, roll: Array, bore: Scalar | None, fillet: RootFillet | None = None) -> Array:
         """Compliance of tooth and foundation of one gear: deflection in the transverse section per force per width
         [m2/N].
 
@@ -163,24 +179,47 @@ class ToothSlices(AbstractSliceCompliance):
             gear: the gear in the transverse section.
             roll: roll angles at which forces act, any shape [rad].
             bore: diameter of the bore [m].
+            fillet: fillet at the root; without it, the root is straight.
         """
-        return (self._tooth(gear, roll) + self._foundation(gear, roll, bore)) / self.line_contact.plane_modulus
+        whole = self._tooth(gear, roll, fillet) + self._foundation(gear, roll, bore, fillet)
+        return whole / self.line_contact.plane_modulus
 
-    def _tooth(self, gear: InvoluteGear, roll: Array) -> Array:
+    def _tooth(self, gear: InvoluteGear, roll: Array, fillet: RootFillet | None = None) -> Array:
         height, half, slant = gear.section(gear.radius_at(roll))
+        if fillet is not None:
+            return self._filleted(gear, fillet, (height, half, slant))
         foot, sign = _foot(gear), -1.0 if gear.internal else 1.0
         arm = sign * (height - foot)
         # flanks are straight below the base circle: each of the two parts of the integral has a smooth integrand
         middle = jnp.clip(sign * (gear.base_radius * jnp.cos(gear.half_angle(gear.first_radius)) - foot), 0.0, arm)
-        rigidity = 2 / (1 - self.poissons_ratio)
         parts = (0.0 * arm, middle), (middle, arm)
-        low, high = (_energy(gear, foot, ends, (arm, half, slant), rigidity) for ends in parts)
+        low, high = (_energy(gear, foot, ends, (arm, half, slant), self._rigidity) for ends in parts)
         return low + high
 
-    def _foundation(self, gear: InvoluteGear, roll: Array, bore: Scalar | None) -> Array:
+    def _filleted(self, gear: InvoluteGear, fillet: RootFillet, force: tuple[Array, Array, Array]) -> Array:
+        """Bending, shear and compression of a tooth with a fillet, as the sum over fillet and involute."""
+        height, half, slant = force
+        nodes, weights = _gauss(height.ndim, height.dtype)
+        thick, level, rise = fillet.sections(0.5 * (1 + nodes))
+        at = height[..., None] - level, half[..., None], slant[..., None]
+        below = (_bent(2 * thick, at, self._rigidity) * rise * 0.5 * weights).sum(axis=-1)
+        foot = fillet.at(gear.pressure_angle)[1]
+        arm = height - foot
+        return below + _energy(gear, foot, (0.0 * arm, arm), (arm, half, slant), self._rigidity)
+
+    @property
+    def _rigidity(self) -> Scalar:
+        """``E' / G`` [-]."""
+        return 2 / (1 - self.poissons_ratio)
+
+    def _foundation(
+        self, gear: InvoluteGear, roll: Array, bore: Scalar | None, fillet: RootFillet | None = None
+    ) -> Array:
         height, half, slant = gear.section(gear.radius_at(roll))
-        root = _root_angle(gear)
+        root = _root_angle(gear) if fillet is None else fillet.root_angle
         foot, thick = gear.root_radius * jnp.cos(root), 2 * gear.root_radius * jnp.sin(root)
+        if fillet is not None:  # Sainsot et al. count along the root circle
+            foot, thick = gear.root_radius, 2 * gear.root_radius * root
         sign = -1.0 if gear.internal else 1.0
         lever = (sign * (height - foot) - half * jnp.tan(slant)) / thick
         if gear.internal:
@@ -272,15 +311,34 @@ def _energy(
         rigidity: ``E' / G`` [-].
     """
     arm, half, slant = force
-    shape = (*[1] * arm.ndim, NODES)
-    nodes, weights = (jnp.asarray(part, arm.dtype).reshape(shape) for part in np.polynomial.legendre.leggauss(NODES))
+    nodes, weights = _gauss(arm.ndim, arm.dtype)
     step = 0.5 * (ends[1] - ends[0])[..., None]
     level = ends[0][..., None] + step * (1 + nodes)
     thick = 2 * gear.half_thickness(foot - level if gear.internal else foot + level)
-    across, along = jnp.cos(slant)[..., None], jnp.sin(slant)[..., None]
-    moment = across * (arm[..., None] - level) - along * half[..., None]
-    bent = 12 * moment**2 / thick**3 + (SHEAR * rigidity * across**2 + along**2) / thick
-    return (bent * step * weights).sum(axis=-1)
+    at = arm[..., None] - level, half[..., None], slant[..., None]
+    return (_bent(thick, at, rigidity) * step * weights).sum(axis=-1)
+
+
+def _bent(thick: Array, force: tuple[Array, Array, Array], rigidity: Scalar) -> Array:
+    """Deflection of a section per height, times ``E'``, per force per width [1/m].
+
+    Args:
+        thick: thickness of the tooth there [m].
+        force: height of the force above the section, its distance from the middle of the tooth [m], and its inclination
+            [rad].
+        rigidity: ``E' / G`` [-].
+    """
+    above, half, slant = force
+    across, along = jnp.cos(slant), jnp.sin(slant)
+    moment = across * above - along * half
+    return 12 * moment**2 / thick**3 + (SHEAR * rigidity * across**2 + along**2) / thick
+
+
+def _gauss(axes: int, dtype: jnp.dtype) -> tuple[Array, Array]:
+    """Nodes and weights of Gauss' quadrature from -1 to 1 on a last axis behind some others."""
+    shape = (*[1] * axes, NODES)
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    return jnp.asarray(nodes, dtype).reshape(shape), jnp.asarray(weights, dtype).reshape(shape)
 
 
 def _middle_and_half(slices: Slices) -> tuple[Scalar, Scalar]:
