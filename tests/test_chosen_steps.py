@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -58,11 +59,21 @@ def test_levers_that_turn_move_as_by_short_steps_of_another_scheme():
 
 
 @pytest.mark.slow
-def test_more_coordinates_and_uneven_outputs():
+def test_more_coordinates():
     many = gj.chosen_steps(planets(), SHORT, 100.0)
     assert many.scheme == "constant modes"
     assert "planet_1.x" in many.reason
-    assert "the load changes" in gj.chosen_steps(lobed(), LONG, 10.0).reason
+
+
+@pytest.mark.slow
+def test_an_output_that_turns_unevenly_moves_in_windows_as_in_one_go():
+    """The torque that accelerates it follows the angle as gaps do, and not the steps as a load that alternates."""
+    chosen = gj.chosen_steps(lobed(), LONG, 10.0)
+    assert chosen.scheme == "fitted march in windows"
+    cut, whole = (gj.simulate(lobed(), LONG, 10.0, stepper=way) for way in (None, gj.FixedStep(chosen.step)))
+    swing = float(jnp.ptp(whole.te))
+    assert swing > 1e-6
+    assert float(jnp.abs(cut.te - whole.te).max()) < 1e-6 * swing
 
 
 def test_what_cannot_be_chosen_is_refused(scene):

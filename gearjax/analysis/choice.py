@@ -231,8 +231,7 @@ def _by_constant_modes(scene: Scene) -> bool:
 
 
 def _load_changes(scene: Scene) -> bool:
-    uneven = not scene.system.turns_evenly or scene.impact is not None
-    return uneven or (scene.load is not None and scene.load.alternates)
+    return scene.impact is not None or (scene.load is not None and scene.load.alternates)
 
 
 def stiffness_order(scene: Scene) -> float:

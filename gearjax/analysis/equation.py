@@ -24,8 +24,9 @@ LENGTH_SCALE = 1e-5  # m on the line of action
 
 
 class Instant(NamedTuple):
-    """Pose of the system at one time, and its rate if it is needed; errors change neither."""
+    """Time, pose of the system and its rate if it is needed; errors change none of them."""
 
+    time: Scalar
     pose: Pose
     rate: Pose | None
 
@@ -96,23 +97,34 @@ class Equation(eqx.Module):
     def load_varies(self) -> bool:
         """Whether the load, or an impact, changes over time."""
         assert self.scene.load is not None
-        return self.pulses is not None or self.scene.load.alternates or not self.turns_evenly
+        return self.pulses is not None or self.scene.load.alternates
+
+    def load_at(self, time: Scalar) -> Scalar:
+        """Load torque [N m]."""
+        assert self.scene.load is not None
+        turns = self.scene.system.input_speed * time / (2 * jnp.pi)
+        return self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
+
+    def accelerating_at(self, time: Scalar) -> Scalar | None:
+        """Torque that accelerates the ideal output [N m]; ``None`` if it turns evenly."""
+        return None if self.turns_evenly else self.inertia * self.scene.system.output_acceleration(time)
 
     def torque_at(self, time: Scalar) -> Scalar:
         """Load torque plus the torque that accelerates the ideal output [N m]."""
-        assert self.scene.load is not None
-        turns = self.scene.system.input_speed * time / (2 * jnp.pi)
-        torque = self.torque * self.scene.load.shape(turns, time, self.scene.system.orders)
-        if self.turns_evenly:
-            return torque
-        return torque + self.inertia * self.scene.system.output_acceleration(time)
+        accelerating = self.accelerating_at(time)
+        return self.load_at(time) if accelerating is None else self.load_at(time) + accelerating
+
+    def struck_at(self, time: Scalar) -> Scalar:
+        """The load, less what the impacts carry [N m]."""
+        if self.pulses is None:
+            return self.load_at(time)
+        speed = self.scene.system.input_speed
+        return self.load_at(time) + self.lever * self.pulses.at(speed * time, speed)
 
     def acting_at(self, time: Scalar) -> Scalar:
-        """The torque that contacts and inertia balance in motion: the load, less what the impacts carry [N m]."""
-        if self.pulses is None:
-            return self.torque_at(time)
-        speed = self.scene.system.input_speed
-        return self.torque_at(time) + self.lever * self.pulses.at(speed * time, speed)
+        """The torque that contacts and inertia balance in motion, less what the impacts carry [N m]."""
+        accelerating = self.accelerating_at(time)
+        return self.struck_at(time) if accelerating is None else self.struck_at(time) + accelerating
 
     def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Levers and stiffness of the contacts at a time [s]."""
@@ -127,8 +139,8 @@ class Equation(eqx.Module):
             return self.scene.pose(self.scene.system.input_speed * time)
 
         if self.scene.damping is None and not moving:
-            return Instant(pose(time), None)
-        return Instant(*jax.jvp(pose, (time,), (jnp.ones_like(time),)))
+            return Instant(time, pose(time), None)
+        return Instant(time, *jax.jvp(pose, (time,), (jnp.ones_like(time),)))
 
     def gaps(self, instant: Instant) -> Gaps:
         """Levers and gaps at an instant."""

@@ -225,7 +225,7 @@ def begin(
 
     def fast_at(time: Scalar) -> Fast:
         waves = forcing.turned(time)
-        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.acting_at(time))
+        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.struck_at(time))
 
     # in a loop, parts that both times share are computed once, not again for each number that depends on them
     both = jax.lax.map(slow_at, instants) if signals is Signals.BATCH else jax.vmap(slow_at)(instants)
@@ -233,9 +233,9 @@ def begin(
     (gaps, *now), (_, *later) = (jax.tree.map(lambda leaf, i=i: leaf[i], every) for i in range(2))
     there = jnp.asarray(True)
     if state is None:
-        _, fast = now
+        slow, fast = now
         stiffness = equation.layout.per_contact(fast.stiffness)
-        state = equation.following(gaps, stiffness, fast.torque) * equation.per_step(oscillator.step)
+        state = equation.following(gaps, stiffness, slow.balanced(fast.torque)) * equation.per_step(oscillator.step)
         there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     first, second = (oscillator.state(slow, fast, state[0]) for slow, fast in (now, later))
     return (state[0], change_before(state[1], first, second.push - first.push)), there

@@ -31,6 +31,7 @@ class Slow(NamedTuple):
         decay: ``e^-damping``, shape (pair,).
         drag: push of each pair's damper on an output at rest, shape (pair,).
         turning: drag per scaled position, shape (pair,); ``None`` if the levers are constant or without dampers.
+        accelerating: torque that accelerates the ideal output [N m]; ``None`` if it turns evenly.
     """
 
     lever: Numbers
@@ -40,12 +41,17 @@ class Slow(NamedTuple):
     decay: Numbers
     drag: Numbers
     turning: Numbers | None
+    accelerating: Array | None
+
+    def balanced(self, torque: Array) -> Array:
+        """Torque that contacts balance under a load, both in N m."""
+        return torque if self.accelerating is None else torque + self.accelerating
 
 
 class Fast(NamedTuple):
     """Fast part of the excitation of a step, which follows the teeth or the load.
 
-    It is the stiffness of one contact of each pair [N/m] and the load torque [N m].
+    It is the stiffness of one contact of each pair [N/m], and the load torque less what impacts carry [N m].
     """
 
     stiffness: Numbers
@@ -84,7 +90,8 @@ class Oscillator(eqx.Module):
             drag = inverse * scale * coefficient * now.gap_rate[first]
             if now.lever_rate is not None:
                 turning = -inverse * scale * scale * coefficient * now.lever_rate[first]
-        return Slow(now.lever * scale, now.gap, inverse, damping, jnp.exp(-damping), drag, turning)
+        accelerating = self.equation.accelerating_at(instant.time)
+        return Slow(now.lever * scale, now.gap, inverse, damping, jnp.exp(-damping), drag, turning, accelerating)
 
     def state(self, slow: Slow, fast: Fast, position: Array) -> State:
         """The oscillator of the contacts that are closed at a position."""
@@ -114,7 +121,7 @@ class Oscillator(eqx.Module):
             damping.append(_gate(engaged, _part(slow.damping, pair)))
             if hard:
                 decay.append(jnp.where(engaged, _part(slow.decay, pair), 1.0).prod())
-        held = slow.inverse * self.equation.scale * fast.torque
+        held = slow.inverse * self.equation.scale * slow.balanced(fast.torque)
         push = _total(drag, nothing) - _total(force, nothing) - held
         damped = _total(damping, nothing)
         left = jnp.exp(-damped) if not hard else jnp.ones_like(position)
@@ -126,7 +133,7 @@ class Oscillator(eqx.Module):
         """Scaled position of the static equilibrium."""
         lever, gap, stiffness = self._springs(slow, fast)
         scale = self.equation.scale
-        return self.equation.equilibrium(lever / scale, gap, stiffness, fast.torque) / scale
+        return self.equation.equilibrium(lever / scale, gap, stiffness, slow.balanced(fast.torque)) / scale
 
     def _springs(self, slow: Slow, fast: Fast) -> tuple[Array, Array, Array]:
         """Lever per scaled position, gap and stiffness of each contact."""

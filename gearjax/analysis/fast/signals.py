@@ -87,10 +87,10 @@ class Forcing(eqx.Module):
         return self.harmonics.turned(mesh_phases(self.oscillator.equation, time))
 
     def torques(self, time: Scalar, steps: int) -> Array:
-        """Load of each step of a block [N m]; one number if the load is constant."""
+        """Load of each step of a block, less what the impacts carry [N m]; one number if it is constant."""
         if not self.oscillator.equation.load_varies:
-            return self.oscillator.equation.acting_at(time)
-        return jax.vmap(lambda step: self.oscillator.equation.acting_at(time + step * self.oscillator.step))(
+            return self.oscillator.equation.struck_at(time)
+        return jax.vmap(lambda step: self.oscillator.equation.struck_at(time + step * self.oscillator.step))(
             jnp.arange(steps).astype(time.dtype)
         )
 
