@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 import gearjax as gj
 from gearjax.checks import SceneError
 from gearjax.units import rpm, um
+from tests.conftest import ROOT
 from tests.elliptic import ALPHA, MODULE, TEETH
 from tests.test_elliptic_pair import DRIVEN, DRIVER, MOVING, OWN, scene
 
@@ -80,6 +81,23 @@ def test_the_driven_gear_in_absolute_coordinates(speed, lifts):
         settled = np.asarray(motion.forces)[40:]
         assert (settled[:, 0] <= 0).any() == lifts
         assert (settled[:, 1] > 0).any() == lifts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("errors", [True, False])
+def test_stiffness_follows_the_arc_length_within_long_blocks_of_steps(errors):
+    """Teeth mesh by arc length, not evenly over time: fitted steps tend to Runge-Kutta steps with their square."""
+    gears = dataclasses.replace(gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml"), run=None)
+    system = dataclasses.replace(gears.system, eccentricity=0.2)
+    gears = dataclasses.replace(gears, system=system, errors=gears.errors if errors else {})
+    ts = np.linspace(0.0, 2 * np.pi / float(system.input_speed), 2001)
+    exact = gj.simulate(gears, ts, 10.0, stepper=gj.FixedStep(per_sample=32, solver=gj.RungeKutta4())).te
+    off = [
+        float(jnp.abs(gj.simulate(gears, ts, 10.0, stepper=gj.FixedStep(per_sample=each)).te - exact).max())
+        for each in (4, 16)
+    ]
+    assert off[0] < (2e-6 if errors else 6e-5) * float(jnp.ptp(exact))
+    assert off[1] < off[0] / 12
 
 
 @pytest.mark.slow

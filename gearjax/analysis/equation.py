@@ -12,12 +12,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.analysis.meshing_impact import pulses_of
-from gearjax.contact import ContactSet, Layout, LinearSprings, Pose, equilibrium
+from gearjax.contact import ContactSet, Layout, LinearSprings, Pose, Request, equilibrium
 from gearjax.dependence import depends
 from gearjax.impact import Pulses
 from gearjax.scene import Scene
+from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float, Int, Scalar
 
 LENGTH_SCALE = 1e-5  # m on the line of action
@@ -62,6 +64,7 @@ class Equation(eqx.Module):
         lever: mean lever of the driving flanks, through which the impacts act [m/rad].
         levers_turn: whether the levers change over time.
         turns_evenly: whether the ideal output turns evenly.
+        meshes_unevenly: whether the stiffness changes with a mesh phase that does not grow evenly.
         layout: sides and pairs of the contacts.
     """
 
@@ -75,6 +78,7 @@ class Equation(eqx.Module):
     lever: Scalar
     levers_turn: bool = eqx.field(static=True)
     turns_evenly: bool = eqx.field(static=True)
+    meshes_unevenly: bool = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
 
     @classmethod
@@ -91,7 +95,8 @@ class Equation(eqx.Module):
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time).lever, start)
         scale, mass = LENGTH_SCALE / jnp.mean(jnp.abs(contacts.lever)), scene.inertia.at_contacts(arm)
         numbers = frequency, scale, inertia, mass, pulses, jnp.mean(arm)
-        return cls(scene, torque, *numbers, turn, scene.system.turns_evenly, contacts.layout)
+        evenly = scene.system.turns_evenly, _meshes_unevenly(scene)
+        return cls(scene, torque, *numbers, turn, *evenly, contacts.layout)
 
     @property
     def load_varies(self) -> bool:
@@ -245,7 +250,7 @@ class Equation(eqx.Module):
         system, orders = scene.system, scene.system.orders
         speed = jnp.abs(system.input_speed)
         rates = [
-            self.frequency,
+            self.frequency * self._longest_arms(),
             scene.linear_compliance.harmonics * orders["mesh"] * speed,
             scene.load.rate(speed, orders),
             turning_rate(scene),
@@ -256,6 +261,38 @@ class Equation(eqx.Module):
             stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
             rates.append(scene.damping.coefficient(stiffness, self.mass).sum() / self.mass)
         return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
+
+    def _longest_arms(self) -> Scalar:
+        """Levers of the driving flanks where they are longest in a turn of the input, over those at its start."""
+        if not self.levers_turn:
+            return jnp.ones_like(self.scale)
+
+        def arms(angle: Scalar) -> Scalar:
+            contacts = self.scene.contacts(angle)
+            return jnp.linalg.norm(contacts.lever[contacts.layout.flanks[0]])
+
+        size = jax.vmap(arms)(jnp.asarray(2 * np.pi * np.arange(TURN) / TURN, self.scale.dtype))
+        return size.max() / size[0]
+
+
+def _meshes_unevenly(scene: Scene) -> bool:
+    if scene.linear_compliance.harmonics == 0:
+        return False
+
+    def rate(angle: Scalar) -> Array:
+        return jax.jvp(lambda angle: mesh_angles(scene, angle), (angle,), (jnp.ones_like(angle),))[1]
+
+    return any(depends(rate, jnp.zeros_like(scene.system.input_speed)))
+
+
+def mesh_angles(scene: Scene, angle: Scalar) -> Float[Array, " pair"]:
+    """Mesh phase of each pair at an input angle [rad]."""
+    mesh = pose_of(scene.system, angle, Request(scene.backlash is not None, mesh=True)).mesh_angle
+    assert mesh is not None  # it was asked for
+    return mesh
+
+
+TURN = 64  # angles of a turn at which levers are looked at
 
 
 def turning_rate(scene: Scene) -> Scalar:

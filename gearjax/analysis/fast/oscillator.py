@@ -7,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis.equation import Equation, Instant
+from gearjax.analysis.equation import Equation, Instant, mesh_angles
 from gearjax.analysis.fast.fitted import State
-from gearjax.contact import HardContact, Request
+from gearjax.contact import HardContact
 from gearjax.contact.layout import Place
-from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float, Scalar
 
 FEW = 8  # largest number of pairs that are written out one by one
@@ -32,6 +31,7 @@ class Slow(NamedTuple):
         drag: push of each pair's damper on an output at rest, shape (pair,).
         turning: drag per scaled position, shape (pair,); ``None`` if the levers are constant or without dampers.
         accelerating: torque that accelerates the ideal output [N m]; ``None`` if it turns evenly.
+        phase: mesh phase of each pair, shape (pair,) [rad]; ``None`` if it grows evenly, or if stiffness is constant.
     """
 
     lever: Numbers
@@ -42,6 +42,7 @@ class Slow(NamedTuple):
     drag: Numbers
     turning: Numbers | None
     accelerating: Array | None
+    phase: Numbers | None
 
     def balanced(self, torque: Array) -> Array:
         """Torque that contacts balance under a load, both in N m."""
@@ -91,7 +92,9 @@ class Oscillator(eqx.Module):
             if now.lever_rate is not None:
                 turning = -inverse * scale * scale * coefficient * now.lever_rate[first]
         accelerating = self.equation.accelerating_at(instant.time)
-        return Slow(now.lever * scale, now.gap, inverse, damping, jnp.exp(-damping), drag, turning, accelerating)
+        phase = mesh_phases(self.equation, instant.time) if self.equation.meshes_unevenly else None
+        decay = jnp.exp(-damping)
+        return Slow(now.lever * scale, now.gap, inverse, damping, decay, drag, turning, accelerating, phase)
 
     def state(self, slow: Slow, fast: Fast, position: Array) -> State:
         """The oscillator of the contacts that are closed at a position."""
@@ -209,14 +212,25 @@ class Harmonics(NamedTuple):
         cosine, sine = jnp.cos(turn), jnp.sin(turn)
         return Harmonics(self.mean, self.cosine * cosine + self.sine * sine, self.sine * cosine - self.cosine * sine)
 
+    def at(self, phase: Numbers) -> Numbers:
+        """Stiffness of a contact of each pair at its mesh phase, arranged as the phases are [N/m]."""
+        if not isinstance(phase, tuple):
+            return self._sum(phase, self.mean, self.cosine, self.sine)
+        columns = zip(phase, self.mean, self.cosine.T, self.sine.T, strict=True)
+        return tuple(self._sum(*column) for column in columns)
+
+    def _sum(self, phase: Array, mean: Array, cosine: Array, sine: Array) -> Array:
+        c, s = jnp.cos(phase), jnp.sin(phase)
+        whole, wave, other = mean, jnp.ones_like(c), jnp.zeros_like(c)
+        for order in range(self.cosine.shape[0]):  # each harmonic is the one before, turned by the phase
+            wave, other = wave * c - other * s, other * c + wave * s
+            whole = whole + cosine[order] * wave + sine[order] * other
+        return whole
+
 
 def mesh_phases(equation: Equation, time: Scalar) -> Float[Array, " pair"]:
     """Mesh phase of each pair at a time [s]."""
-    scene = equation.scene
-    asked = Request(scene.backlash is not None, mesh=True)
-    angle = pose_of(scene.system, scene.system.input_speed * time, asked).mesh_angle
-    assert angle is not None  # it was asked for
-    return angle
+    return mesh_angles(equation.scene, equation.scene.system.input_speed * time)
 
 
 def mesh_rate(equation: Equation) -> Scalar:

@@ -82,6 +82,10 @@ class Forcing(eqx.Module):
             leaves.append(part[0] if leaf.ndim == 0 else tuple(part) if apart else part)
         return jax.tree.unflatten(jax.tree.structure(self.held), leaves)
 
+    def stiffness(self, slow: Slow, evenly: Any) -> Any:
+        """Stiffness of the pairs, from their mesh phase, or as given for phases that grow evenly [N/m]."""
+        return evenly if slow.phase is None else self.harmonics.at(slow.phase)
+
     def turned(self, time: Scalar) -> Harmonics:
         """Stiffness harmonics shifted, so that they count from a time [s]."""
         return self.harmonics.turned(mesh_phases(self.oscillator.equation, time))
@@ -189,7 +193,8 @@ def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepF
     rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (torque,) if torque.ndim else ()
 
     def put(row: Any) -> tuple[Slow, Fast]:
-        return forcing.slow(row[0]), Fast(row[1], row[2][0] if row[2] else torque)
+        slow = forcing.slow(row[0])
+        return slow, Fast(forcing.stiffness(slow, row[1]), row[2][0] if row[2] else torque)
 
     return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), StepForcing(
         lambda row: row, lambda rows: rows, put
@@ -220,8 +225,9 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
         return slow, tuple(stiffness), torques
 
     def put(numbers: tuple) -> tuple[Slow, Fast]:
-        slow, stiffness, torques = numbers
-        return forcing.slow(slow), Fast(stiffness, torques[0] if torques else torque)
+        columns, stiffness, torques = numbers
+        slow = forcing.slow(columns)
+        return slow, Fast(forcing.stiffness(slow, stiffness), torques[0] if torques else torque)
 
     return rows, StepForcing(at, table, put)
 
