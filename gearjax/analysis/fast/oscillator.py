@@ -212,19 +212,13 @@ class Harmonics(NamedTuple):
         cosine, sine = jnp.cos(turn), jnp.sin(turn)
         return Harmonics(self.mean, self.cosine * cosine + self.sine * sine, self.sine * cosine - self.cosine * sine)
 
-    def at(self, phase: Numbers) -> Numbers:
-        """Stiffness of a contact of each pair at its mesh phase, arranged as the phases are [N/m]."""
-        if not isinstance(phase, tuple):
-            return self._sum(phase, self.mean, self.cosine, self.sine)
-        columns = zip(phase, self.mean, self.cosine.T, self.sine.T, strict=True)
-        return tuple(self._sum(*column) for column in columns)
-
-    def _sum(self, phase: Array, mean: Array, cosine: Array, sine: Array) -> Array:
+    def at(self, phase: Float[Array, " pair"]) -> Float[Array, " pair"]:
+        """Stiffness of a contact of each pair at its mesh phase [N/m]."""
         c, s = jnp.cos(phase), jnp.sin(phase)
-        whole, wave, other = mean, jnp.ones_like(c), jnp.zeros_like(c)
-        for order in range(self.cosine.shape[0]):  # each harmonic is the one before, turned by the phase
-            wave, other = wave * c - other * s, other * c + wave * s
-            whole = whole + cosine[order] * wave + sine[order] * other
+        whole, wave, other = self.mean, jnp.ones_like(c), jnp.zeros_like(c)
+        for cosine, sine in zip(self.cosine, self.sine, strict=True):
+            wave, other = wave * c - other * s, other * c + wave * s  # the harmonic before, turned by the phase
+            whole = whole + cosine * wave + sine * other
         return whole
 
 

@@ -82,10 +82,6 @@ class Forcing(eqx.Module):
             leaves.append(part[0] if leaf.ndim == 0 else tuple(part) if apart else part)
         return jax.tree.unflatten(jax.tree.structure(self.held), leaves)
 
-    def stiffness(self, slow: Slow, evenly: Any) -> Any:
-        """Stiffness of the pairs, from their mesh phase, or as given for phases that grow evenly [N/m]."""
-        return evenly if slow.phase is None else self.harmonics.at(slow.phase)
-
     def turned(self, time: Scalar) -> Harmonics:
         """Stiffness harmonics shifted, so that they count from a time [s]."""
         return self.harmonics.turned(mesh_phases(self.oscillator.equation, time))
@@ -189,12 +185,14 @@ class Rows(NamedTuple):
 def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
     """Rows of a table for the steps of a block, and the functions that convert them to the excitation."""
     waves, torque = given.waves, given.torque
-    stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
+    if forcing.held.phase is None:
+        stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
+    else:
+        stiffness = _by_phase(forcing, basis, given)
     rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (torque,) if torque.ndim else ()
 
     def put(row: Any) -> tuple[Slow, Fast]:
-        slow = forcing.slow(row[0])
-        return slow, Fast(forcing.stiffness(slow, row[1]), row[2][0] if row[2] else torque)
+        return forcing.slow(row[0]), Fast(row[1], row[2][0] if row[2] else torque)
 
     return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), StepForcing(
         lambda row: row, lambda rows: rows, put
@@ -205,31 +203,43 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
     """Weights of the nodes for the steps of a block, and the functions that sum over its nodes."""
     waves, torque = given.waves, given.torque
     torques = (torque,) if torque.ndim else ()
-    own = *basis.own, tuple(part[:-1] for part in torques)
-    rows = Rows(own, (basis.weights, basis.cosine, basis.sine, torques))
+    turning = forcing.held.phase is None  # all stiffness waves turn at the same rate at all times
+    stiffness = (basis.cosine, basis.sine) if turning else (_by_phase(forcing, basis, given),)
+    weights, *own = basis.own if turning else jax.tree.map(lambda part: part[:-1], (basis.weights, *stiffness))
+    rows = Rows((weights, tuple(own), tuple(part[:-1] for part in torques)), (basis.weights, stiffness, torques))
 
     def at(row: Any) -> tuple:
         # the step takes whole arrays, so that a batch can be arranged as vectors within the step
-        weights, cosine, sine = (_numbers(part) for part in row[:3])
+        weights, *fast = (_numbers(part) for part in (row[0], *row[1]))
         nothing = jnp.zeros((), waves.mean.dtype)
         slow = tuple(_product(weights, _numbers(column), nothing) for column in given.columns)
+        if not turning:
+            return slow, tuple(fast[0]), row[2]
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
-        stiffness = (_product(sine, _numbers(s), _product(cosine, _numbers(c), mean)) for mean, c, s in series)
-        return slow, tuple(stiffness), row[3]
+        stiffness = (_product(fast[1], _numbers(s), _product(fast[0], _numbers(c), mean)) for mean, c, s in series)
+        return slow, tuple(stiffness), row[2]
 
     def table(rows: Any) -> tuple:
-        weights, cosine, sine, torques = rows
+        weights, fast, torques = rows
         slow = tuple(summed(weights, column) for column in given.columns)
+        if not turning:
+            return slow, tuple(fast[0].T), torques
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
-        stiffness = (mean + summed(cosine, c) + summed(sine, s) for mean, c, s in series)
+        stiffness = (mean + summed(fast[0], c) + summed(fast[1], s) for mean, c, s in series)
         return slow, tuple(stiffness), torques
 
     def put(numbers: tuple) -> tuple[Slow, Fast]:
         columns, stiffness, torques = numbers
-        slow = forcing.slow(columns)
-        return slow, Fast(forcing.stiffness(slow, stiffness), torques[0] if torques else torque)
+        return forcing.slow(columns), Fast(stiffness, torques[0] if torques else torque)
 
     return rows, StepForcing(at, table, put)
+
+
+def _by_phase(forcing: Forcing, basis: Basis, given: Given) -> Float[Array, "step pair"]:
+    """Stiffness of the pairs at the steps of a block [N/m], from their phases, the last of the changing signals."""
+    pairs = forcing.harmonics.mean.shape[0]
+    phases = [summed(basis.weights, column) for column in given.columns[-pairs:]]
+    return jax.vmap(forcing.harmonics.at)(jnp.stack(phases, axis=1))
 
 
 @jax.custom_jvp
