@@ -101,6 +101,25 @@ def test_stiffness_follows_the_arc_length_within_long_blocks_of_steps(errors):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("supported", [False, True])
+def test_default_steps_resolve_the_longest_levers_of_a_turn(supported):
+    """At the start of a turn the levers are the shortest ones; the fastest rate grows with the levers."""
+    gears = dataclasses.replace(gj.load(ROOT / "configs" / "elliptic" / "dong_2020.toml"), run=None)
+    if supported:
+        held = {"supports": {"driven": gj.Support(x=1e9)}, "body_inertia": {"driven": gj.BodyInertia(1.0)}}
+        gears = dataclasses.replace(gears, **held)
+    steps, levers = [], []
+    for eccentricity in (0.0, 0.3, 0.6):
+        own = dataclasses.replace(gears, system=dataclasses.replace(gears.system, eccentricity=eccentricity))
+        steps.append(gj.chosen_steps(own, np.linspace(0.0, 0.5, 6), 10.0).step)
+        turn = jnp.linspace(0.0, 2 * np.pi, 361)
+        levers.append(jnp.abs(jax.vmap(lambda angle, own=own: own.contacts(angle).jacobian[:, 0])(turn)).max())
+    ratios = np.array(steps) * np.array(levers) / (steps[0] * levers[0])
+    assert (ratios < 1.02).all()
+    assert (ratios > (0.7 if supported else 0.98)).all()  # beside x, along which the gear also moves, it is a bound
+
+
+@pytest.mark.slow
 def test_an_alternating_torque():
     """Three times in a turn it presses on either flank: teeth go from one to the other across the backlash."""
     speed, torque = 60.0, 30.0

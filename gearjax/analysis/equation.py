@@ -250,7 +250,7 @@ class Equation(eqx.Module):
         system, orders = scene.system, scene.system.orders
         speed = jnp.abs(system.input_speed)
         rates = [
-            self.frequency * self._longest_arms(),
+            self.frequency * (longest_arms(scene) if self.levers_turn else 1.0),
             scene.linear_compliance.harmonics * orders["mesh"] * speed,
             scene.load.rate(speed, orders),
             turning_rate(scene),
@@ -261,18 +261,6 @@ class Equation(eqx.Module):
             stiffness = scene.linear_compliance.mean_stiffness(self.layout.teeth)
             rates.append(scene.damping.coefficient(stiffness, self.mass).sum() / self.mass)
         return jnp.stack([jnp.asarray(rate, scene.dtype) for rate in rates]).max()
-
-    def _longest_arms(self) -> Scalar:
-        """Levers of the driving flanks where they are longest in a turn of the input, over those at its start."""
-        if not self.levers_turn:
-            return jnp.ones_like(self.scale)
-
-        def arms(angle: Scalar) -> Scalar:
-            contacts = self.scene.contacts(angle)
-            return jnp.linalg.norm(contacts.lever[contacts.layout.flanks[0]])
-
-        size = jax.vmap(arms)(jnp.asarray(2 * np.pi * np.arange(TURN) / TURN, self.scale.dtype))
-        return size.max() / size[0]
 
 
 def _meshes_unevenly(scene: Scene) -> bool:
@@ -293,6 +281,16 @@ def mesh_angles(scene: Scene, angle: Scalar) -> Float[Array, " pair"]:
 
 
 TURN = 64  # angles of a turn at which levers are looked at
+
+
+def longest_arms(scene: Scene) -> Scalar:
+    """Levers of the driving flanks where they are longest in a turn of the input, over those at its start."""
+
+    def arms(angle: Scalar) -> Scalar:
+        return jnp.linalg.norm(scene.contacts(angle).output_levers)
+
+    size = jax.vmap(arms)(jnp.asarray(2 * np.pi * np.arange(TURN) / TURN, scene.dtype))
+    return size.max() / size[0]
 
 
 def turning_rate(scene: Scene) -> Scalar:

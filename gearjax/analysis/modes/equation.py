@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
-from gearjax.analysis.equation import LENGTH_SCALE, turning_rate
+from gearjax.analysis.equation import LENGTH_SCALE, longest_arms, turning_rate
 from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.modes.springs import MeanSprings
 from gearjax.contact import ContactSet, Layout, LinearSprings, equilibrium
@@ -291,8 +291,9 @@ class StructureEquation(eqx.Module):
         scene, orders = self.scene, self.scene.system.orders
         assert scene.load is not None
         speed = jnp.abs(scene.system.input_speed)
+        arms = longest_arms(scene) if self.levers_turn else 1.0
         rates = [
-            self.contact_rate if modes else jnp.maximum(self.contact_rate, self.frequency),
+            arms * (self.contact_rate if modes else jnp.maximum(self.contact_rate, self.frequency)),
             self.springs.harmonics * orders["mesh"] * speed,
             scene.load.rate(speed, orders),
             turning_rate(scene),
