@@ -119,7 +119,7 @@ class Equation(eqx.Module):
         accelerating = self.accelerating_at(time)
         return self.load_at(time) if accelerating is None else self.load_at(time) + accelerating
 
-    def struck_at(self, time: Scalar) -> Scalar:
+    def load_less_impacts_at(self, time: Scalar) -> Scalar:
         """The load, less what the impacts carry [N m]."""
         if self.pulses is None:
             return self.load_at(time)
@@ -129,7 +129,9 @@ class Equation(eqx.Module):
     def acting_at(self, time: Scalar) -> Scalar:
         """The torque that contacts and inertia balance in motion, less what the impacts carry [N m]."""
         accelerating = self.accelerating_at(time)
-        return self.struck_at(time) if accelerating is None else self.struck_at(time) + accelerating
+        return (
+            self.load_less_impacts_at(time) if accelerating is None else self.load_less_impacts_at(time) + accelerating
+        )
 
     def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Levers and stiffness of the contacts at a time [s]."""

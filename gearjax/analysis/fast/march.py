@@ -225,7 +225,7 @@ def begin(
 
     def fast_at(time: Scalar) -> Fast:
         waves = forcing.turned(time)
-        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.struck_at(time))
+        return Fast(waves.mean + waves.cosine.sum(axis=0), equation.load_less_impacts_at(time))
 
     # in a loop, parts that both times share are computed once, not again for each number that depends on them
     both = jax.lax.map(slow_at, instants) if signals is Signals.BATCH else jax.vmap(slow_at)(instants)

@@ -89,8 +89,8 @@ class Forcing(eqx.Module):
     def torques(self, time: Scalar, steps: int) -> Array:
         """Load of each step of a block, less what the impacts carry [N m]; one number if it is constant."""
         if not self.oscillator.equation.load_varies:
-            return self.oscillator.equation.struck_at(time)
-        return jax.vmap(lambda step: self.oscillator.equation.struck_at(time + step * self.oscillator.step))(
+            return self.oscillator.equation.load_less_impacts_at(time)
+        return jax.vmap(lambda step: self.oscillator.equation.load_less_impacts_at(time + step * self.oscillator.step))(
             jnp.arange(steps).astype(time.dtype)
         )
 
