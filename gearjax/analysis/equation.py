@@ -128,10 +128,8 @@ class Equation(eqx.Module):
 
     def acting_at(self, time: Scalar) -> Scalar:
         """The torque that contacts and inertia balance in motion, less what the impacts carry [N m]."""
-        accelerating = self.accelerating_at(time)
-        return (
-            self.load_less_impacts_at(time) if accelerating is None else self.load_less_impacts_at(time) + accelerating
-        )
+        load, accelerating = self.load_less_impacts_at(time), self.accelerating_at(time)
+        return load if accelerating is None else load + accelerating
 
     def springs(self, time: Scalar) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Levers and stiffness of the contacts at a time [s]."""

@@ -237,8 +237,8 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
 
 def _by_phase(forcing: Forcing, basis: Basis, given: Given) -> Float[Array, "step pair"]:
     """Stiffness of the pairs at the steps of a block [N/m], from their phases, the last of the changing signals."""
-    pairs = forcing.harmonics.mean.shape[0]
-    phases = [summed(basis.weights, column) for column in given.columns[-pairs:]]
+    changing = given.columns[-forcing.harmonics.mean.size :]
+    phases = [summed(basis.weights, phase) for phase in changing]
     return jax.vmap(forcing.harmonics.at)(jnp.stack(phases, axis=1))
 
 
