@@ -63,6 +63,11 @@ class Forcing(eqx.Module):
         changing = tuple(depends(oscillator.slow_at, time))
         return cls(oscillator, Harmonics.of(oscillator.equation), oscillator.slow_at(time), changing)
 
+    @property
+    def meshes_evenly(self) -> bool:
+        """Whether stiffness follows from waves that turn at one rate; otherwise from the mesh phase of each step."""
+        return self.held.phase is None
+
     def columns(self, instant: Instant) -> tuple[Scalar, ...]:
         """The changing slow signals at an instant, as separate numbers; a batch computes one vector for each."""
         leaves = jax.tree.leaves(self.oscillator.slow(instant))
@@ -185,7 +190,7 @@ class Rows(NamedTuple):
 def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
     """Rows of a table for the steps of a block, and the functions that convert them to the excitation."""
     waves, torque = given.waves, given.torque
-    if forcing.held.phase is None:
+    if forcing.meshes_evenly:
         stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
     else:
         stiffness = _by_phase(forcing, basis, given)
@@ -203,17 +208,18 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
     """Weights of the nodes for the steps of a block, and the functions that sum over its nodes."""
     waves, torque = given.waves, given.torque
     torques = (torque,) if torque.ndim else ()
-    turning = forcing.held.phase is None  # all stiffness waves turn at the same rate at all times
-    stiffness = (basis.cosine, basis.sine) if turning else (_by_phase(forcing, basis, given),)
-    weights, *own = basis.own if turning else jax.tree.map(lambda part: part[:-1], (basis.weights, *stiffness))
-    rows = Rows((weights, tuple(own), tuple(part[:-1] for part in torques)), (basis.weights, stiffness, torques))
+    evenly = forcing.meshes_evenly
+    stiffness = (basis.cosine, basis.sine) if evenly else (_by_phase(forcing, basis, given),)
+    weights, *waves_own = basis.own
+    own = tuple(waves_own) if evenly else (stiffness[0][:-1],)
+    rows = Rows((weights, own, tuple(part[:-1] for part in torques)), (basis.weights, stiffness, torques))
 
     def at(row: Any) -> tuple:
         # the step takes whole arrays, so that a batch can be arranged as vectors within the step
         weights, *fast = (_numbers(part) for part in (row[0], *row[1]))
         nothing = jnp.zeros((), waves.mean.dtype)
         slow = tuple(_product(weights, _numbers(column), nothing) for column in given.columns)
-        if not turning:
+        if not evenly:
             return slow, tuple(fast[0]), row[2]
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
         stiffness = (_product(fast[1], _numbers(s), _product(fast[0], _numbers(c), mean)) for mean, c, s in series)
@@ -222,7 +228,7 @@ def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, Ste
     def table(rows: Any) -> tuple:
         weights, fast, torques = rows
         slow = tuple(summed(weights, column) for column in given.columns)
-        if not turning:
+        if not evenly:
             return slow, tuple(fast[0].T), torques
         series = zip(_numbers(waves.mean), waves.cosine.T, waves.sine.T, strict=True)
         stiffness = (mean + summed(fast[0], c) + summed(fast[1], s) for mean, c, s in series)
