@@ -36,7 +36,7 @@ from gearjax.errors import AbstractError
 from gearjax.evaluate import evaluated_once
 from gearjax.impact import MeshingImpact, Pulses
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
-from gearjax.load import AbstractLoad
+from gearjax.load_torque import AbstractLoad
 from gearjax.parameters import Named, strong, with_known
 from gearjax.run import Run
 from gearjax.shafts import Shaft

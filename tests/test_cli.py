@@ -125,7 +125,7 @@ def test_config_mistakes_exit_with_two(capsys, fast):
     code, _, err = command(capsys, "run", fast, "--json")
     assert code == 2
     assert "run.duration = 1e+09 s needs" in err
-    assert err.count("\n") == 2, "refused before anything is computed"
+    assert err.count("\n") == 3, "that it was read, a note and the error: refused before anything is computed"
     fast.write_text(FAST[: FAST.index("[run]")], encoding="utf-8")
     code, _, err = command(capsys, "run", fast)
     assert code == 2

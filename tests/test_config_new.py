@@ -20,7 +20,7 @@ from gearjax.config.run import PUBLISHED_KEYS, RUN_KEYS
 from gearjax.config.tolerance import ALLOCATION_KEYS, ASSEMBLY_KEYS, MEASURE_KEYS, SENSITIVITY_KEYS, TOLERANCE_KEYS
 from gearjax.errors import ERRORS
 from gearjax.inertia import DampingRatio, EquivalentMass, MomentOfInertia
-from gearjax.load import LOADS
+from gearjax.load_torque import LOADS
 from gearjax.parameters import declared
 from gearjax.systems import SYSTEMS
 from gearjax.tolerance import DISTRIBUTIONS

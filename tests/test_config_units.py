@@ -7,6 +7,7 @@ import pytest
 
 import gearjax as gj
 from gearjax import units
+from gearjax.config import quantities
 from gearjax.config.quantities import read_quantity, read_ratio
 from gearjax.config.spelling import UnknownUnit, factors
 from gearjax.units import (
@@ -197,3 +198,10 @@ def test_percent_is_a_ratio(config_text):
 def test_what_is_no_product_of_units_is_refused(text):
     with pytest.raises(UnknownUnit):
         factors(text)
+
+
+@pytest.mark.parametrize("unit", sorted(quantities._EVERYDAY))
+def test_everyday_units_are_what_pint_says(unit, monkeypatch):
+    dimension, size = quantities._EVERYDAY[unit]
+    monkeypatch.setattr(quantities, "_EVERYDAY", {})
+    assert quantities.unit_size("key", f"1 {unit}", unit, dimension) == size

@@ -56,12 +56,14 @@ def nothing_computed(monkeypatch):
     def computed(*_arguments, **_words):
         raise AssertionError("computed before --out was tried")
 
-    for name in ("run_cases", "run_optimise", "run_tradeoff", "accurate_step"):
-        monkeypatch.setattr(commands, name, computed)
+    monkeypatch.setattr("gearjax.results.run_cases", computed)
+    monkeypatch.setattr("gearjax.results.optimise", computed)
+    monkeypatch.setattr("gearjax.studies.tradeoff.tradeoff", computed)
+    monkeypatch.setattr("gearjax.studies.tradeoff.accurate_step", computed)
     monkeypatch.setattr("gearjax.cli.tolerance.study", computed)
     monkeypatch.setattr("gearjax.identification.compare", computed)
     monkeypatch.setattr("gearjax.results.identification.identified", computed)
-    monkeypatch.setattr(commands, "PAPERS", {"two_kv": ("a paper", computed)})
+    monkeypatch.setattr("gearjax.reproduce.PAPERS", {"two_kv": ("a paper", computed)})
 
 
 def test_every_command_with_a_folder_is_looked_at():

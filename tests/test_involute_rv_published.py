@@ -11,7 +11,7 @@ import pytest
 import gearjax as gj
 from gearjax.cli import main
 from gearjax.cli.commands import _papers
-from gearjax.reproduce import PAPERS, involute_rv
+from gearjax.reproduce import NAMES, PAPERS, involute_rv
 from gearjax.reproduce import involute_rv_methods as methods
 from gearjax.reproduce import involute_rv_pair as own
 from gearjax.reproduce.rows import Row
@@ -161,7 +161,7 @@ def test_a_paper_whose_extra_is_missing_says_so_in_a_line(monkeypatch, capsys):
 
 def test_the_command_offers_every_paper(capsys):
     assert _papers("in") == ["involute_rv"]
-    assert _papers("") == list(PAPERS)
+    assert _papers("") == list(PAPERS) == list(NAMES)
     with pytest.raises(SystemExit, match="0"):
         main(["reproduce", "--help"])
     assert "two_kv, rv_cycloidal, involute_rv" in " ".join(capsys.readouterr().out.split())

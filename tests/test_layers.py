@@ -1,6 +1,7 @@
 """Imports point downwards only."""
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import gearjax
+from tests.conftest import CONFIG
 
 PACKAGE = Path(gearjax.__file__).parent
 LAYERS = {
@@ -30,7 +32,7 @@ LAYERS = {
     "errors": 1,
     "compliance": 1,
     "influence": 1,
-    "load": 1,
+    "load_torque": 1,
     "inertia": 1,
     "impact": 2,
     "supports": 1,
@@ -125,11 +127,31 @@ def test_only_a_layout_knows_the_order_of_contacts():
 
 
 LATER = ("pint", "pandas", "matplotlib", "xarray", "zarr", "scipy.special", "scipy.optimize", "SALib", "typer", "skfem")
+MOTION = ("diffrax", "optimistix", "lineax", "optax", "gearjax.analysis", "gearjax.studies", "gearjax.identification")
+
+
+def imported(code: str, names: tuple[str, ...]) -> str:
+    """Which of some modules a program has imported in a process of its own."""
+    look = f"import sys; {code}; print([name for name in {names} if name in sys.modules])"
+    return subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.strip()
 
 
 @pytest.mark.slow
 def test_importing_brings_nothing_that_only_some_analyses_need():
-    """In a process of its own: it is half of the time that a notebook waits for its first cell."""
-    look = f"import sys, gearjax; print([name for name in {LATER} if name in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout
-    assert found.strip() == "[]"
+    """It is half of what a notebook waits for its first cell, and all that a command waits for its first line."""
+    assert imported("import gearjax", ("jax", *LATER, *MOTION)) == "[]"
+    load = f"import gearjax; gearjax.load({str(CONFIG)!r})"
+    assert imported(load, (*LATER, *MOTION)) == "[]"
+    assert imported("import gearjax; gearjax.simulate", LATER) == "[]"
+    assert imported("import gearjax.cli", (*[name for name in LATER if name != "typer"], *MOTION)) == "[]"
+
+
+@pytest.mark.parametrize("package", ["gearjax", "gearjax.config", "gearjax.results", "gearjax.reproduce"])
+def test_a_public_name_is_no_module_of_the_same_name(package):
+    """Names are imported when they are first used: whoever imports a module of the same name would hide them."""
+    module = importlib.import_module(package)
+    beside = {path.stem for path in Path(module.__file__).parent.iterdir()}
+    assert set(module.__all__) & beside <= {"units"}
+    assert set(dir(module)) >= set(module.__all__)
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        module.nothing_of_this_name  # noqa: B018

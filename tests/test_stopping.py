@@ -134,7 +134,7 @@ def test_within_another_program_ctrl_c_is_a_line_too(monkeypatch, capsys, fault)
     def interrupted(*_arguments, **_words):
         raise fault
 
-    monkeypatch.setattr("gearjax.cli.commands.run_cases", interrupted)
+    monkeypatch.setattr("gearjax.results.run_cases", interrupted)
     with pytest.raises(SystemExit) as ended:
         main(["run", str(CONFIG), "--json"])
     assert ended.value.code == stopping.CODE

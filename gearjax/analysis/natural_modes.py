@@ -12,7 +12,7 @@ from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.modes import StructureEquation
 from gearjax.analysis.modes.lines import Lines
 from gearjax.checks import SceneError, is_concrete
-from gearjax.load import ConstantLoad
+from gearjax.load_torque import ConstantLoad
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float

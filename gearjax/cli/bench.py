@@ -4,11 +4,9 @@ import dataclasses
 import json
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from rich.table import Table
 
 from gearjax.checks import GearjaxError, RepairedData
 from gearjax.cli.commands import (
@@ -20,13 +18,15 @@ from gearjax.cli.commands import (
     noted,
     say,
     text_of,
+    told_read,
     told_written,
 )
 from gearjax.cli.report import Report, ReportOption
-from gearjax.cli.tables import output
-from gearjax.config import IdentifySection, loads_identify, read_measurement
-from gearjax.identification import Comparison, Measurement
-from gearjax.units import arcmin, deg
+
+if TYPE_CHECKING:
+    from gearjax.config import IdentifySection
+    from gearjax.identification import Measurement
+    from gearjax.scene import Scene
 
 MeasuredOption = Annotated[
     list[Path] | None,
@@ -52,14 +52,13 @@ def compare(
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
+    scene, section, records = _read(config, text_of(config), measured, dynamic)
+    folder = folder_for(out, json_, config)
+    told_read(config, scene)
+    from gearjax.cli.bench_tables import print_comparison
     from gearjax.identification import compare as beside_each_other
     from gearjax.results.identification import save_comparison
 
-    text = text_of(config)
-    scene, section = loads_identify(text, config.parent)
-    section = _by_option(section, dynamic)
-    records = _records(measured, section.measured)
-    folder = folder_for(out, json_, config)
     say(f"computing the curves of {len(records)} recordings")
     beside = beside_each_other(scene, records, shift="find" if shift else "none", analysis=section.analysis)
     for words in beside.notes:
@@ -72,7 +71,7 @@ def compare(
     if json_:
         print(json.dumps({"config": str(config)} | beside.as_json(), allow_nan=False))
     else:
-        _print_comparison(beside)
+        print_comparison(beside)
 
 
 @app.command()
@@ -89,13 +88,13 @@ def identify(
     An [identify] section may state the unknowns, what is known about them before, and which bodies can be turned.
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
+    text = text_of(config)
+    scene, section, records = _read(config, text, measured, dynamic)
+    folder = folder_for(out, json_, config)
+    told_read(config, scene)
+    from gearjax.cli.bench_tables import print_found
     from gearjax.results.identification import identified, save_identified
 
-    text = text_of(config)
-    scene, section = loads_identify(text, config.parent)
-    section = _by_option(section, dynamic)
-    records = _records(measured, section.measured)
-    folder = folder_for(out, json_, config)
     page = Report(report, folder)
     with page.listening():
         result = identified(section, scene, records, say)
@@ -113,103 +112,28 @@ def identify(
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
-        _print_found(result)
+        print_found(result)
 
 
-def _by_option(section: IdentifySection, dynamic: bool | None) -> IdentifySection:
-    """The section with the analysis that the command line asks for."""
-    return section if dynamic is None else dataclasses.replace(section, analysis="dynamic" if dynamic else "static")
+def _read(
+    config: Path, text: str, measured: list[Path] | None, dynamic: bool | None
+) -> "tuple[Scene, IdentifySection, list[Measurement]]":
+    """Scene, section with the analysis that the command line asks for, and recordings."""
+    from gearjax.config import loads_identify
+
+    scene, section = loads_identify(text, config.parent)
+    if dynamic is not None:
+        section = dataclasses.replace(section, analysis="dynamic" if dynamic else "static")
+    return scene, section, _records(measured, section.measured)
 
 
-def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> list[Measurement]:
+def _records(given: list[Path] | None, listed: tuple[Path, ...]) -> "list[Measurement]":
     """The recordings given on the command line or, if there are none, the recordings of the configuration."""
+    from gearjax.config import read_measurement
+
     files = list(given or listed)
     if not files:
         raise GearjaxError("no recording: give --measured FILE.csv, or measured = [...] in [identify]")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RepairedData)  # the results report the repairs again
         return [read_measurement(file) for file in files]
-
-
-def _print_comparison(beside: Comparison) -> None:
-    table = Table(title="Transmission error in arcmin, measured and computed")
-    columns = (
-        "recording",
-        "rows",
-        "offset",
-        "start [deg]",
-        "explained [%]",
-        "peak-to-peak",
-        "computed",
-        "std",
-        "computed",
-    )
-    for column in columns:
-        table.add_column(column, justify="left" if column == "recording" else "right")
-    for record in beside.records:
-        values = [f"{value / arcmin:.4f}" for pair in record.metrics.values() for value in pair]
-        told = f"{record.offset / arcmin:.4f}", f"{record.start / deg:.4g}", f"{100 * record.explained:.4g}"
-        table.add_row(record.name, str(record.theta.size), *told, *values)
-    console = output()
-    console.print(table)
-    if beside.lost_motion is not None:
-        one, other = (value / arcmin for value in beside.lost_motion)
-        console.print(f"lost motion: measured {one:.4f} arcmin, computed {other:.4f} arcmin", soft_wrap=True)
-    for record in beside.records:
-        table = Table(title=f"{record.name}: largest orders")
-        for column in ("body or mesh", "order", "measured [arcmin]", "computed", "phase [deg]", "computed"):
-            table.add_column(column, justify="left" if column == "body or mesh" else "right")
-        for each in record.orders:
-            phases = [f"{np.degrees(phase):.1f}" for phase in (each.phase_measured, each.phase_computed)]
-            sizes = [f"{value / arcmin:.4f}" for value in (each.measured, each.computed)]
-            table.add_row(each.name, f"{each.order:.5g}", *sizes, *phases)
-        console.print(table)
-
-
-def _print_found(result) -> None:
-    found, console = result.found, output()
-    table = Table(title=f"Identified numbers; standard deviation of the residual {found.fit.sigma:.4g} arcmin")
-    for column in ("number", "value", "standard error", "95 % from", "to", "unit"):
-        table.add_column(column, justify="left" if column in ("number", "unit") else "right")
-    for each in found.estimates:
-        interval = each.interval
-        told = ("not identified", "", "") if interval is None else tuple(f"{v:.5g}" for v in (each.error, *interval))
-        table.add_row(each.name, f"{each.value:.5g}", *told, each.unit)
-    console.print(table)
-    if found.visible.combinations:
-        table = Table(title="Identified only as a sum")
-        for column in ("sum", "value", "standard error", "unit"):
-            table.add_column(column, justify="left" if column in ("sum", "unit") else "right")
-        for each in found.visible.combinations:
-            table.add_row(each.words, f"{each.value:.5g}", f"{each.error:.3g}", each.unit)
-        console.print(table)
-    for words in found.hidden:
-        console.print(f"hidden: {words}", soft_wrap=True)
-    for order in found.orders:
-        words = f"{order.name}, {order.amplitude:.4g} arcmin, {np.degrees(order.phase):.1f} deg: {order.body}"
-        console.print(f"order that the gear set does not explain: {words}", soft_wrap=True)
-    for one, other, value in found.correlations[:8]:
-        console.print(f"correlated: {one} and {other} ({value:+.3f})", soft_wrap=True)
-    for each in found.suggestions[:3]:
-        console.print(f"a further recording would show {' and '.join(each.shows)}: {each.words}", soft_wrap=True)
-    _print_comparison(result.beside)
-    if result.advice is not None:
-        _print_advice(console, result.advice)
-
-
-def _print_advice(console, advice) -> None:
-    turns = ", ".join(f"{path.partition('.')[2]} by {angle / deg:.1f} deg" for path, angle in advice.turns.items())
-    gain = advice.gain
-    console.print(
-        f"reassembly: turn {turns}: {advice.metric.replace('_', '-')} {advice.before / arcmin:.4f} -> "
-        f"{advice.after / arcmin:.4f} arcmin expected; ratio after/before {gain.median:.2f} (5 % {gain.low:.2f}, 95 % "
-        f"{gain.high:.2f}), worse than before in {100 * gain.worse:.0f} %",
-        soft_wrap=True,
-    )
-    if advice.second is not None:
-        second = advice.second
-        console.print(
-            f"with one more recording first ({advice.second_words}): ratio {second.median:.2f} (5 % {second.low:.2f}, "
-            f"95 % {second.high:.2f}), worse in {100 * second.worse:.0f} %",
-            soft_wrap=True,
-        )

@@ -1,53 +1,26 @@
-"""The commands of the command line."""
+"""The commands of the command line. Each imports what it needs once its configuration has been read."""
 
 import json
 import math
 import os
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 import gearjax
-from gearjax.analysis import FewAngles
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
 from gearjax.cli.report import Report, ReportOption
-from gearjax.cli.tables import (
-    print_accuracy,
-    print_cases,
-    print_face_load,
-    print_impacts,
-    print_optimisation,
-    print_rows,
-    print_shifts,
-    print_tradeoff,
-)
-from gearjax.config import loads, loads_optimise, loads_tolerance, read_file, read_tables, self_contained
 from gearjax.files import writable, write_file
-from gearjax.reproduce import PAPERS, Row, validation_page
-from gearjax.results import (
-    GradedGear,
-    clash_of,
-    face_load_factors,
-    graded_gears,
-    growth_remark,
-    impacts_as_json,
-    impacts_of,
-    remarks,
-    run_cases,
-    save,
-    save_optimisation,
-    save_tradeoff,
-    stored_config,
-    tradeoff_as_json,
-)
-from gearjax.results import optimise as run_optimise
-from gearjax.scene import Scene
-from gearjax.studies.tradeoff import accurate_step
-from gearjax.studies.tradeoff import tradeoff as run_tradeoff
+from gearjax.reproduce import NAMES
 from gearjax.units import arcmin
+
+if TYPE_CHECKING:
+    from gearjax.reproduce import Row
+    from gearjax.results import GradedGear
+    from gearjax.scene import Scene
 
 app = typer.Typer(rich_markup_mode=None)
 _progress = Console(stderr=True, markup=False, emoji=False)
@@ -98,33 +71,42 @@ def run(
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
+    text, scene = _read(config)
+    folder = folder_for(out, json_, config)
+    told_read(config, scene)
+    from gearjax.analysis import FewAngles
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewAngles)  # `remarks` reports it once, with what to change
-        text, scene = _read(config)
-        folder = folder_for(out, json_, config)
         page = Report(report, folder)
         with page.listening():
             _run(config, text, scene, folder, json_, accuracy, page)
 
 
 def _run(
-    config: Path, text: str, scene: Scene, folder: Path | None, json_: bool, accuracy: float | None, page: Report
+    config: Path, text: str, scene: "Scene", folder: Path | None, json_: bool, accuracy: float | None, page: Report
 ) -> None:
+    from gearjax import results
+    from gearjax.cli import tables
+    from gearjax.config import self_contained
+
     stepper = None
     if accuracy is not None:
         allowed = _positive("--accuracy", accuracy)
         if scene.run is not None and "dynamic" in scene.run.analyses:
+            from gearjax.studies.tradeoff import accurate_step
+
             stepper = accurate_step(scene, allowed, say)
-    for remark in remarks(scene):
+    for remark in results.remarks(scene):
         noted(page, remark)
     cases = []
-    for case in run_cases(scene, stepper, workers=os.cpu_count() or 1):
+    for case in results.run_cases(scene, stepper, workers=os.cpu_count() or 1):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
-        remark = growth_remark(scene, case)
+        remark = results.growth_remark(scene, case)
         if remark is not None:
             noted(page, remark)
         cases.append(case)
-    overlap = clash_of(scene, cases)
+    overlap = results.clash_of(scene, cases)
     words = None if overlap is None else overlap.told(scene)
     if words is not None:
         noted(page, words, "warning")
@@ -134,16 +116,16 @@ def _run(
         told["interference"] = overlap.as_json(scene)
     if graded:
         told["accuracy"] = [gear.as_json() for gear in graded]
-    factors = face_load_factors(scene, cases)
+    factors = results.face_load_factors(scene, cases)
     if factors:
         told["face_load_factor"] = factors
-    impacts = impacts_as_json(impacts_of(scene, cases))
+    impacts = results.impacts_as_json(results.impacts_of(scene, cases))
     if impacts:
         told["meshing_impact"] = impacts
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second to import; a run with --json need not wait
 
-        written = save(scene, cases, self_contained(text, config.parent), folder)
+        written = results.save(scene, cases, self_contained(text, config.parent), folder)
         with page.drawing():
             written += save_figures(scene, cases, folder)
         written += page.write(f"gearjax run {config.name}", told, text)
@@ -151,10 +133,10 @@ def _run(
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
-        print_cases(cases, 1 / scene.system.orders["output"], scene.system.told_of_forces)
-        print_face_load(factors)
-        print_impacts(impacts)
-        print_accuracy(graded)
+        tables.print_cases(cases, 1 / scene.system.orders["output"], scene.system.told_of_forces)
+        tables.print_face_load(factors)
+        tables.print_impacts(impacts)
+        tables.print_accuracy(graded)
 
 
 def noted(page: Report, words: str, kind: str = "note") -> None:
@@ -167,8 +149,10 @@ def told_written(folder: Path, files: list[Path]) -> None:
     say(f"written to {folder}: {', '.join(path.name for path in files)}")
 
 
-def _graded(scene: Scene) -> list[GradedGear]:
+def _graded(scene: "Scene") -> "list[GradedGear]":
     """Measured gears with their grades; none, and a note, if their sizes are outside the range of the standard."""
+    from gearjax.results import graded_gears
+
     try:
         return graded_gears(scene)
     except ParameterError as fault:
@@ -178,12 +162,12 @@ def _graded(scene: Scene) -> list[GradedGear]:
 
 def _papers(incomplete: str) -> list[str]:
     """Names of papers with which a shell can complete an argument."""
-    return [name for name in PAPERS if name.startswith(incomplete)]
+    return [name for name in NAMES if name.startswith(incomplete)]
 
 
 PaperArgument = Annotated[
     str | None,
-    typer.Argument(metavar="[NAME]", help=f"{', '.join(PAPERS)}; if left out, all papers", autocompletion=_papers),
+    typer.Argument(metavar="[NAME]", help=f"{', '.join(NAMES)}; if left out, all papers", autocompletion=_papers),
 ]
 
 AllOption = Annotated[bool, typer.Option("--all", help="every paper, as one page in Markdown")]
@@ -201,10 +185,12 @@ def reproduce(
     With --out a table of the values and figures are written. With --all every paper is written as one page in Markdown,
     to standard output or to validation.md in --out.
     """
-    if name is not None and name not in PAPERS:
-        raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, PAPERS)}")
+    if name is not None and name not in NAMES:
+        raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, NAMES)}")
     if name is not None and all_:
         raise ParameterError("reproduce", name, "give one paper or --all, not both")
+    from gearjax.reproduce import PAPERS, validation_page
+
     reports = []
     for paper in [PAPERS[name]] if name is not None else PAPERS.values():
         say(f"computing: {paper.title}")
@@ -228,6 +214,8 @@ def reproduce(
     if all_ and out is None:
         print(validation_page(reports), end="")
         return
+    from gearjax.cli.tables import print_rows
+
     for paper, rows in reports:
         print_rows(paper, rows)
 
@@ -241,8 +229,15 @@ def optimise(
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     text = text_of(config)
+    from gearjax.config import loads_optimise
+
     scene, section = loads_optimise(text, config.parent)
     folder = folder_for(out, json_, config)
+    told_read(config, scene)
+    from gearjax.cli.tables import print_optimisation
+    from gearjax.results import optimise as run_optimise
+    from gearjax.results import save_optimisation
+
     page = Report(report, folder)
     with page.listening():
         optimisation = run_optimise(section, scene, say)
@@ -275,6 +270,12 @@ def tradeoff(
     """
     text, scene = _read(config)
     folder = folder_for(out, json_, config)
+    told_read(config, scene)
+    from gearjax.cli.tables import print_shifts, print_tradeoff
+    from gearjax.config import loads_tolerance, read_tables
+    from gearjax.results import save_tradeoff, tradeoff_as_json
+    from gearjax.studies.tradeoff import tradeoff as run_tradeoff
+
     allowed, moving = _positive("--error", error), scene.run is not None and "dynamic" in scene.run.analyses
     shifted = []
     if "tolerance" in read_tables(text):
@@ -321,11 +322,11 @@ def tolerance(
 
     Without --out the results go to out/NAME; with --json and no --out nothing is written, and nothing can be resumed.
     """
+    text = text_of(config)
+    folder = folder_for(out, json_, config)
     from gearjax.cli.tolerance import print_tolerance, study
     from gearjax.results.tolerance import save_tolerance
 
-    text = text_of(config)
-    folder = folder_for(out, json_, config)
     page = Report(report, folder)
     with page.listening():
         results, work = study(text, config.parent, folder, scheduler, workers, _progress, say)
@@ -362,16 +363,29 @@ def say(words: str) -> None:
 def text_of(config: Path) -> str:
     """Text of a configuration file, or of the configuration inside a results file."""
     check_path("CONFIG", config)
-    return stored_config(config) if config.suffix == ".nc" else read_file(config)
+    if config.suffix == ".nc":
+        from gearjax.results import stored_config
+
+        return stored_config(config)
+    from gearjax.config import read_file
+
+    return read_file(config)
 
 
-def _read(config: Path) -> tuple[str, Scene]:
+def _read(config: Path) -> "tuple[str, Scene]":
     """Text and scene of a configuration file, or of the configuration inside a results file."""
+    from gearjax.config import loads
+
     text = text_of(config)
     return text, loads(text, config.parent)
 
 
-def _write_rows(folder: Path, reports: list[tuple[str, list[Row]]]) -> None:
+def told_read(config: Path, scene: "Scene") -> None:
+    """Say that the configuration is good, before what computes is imported."""
+    say(f"read {config}: {scene.system.kind}")
+
+
+def _write_rows(folder: Path, reports: "list[tuple[str, list[Row]]]") -> None:
     lines = ["paper,item,published,computed,deviation,unit,status"]
     for paper, rows in reports:
         lines += [

@@ -6,11 +6,11 @@ import typer
 
 from gearjax.checks import MISSING, ParameterError
 from gearjax.cli.commands import app
-from gearjax.config import template
-from gearjax.registry import kinds
 
 
 def _kinds() -> list[str]:
+    from gearjax.registry import kinds
+
     return [system.kind for system in kinds("gearjax.systems")]
 
 
@@ -26,4 +26,6 @@ def new(
     """
     if kind is None:
         raise ParameterError("new", MISSING, f"needs a kind of gear set: {', '.join(_kinds())}")
+    from gearjax.config import template
+
     print(template(kind), end="")

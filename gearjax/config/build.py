@@ -11,24 +11,20 @@ from typing import Any
 from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractToothCompliance
-from gearjax.config.identify import IdentifySection, read_identify
 from gearjax.config.measured import READERS
-from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.run import read_published, read_run
 from gearjax.config.tables import Key, as_toml, keys_of, known_keys, read_parameter, require_keys, written
-from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.contact import HardContact, QuadraticContact, SoftplusContact
 from gearjax.errors import AbstractError, MeasuredFlank
 from gearjax.impact import MeshingImpact
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
-from gearjax.load import LOADS
+from gearjax.load_torque import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.scene import Scene
 from gearjax.shafts import Shaft
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem, flank_radii
-from gearjax.tolerance import Tolerances
 
 CONTAINS = "contains"  # key of a measured flank: the errors that its values contain by design
 _LARGEST_FILE = 8_000_000  # bytes; 250,000 measured values written out in the file take 5 million
@@ -133,11 +129,11 @@ def build(tables: dict[str, Any], folder: str | Path = ".") -> Scene:
     Raises:
         ParameterError: a value is wrong; the message names the key, what was given and what would be right.
     """
-    scene = _scene(with_files(tables, Path(folder)))
-    if "optimise" in tables:
-        _read_optimise(tables, scene, Path(folder))
-    if "tolerance" in tables:
-        read_tolerance(tables["tolerance"], scene, Path(folder))
+    scene = scene_of(with_files(tables, Path(folder)))
+    if "optimise" in tables or "tolerance" in tables:
+        from gearjax.config.studies import check_studies  # brings along all that studies need: a second of imports
+
+        check_studies(tables, scene, Path(folder))
     return scene
 
 
@@ -184,7 +180,7 @@ def _read_in(name: str, table: Any, folder: Path) -> Any:
     return {value: given for value, given in table.items() if value != "file"} | read
 
 
-def _scene(tables: dict[str, Any]) -> Scene:
+def scene_of(tables: dict[str, Any]) -> Scene:
     for key in tables:
         if key not in SECTIONS:
             raise ParameterError(key, tables[key], f"unknown section; {nearest(key, SECTIONS)}")
@@ -273,62 +269,6 @@ def _tables(section: str, tables: dict[str, Any]) -> dict[str, dict[str, Any]]:
         if not isinstance(table, dict):
             raise ParameterError(f"{section}.{name}", table, f"must be a section: [{section}.{name}]")
     return sections
-
-
-def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, OptimiseSection]:
-    """Load a scene and its optimise section from TOML text; file names in the text are relative to the folder.
-
-    Raises:
-        GearjaxError: something in the text is wrong, or it has no such section; the message is one line that says
-            where.
-    """
-    tables = with_files(read_tables(text), Path(folder))
-    scene = _scene(tables)
-    if "optimise" not in tables:
-        raise GearjaxError(
-            "the configuration has no [optimise]: add a section with objective and where, such as this line before the "
-            'first section: optimise = {objective = "no_load_amplitude", where = ["errors.planet_1.phase"]}'
-        )
-    return scene, _read_optimise(tables, scene, Path(folder))
-
-
-def _read_optimise(tables: dict[str, Any], scene: Scene, folder: Path) -> OptimiseSection:
-    def population() -> Tolerances | None:
-        return read_tolerance(tables["tolerance"], scene, folder).tolerances if "tolerance" in tables else None
-
-    return read_optimise(tables["optimise"], scene, population)
-
-
-def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, IdentifySection]:
-    """Load a scene and its identify section from TOML text; file names in the text are relative to the folder.
-
-    If the text has no identify section, the section has its default values.
-
-    Raises:
-        GearjaxError: something in the text is wrong; the message is one line that says where.
-    """
-    tables = with_files(read_tables(text), Path(folder))
-    scene = _scene(tables)
-    return scene, read_identify(tables.get("identify", {}), scene, Path(folder))
-
-
-def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any], Scene, ToleranceSection]:
-    """Load tables, scene and tolerance section from TOML text; the tables hold measured values in place of file names.
-
-    Raises:
-        GearjaxError: something in the text is wrong, or it has no such section; the message is one line that says
-            where.
-    """
-    tables = with_files(read_tables(text), Path(folder))
-    scene = _scene(tables)
-    if "tolerance" not in tables:
-        raise GearjaxError(
-            "the configuration has no [tolerance]: add a section with samples, measures and numbers, such as this line "
-            'before the first section: tolerance = {samples = 10000, measures = ["no_load.peak_to_peak"], '
-            '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}}'
-        )
-    section = read_tolerance(tables["tolerance"], scene, Path(folder))
-    return inlined(tables, scene, Path(folder)), scene, section
 
 
 def _reference(table: dict[str, Any]) -> ZeroAtStart | None:

@@ -28,7 +28,7 @@ from gearjax.config.tolerance import (
 )
 from gearjax.impact import MeshingImpact
 from gearjax.inertia import OF_WAY, BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
-from gearjax.load import LOADS
+from gearjax.load_torque import LOADS
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds
 from gearjax.run import NEEDS, Published, Run

@@ -25,7 +25,7 @@ from gearjax.config.tolerance import (
 from gearjax.errors import MeasuredFlank
 from gearjax.impact import MeshingImpact
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
-from gearjax.load import LOADS
+from gearjax.load_torque import LOADS
 from gearjax.markdown import plain
 from gearjax.parameters import Parameter, declared
 from gearjax.registry import kinds

@@ -56,6 +56,30 @@ def _measured(unit: Any) -> str | None:
     return next((words for words, forms in _FORMS.items() if dimensionality in map(_dimensionality, forms)), None)
 
 
+_EVERYDAY: dict[str, tuple[Dimension, float]] = {
+    "m": (units.LENGTH, 1.0),
+    "mm": (units.LENGTH, units.mm),
+    "um": (units.LENGTH, units.um),
+    "rad": (units.ANGLE, 1.0),
+    "deg": (units.ANGLE, units.deg),
+    "arcmin": (units.ANGLE, units.arcmin),
+    "arcsec": (units.ANGLE, units.arcsec),
+    "rpm": (units.ANGULAR_SPEED, units.rpm),
+    "rad/s": (units.ANGULAR_SPEED, 1.0),
+    "s": (units.TIME, 1.0),
+    "ms": (units.TIME, 1e-3),
+    "Hz": (units.FREQUENCY, 1.0),
+    "kg": (units.MASS, 1.0),
+    "kg*m^2": (units.INERTIA, 1.0),
+    "N*m": (units.TORQUE, 1.0),
+    "N m": (units.TORQUE, 1.0),
+    "N/m": (units.STIFFNESS, 1.0),
+    "Pa": (units.PRESSURE, 1.0),
+    "GPa": (units.PRESSURE, 1e9),
+}
+"""Units that most values have, with their dimensions and sizes; pint, which knows all, takes half a second to begin."""
+
+
 @functools.lru_cache(maxsize=1024)
 def _suits(unit: Any, dimension: Dimension) -> bool:
     if not dimension.unit:
@@ -107,6 +131,9 @@ def unit_size(key: str, given: Any, unit: str, dimension: Dimension) -> float:
     Raises:
         ParameterError: the unit is unknown, or has another dimension.
     """
+    everyday = _EVERYDAY.get(unit)
+    if everyday is not None and everyday[0] == dimension:
+        return everyday[1]
     needs = f"needs {dimension.described} such as {_quoted(dimension)}{_INSTEAD.get(dimension, '')}"
     written: tuple[Factor, ...] = ()
     try:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.checks import is_concrete
 from gearjax.contact.layout import Layout
 from gearjax.contact.pose import BodyView, GearSize, ProfilePlace, Rim
 from gearjax.contact.slices import Slices
@@ -181,12 +182,22 @@ class MeshContacts(eqx.Module):
 
 
 def with_tips(made: Callable[..., InvolutePair], tips: tuple[Scalar | None, Scalar | None]) -> InvolutePair:
-    """A pair with the tip diameters that are given [m]; the others follow from its rack and profile shifts."""
+    """A pair with the tip diameters that are given [m]; the others follow from its rack and profile shifts.
+
+    Numbers that are known now go through one program: compiled one by one, its operations take a second.
+    """
+    return (_with_tips_compiled if is_concrete((made, tips)) else _with_tips)(made, tips)
+
+
+def _with_tips(made: Callable[..., InvolutePair], tips: tuple[Scalar | None, Scalar | None]) -> InvolutePair:
     plain = made()
     if tips == (None, None):
         return plain
     each = zip(tips, plain.tip_diameters, strict=True)
     return made(tip_diameters=[own if given is None else given for given, own in each])
+
+
+_with_tips_compiled = eqx.filter_jit(_with_tips)
 
 
 def key_of_gears(key: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.contact import HardContact
 from gearjax.identification.measurement import Measurement, robust_slope
-from gearjax.load import ConstantLoad
+from gearjax.load_torque import ConstantLoad
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Scalar

@@ -9,7 +9,7 @@ from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import HarmonicStiffness
 from gearjax.errors import Eccentricity
 from gearjax.inertia import DampingRatio, EquivalentMass
-from gearjax.load import ConstantLoad
+from gearjax.load_torque import ConstantLoad
 from gearjax.progress import Progress, silent
 from gearjax.reproduce.rows import Row, printed_precision
 from gearjax.run import METRICS

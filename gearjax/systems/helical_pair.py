@@ -1,7 +1,6 @@
 """Helical and spur pairs on parallel axes, external and internal: contact lines cut into slices (ISO 21771)."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Mapping
 from typing import ClassVar
@@ -152,7 +151,7 @@ class HelicalPair(AbstractSystem):
         own = {key: getattr(self, key) for key in ("addendum", "dedendum", "fillet_radius")}
         given = {key: getattr(named, key) if value is None else value for key, value in own.items()}
         rack = BasicRack(**{key: value.astype(dtype) for key, value in given.items()})
-        pair = functools.partial(
+        pair = jax.tree_util.Partial(
             InvolutePair,
             (self.pinion_teeth, self.wheel_teeth),
             self.normal_module,

@@ -167,7 +167,7 @@ class HelicalTrain(AbstractSystem):
                 values = getattr(self, key)
                 return values[mesh if len(values) > 1 else 0] if len(values) else None
 
-            pair = functools.partial(
+            pair = jax.tree_util.Partial(
                 InvolutePair,
                 teeth,
                 own("normal_module"),

@@ -1,0 +1,44 @@
+from .accuracy import GradedGear, graded_gears
+from .cases import (
+    Case,
+    clash_of,
+    growth_remark,
+    highest_load_sharing,
+    remarks,
+    required_run,
+    run_cases,
+    save,
+    stored_config,
+)
+from .loads_on_parts import face_load_factors, forces_on_bearings, impacts_as_json, impacts_of
+from .optimisation import Optimisation, optimise, save_optimisation
+from .spectra import OrderLines, order_lines
+from .torques import against_torque
+from .tradeoff import as_json as tradeoff_as_json
+from .tradeoff import save_tradeoff
+
+__all__ = [
+    "Case",
+    "GradedGear",
+    "Optimisation",
+    "OrderLines",
+    "against_torque",
+    "clash_of",
+    "face_load_factors",
+    "forces_on_bearings",
+    "graded_gears",
+    "growth_remark",
+    "highest_load_sharing",
+    "impacts_as_json",
+    "impacts_of",
+    "optimise",
+    "order_lines",
+    "remarks",
+    "required_run",
+    "run_cases",
+    "save",
+    "save_optimisation",
+    "save_tradeoff",
+    "stored_config",
+    "tradeoff_as_json",
+]
