@@ -19,6 +19,7 @@ from gearjax.cli.stopping import say_when_stopped
 from gearjax.cli.tables import output
 from gearjax.config import loads_tolerance
 from gearjax.progress import Progress as Say
+from gearjax.results.further import Further
 from gearjax.results.needs import affordable
 from gearjax.results.store import Store, held
 from gearjax.results.tolerance import LISTED, ToleranceResults, finished, prepared
@@ -88,7 +89,8 @@ def study(
                 kept.put(chunk, evaluated)
                 advance(chunk[1] - chunk[0], _good(work, evaluated))
         done = work.study(*kept.load(), watch)
-        return finished(section, work, done, watch.seconds, computed, say), work
+        further = Further(folder, tables)
+        return finished(section, work, done, watch.seconds, computed, further, say), work
 
 
 def _stored(store: Store, folder: Path) -> str:

@@ -13,12 +13,14 @@ from gearjax.checks import GearjaxError
 from gearjax.config import ToleranceSection, with_numbers
 from gearjax.files import write_file
 from gearjax.progress import Progress
+from gearjax.results.further import Further
 from gearjax.results.needs import affordable
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Study, Tolerances, Work
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
 from gearjax.tolerance.interference import Clashes, clashes
+from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import QUANTILES
 from gearjax.tolerance.precision import PrecisionShift, in_float32, precision_shifts
 from gearjax.tolerance.statistics import Estimate
@@ -184,7 +186,13 @@ def _in_precision(section: ToleranceSection) -> tuple[Tolerances, dict[str, Any]
 
 
 def finished(
-    section: ToleranceSection, work: Work, study: Study, seconds: float, computed: int, progress: Progress
+    section: ToleranceSection,
+    work: Work,
+    study: Study,
+    seconds: float,
+    computed: int,
+    kept: Further,
+    progress: Progress,
 ) -> ToleranceResults:
     """Make the further studies of a section after its Monte Carlo study.
 
@@ -192,41 +200,53 @@ def finished(
         section: settings of the studies.
         work, study: the Monte Carlo study and its result.
         seconds, computed: wall time without compilation [s], and number of samples computed in this run.
+        kept: results of further studies that an earlier run has left.
         progress: function that is called with lines of progress.
     """
     problems: list[str] = []
 
-    def tried(study: Callable[[ToleranceSection, Progress], Any], otherwise: Any) -> Any:
+    def tried(name: str, study: Callable[[ToleranceSection, Progress], Any], otherwise: Any) -> Any:
         """Make a further study; if it fails, the other results are kept."""
         try:
-            return study(section, progress)
+            return kept.get(name, lambda: study(section, progress))
         except GearjaxError as fault:
             problems.append(str(fault))
             return otherwise
 
-    shares, narrowed = tried(_sensitivities, ([], {}))
-    bought, matched = tried(_allocated, None), tried(_matched, None)
-    missed = _missed(section, work) if section.extremes == "samples" else {}
+    shares, narrowed = tried("sensitivities", _sensitivities, []), tried("tightened", _tightened, {})
+    bought, matched = tried("allocation", _allocated, None), tried("assembly", _matched, None)
+    missed = kept.get("missed", lambda: _missed(section, work)) if section.extremes == "samples" else {}
     number = min(CHECKED, section.samples)
-    interference = clashes(_in_precision(section)[0], work.inputs(0, number))
+    interference = kept.get("interference", lambda: clashes(_in_precision(section)[0], work.inputs(0, number)))
+    if kept.shown_again:
+        progress(f"kept from the run before: {', '.join(kept.shown_again)}")
     told = tuple(problems)
     return ToleranceResults(
         section, study, missed, shares, narrowed, bought, matched, seconds, computed, told, interference
     )
 
 
-def _sensitivities(section: ToleranceSection, progress: Progress) -> tuple[list[Sensitivities], dict]:
-    measures = [measure for measure in section.measures if measure.analysis in NO_MOTION]
+def _sensitivities(section: ToleranceSection, progress: Progress) -> list[Sensitivities]:
+    measures = _without_motion(section)
     if not section.sensitivity or not measures:
-        return [], {}
+        return []
     tolerances, options = _in_precision(section)
     progress("sensitivities: by derivatives, Sobol indices, one at a time")
-    shares = sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
-    if not any(measure.is_limited for measure in measures):
-        return shares, {}
+    return sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
+
+
+def _tightened(section: ToleranceSection, progress: Progress) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
+    measures = _without_motion(section)
+    if not section.sensitivity or not any(measure.is_limited for measure in measures):
+        return {}
+    tolerances, options = _in_precision(section)
     progress("each tolerance halved")
     number = min(TIGHTENED_SAMPLES, section.samples)
-    return shares, tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
+    return tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
+
+
+def _without_motion(section: ToleranceSection) -> list[Measure]:
+    return [measure for measure in section.measures if measure.analysis in NO_MOTION]
 
 
 def _allocated(section: ToleranceSection, progress: Progress) -> AllocatedTolerances | None:
