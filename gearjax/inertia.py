@@ -93,8 +93,8 @@ class DampingRatio(eqx.Module):
     Args:
         ratio: damping ratio [-] of a pair in ``c = ratio sqrt(2 k m)``, with the mean stiffness k of the pair and the
             equivalent mass m.
-        acting: when the damper of a pair acts: ``"contact"``, while a flank of the pair is in contact, or
-            ``"always"``, also while the pair is separated.
+        acting: when the damper of a pair acts: ``"contact"``, while a flank of the pair is in contact, along that
+            flank, or ``"always"``, also while the pair is separated, along its driving flank.
     """
 
     ratio: Number = number(units.RATIO, at_least=0.0, at_most=100.0)

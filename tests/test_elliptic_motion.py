@@ -32,7 +32,7 @@ def gaps(t: float) -> np.ndarray:
     return -side * run_outs + np.array([0.0, BACKLASH])
 
 
-def absolute(speed: float, torque: float, ts: np.ndarray, turns: float = 0.0) -> np.ndarray:
+def absolute(speed: float, torque: float, ts: np.ndarray, turns: float = 0.0, acting: str = "always") -> np.ndarray:
     """Deviation of the driven gear's own angle, ``I y'' = -T - sum J f``, everything by hand; the torque constant, or a
     sine of so many turns per turn of the driver."""
     start = levers(0.0)
@@ -47,8 +47,13 @@ def absolute(speed: float, torque: float, ts: np.ndarray, turns: float = 0.0) ->
         opening = (gaps(t + h) - gaps(t - h)) / (2 * h) * speed
         q, v = state[0] - OWN.t2(t), state[1] - OWN.ratio(t) * speed
         stiffness = STIFFNESS * (1 + 0.15 * math.cos(2 * math.pi * TEETH * OWN.arc(t) / long + 0.2))
-        force = lever @ (stiffness * np.maximum(lever * q - gap, 0.0))
-        drag = damping * lever[0] * (lever[0] * v + turning[0] * q - opening[0])
+        overlap = lever * q - gap
+        force = lever @ (stiffness * np.maximum(overlap, 0.0))
+        back = acting == "contact" and overlap[1] > 0 >= overlap[0]
+        at = 1 if back else 0  # the damper acts along the flank that touches, or always along the driving flank
+        drag = damping * lever[at] * (lever[at] * v + turning[at] * q - opening[at])
+        if acting == "contact" and overlap.max() <= 0:
+            drag = 0.0
         load = torque * (math.sin(turns * t) if turns else 1.0)
         return [state[1], (-load - force - drag) / INERTIA]
 
@@ -81,6 +86,25 @@ def test_the_driven_gear_in_absolute_coordinates(speed, lifts):
         settled = np.asarray(motion.forces)[40:]
         assert (settled[:, 0] <= 0).any() == lifts
         assert (settled[:, 1] > 0).any() == lifts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [-120.0, 120.0, -25.0])
+def test_dampers_act_along_the_flank_that_touches(torque):
+    """Levers of the two flanks differ by a half here; with a light torque both flanks touch in turn."""
+    speed, damping = 150 * rpm, gj.DampingRatio(0.05, "contact")
+    wanted = absolute(speed, torque, TS, acting="contact")
+    gears = moving(speed, damping=damping)
+    steppers = {
+        "fitted": gj.FixedStep(per_sample=6400),
+        "Runge-Kutta": gj.FixedStep(per_sample=3200, solver=gj.RungeKutta4()),
+    }
+    for name, stepper in steppers.items():
+        motion = gj.simulate(gears, TS, torque, start="zero", stepper=stepper)
+        off = np.abs(np.asarray(motion.te) - wanted)
+        assert off.max() < 2e-4 * np.ptp(wanted), name  # dampers that come and go with impacts: first order
+        assert off[120:].max() < 1e-8 * np.ptp(wanted[120:]), name
+        assert (np.asarray(motion.forces)[80:, 1] > 0).all() == (torque == -120.0)
 
 
 @pytest.mark.slow

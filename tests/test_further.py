@@ -31,7 +31,9 @@ def results(rng: np.random.Generator) -> dict:
     return {
         "sensitivities": [Sensitivities("m", ("a", "b", "c"), **columns, samples=7, failed=0, correlated=True)],
         "tightened": {"m": {"errors.a": (estimate, Estimate(*values(3).tolist()))}},
-        "allocation": AllocatedTolerances("m", 0.95, ("a",), values(1), *rng.random(2).tolist(), estimate, estimate, True),
+        "allocation": AllocatedTolerances(
+            "m", 0.95, ("a",), values(1), *rng.random(2).tolist(), estimate, estimate, True
+        ),
         "assembly": MatchedAssembly(measure, ("a", "b"), lost, values(5), values(5, 2), 1.5, 2.5),
         "missed": {"m": float(values(1)[0])},
         "interference": Clashes(256, 3, 17, 1e-6, "pin 3", 0.1),

@@ -1,7 +1,4 @@
-"""Which errors explain recordings of a gear set that runs: of a joint written out apart from the package.
-
-Driving flanks carry: the damper of a pair follows their gap, whichever flank touches.
-"""
+"""Which errors explain recordings of a gear set that runs: of a joint written out apart from the package."""
 
 import dataclasses
 import json

@@ -183,13 +183,11 @@ class Equation(eqx.Module):
             speed = gaps.lever * velocity - gaps.gap_rate
             if gaps.lever_rate is not None:
                 speed = speed + gaps.lever_rate * position
-            closed = scene.contact.closed(overlap)
-            first, *others = self.layout.flanks
-            engaged = closed[first]
-            for flank in others:  # each pair has one damper, which acts while any of its flanks is in contact
-                engaged = 1.0 - (1.0 - engaged) * (1.0 - closed[flank])
-            engaged = jnp.ones_like(engaged) if scene.damping.acting == "always" else engaged
-            net = net - (gaps.lever[first] * coefficient * engaged * speed[first]).sum()
+            if scene.damping.acting == "always":
+                first = self.layout.flanks[0]
+                return (net - (gaps.lever[first] * coefficient * speed[first]).sum()) / self.inertia
+            engaged = self.layout.engaged(scene.contact.closed(overlap))
+            net = net - (gaps.lever * self.layout.per_contact(coefficient) * engaged * speed).sum()
         return net / self.inertia
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:

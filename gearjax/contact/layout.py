@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.typing import Array
+from gearjax.typing import Array, Float
 
 Place = int | slice | np.ndarray
 """Index of one contact or of several; successive contacts have a slice, because it needs no gather operation."""
@@ -20,7 +20,8 @@ class Layout:
     Args:
         side: side of each contact: 1 for a driving flank, which holds the output against a positive torque, -1 for a
             back flank, and 0 if the sign of its lever decides. Either all contacts or none have 0.
-        pair: pair of teeth of each contact, counted from 0. The flanks of a pair share one stiffness and one damper.
+        pair: pair of teeth of each contact, counted from 0. The flanks of a pair share one stiffness, and one damper
+            that acts along the flank that touches.
             All pairs have the same number of contacts.
         mesh: mesh of a train that each contact is in, counted from the input; without it, all are in one mesh.
         across: number of contacts of a pair that are beside each other across its face; each has its part of the pair's
@@ -97,8 +98,8 @@ class Layout:
 
     @functools.cached_property
     def flanks(self) -> tuple[Place, ...]:
-        """The contacts in rows: the first contact of each pair, the second contact of each pair, and so on."""
-        order = np.argsort(self.pair, kind="stable").reshape(self.teeth, -1)
+        """The contacts in rows: the first contact of each pair, which is a driving flank, the second, and so on."""
+        order = np.lexsort([-np.asarray(self.side), np.asarray(self.pair)]).reshape(self.teeth, -1)
         return tuple(_place(row) for row in order.T)
 
     @functools.cached_property
@@ -129,6 +130,18 @@ class Layout:
         if self.pair == tuple(range(self.teeth)) * repeats:  # a copy compiles to less code than a gather
             return of_pairs if repeats == 1 else jnp.concatenate([of_pairs] * repeats)
         return of_pairs[np.asarray(self.pair)]
+
+    def engaged(self, closed: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """How far the damper of a pair acts along each of its flanks, 0 to 1, from how far each flank is closed.
+
+        A pair has one damper, which acts along the flank that touches; if several touch, along the first of them.
+        """
+        first, *others = self.flanks
+        open_ = 1.0 - closed[first]
+        for flank in others:
+            closed = closed.at[flank].multiply(open_)
+            open_ = open_ - closed[flank]
+        return closed
 
     def on_first(self, of_pairs: Array) -> Array:
         """Values of each pair at its first contact, zero at its other contacts, along the only axis."""

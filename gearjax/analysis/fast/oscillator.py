@@ -26,10 +26,11 @@ class Slow(NamedTuple):
         lever: change of overlap per scaled position, shape (contact,) [m].
         gap: gaps, shape (contact,) [m].
         inverse: push per force and lever, shape () [1/N m].
-        damping: ``d h / 2`` of each pair's damper, shape (pair,).
-        decay: ``e^-damping``, shape (pair,).
-        drag: push of each pair's damper on an output at rest, shape (pair,).
-        turning: drag per scaled position, shape (pair,); ``None`` if the levers are constant or without dampers.
+        damping: ``d h / 2`` of a damper along each flank that may have one, shape (damper,): of all contacts if dampers
+            act in contact, of the first flanks if they always act.
+        decay: ``e^-damping``, shape (damper,).
+        drag: push of such a damper on an output at rest, shape (damper,).
+        turning: drag per scaled position, shape (damper,); ``None`` if the levers are constant or without dampers.
         accelerating: torque that accelerates the ideal output [N m]; ``None`` if it turns evenly.
         phase: mesh phase of each pair, shape (pair,) [rad]; ``None`` if it grows evenly, or if stiffness is constant.
     """
@@ -78,19 +79,20 @@ class Oscillator(eqx.Module):
         """Slow excitation of the step at an instant."""
         scene, now, scale = self.equation.scene, self.equation.gaps(instant), self.equation.scale
         layout, inertia = self.equation.layout, self.equation.inertia
-        first = layout.flanks[0]
-        arm = now.lever[first]
         inverse = self.step * self.step / (inertia * scale * scale)
         damping = drag = jnp.zeros((layout.teeth,), now.gap.dtype)
         turning = None
         if scene.damping is not None:
             assert now.gap_rate is not None
             mean = scene.linear_compliance.mean_stiffness(layout.teeth)
-            coefficient = scene.damping.coefficient(mean, self.equation.mass) * arm
-            damping = 0.5 * self.step * coefficient * arm / inertia
-            drag = inverse * scale * coefficient * now.gap_rate[first]
+            coefficient, along = scene.damping.coefficient(mean, self.equation.mass), layout.flanks[0]
+            if scene.damping.acting == "contact":
+                coefficient, along = layout.per_contact(coefficient), slice(None)
+            arm = now.lever[along]
+            damping = 0.5 * self.step * coefficient * arm * arm / inertia
+            drag = inverse * scale * coefficient * arm * now.gap_rate[along]
             if now.lever_rate is not None:
-                turning = -inverse * scale * scale * coefficient * now.lever_rate[first]
+                turning = -inverse * scale * scale * coefficient * arm * now.lever_rate[along]
         accelerating = self.equation.accelerating_at(instant.time)
         phase = mesh_phases(self.equation, instant.time) if self.equation.meshes_unevenly else None
         decay = jnp.exp(-damping)
@@ -102,9 +104,10 @@ class Oscillator(eqx.Module):
         hard = isinstance(scene.contact, HardContact)
         nothing = jnp.zeros_like(position)
         force, stiffness, drag, damping, decay = [], [], [], [], []
+        always = scene.damping is not None and scene.damping.acting == "always"
         together: list[tuple[Place, tuple[Place, ...]]] = [(slice(0, layout.teeth), layout.flanks)]
         for pair, flanks in enumerate(layout.members) if layout.teeth <= FEW else together:
-            engaged = None
+            acting: list[tuple[Array, Place]] = []  # dampers along flanks, with how far each flank is closed
             for flank in flanks:
                 lever, gap = _part(slow.lever, flank), _part(slow.gap, flank)
                 overlap = lever * position - gap
@@ -113,22 +116,25 @@ class Oscillator(eqx.Module):
                 closed = overlap > 0 if hard else scene.contact.closed(overlap)
                 force.append(_gate(closed, spring * overlap) if hard else spring * scene.contact.penetration(overlap))
                 stiffness.append(_gate(closed, spring * lever))
-                engaged = closed if engaged is None else _either(engaged, closed)
-            if scene.damping is None or engaged is None:
+                acting.append((closed, flank))
+            if scene.damping is None:
                 continue
-            if scene.damping.acting == "always":
-                engaged = jnp.ones_like(engaged)
-            pull = _part(slow.drag, pair)
-            pull = pull if slow.turning is None else pull + _part(slow.turning, pair) * position
-            drag.append(_gate(engaged, pull))
-            damping.append(_gate(engaged, _part(slow.damping, pair)))
-            if hard:
-                decay.append(jnp.where(engaged, _part(slow.decay, pair), 1.0).prod())
+            if always:
+                acting = [(jnp.ones_like(acting[0][0]), pair)]
+            pull, damped, left = nothing, nothing, jnp.ones_like(position)
+            for closed, flank in reversed(acting):  # the first flank that touches has the damper
+                own = _part(slow.drag, flank)
+                own = own if slow.turning is None else own + _part(slow.turning, flank) * position
+                pull, damped = _choose(closed, own, pull), _choose(closed, _part(slow.damping, flank), damped)
+                left = _choose(closed, _part(slow.decay, flank), left) if hard else left
+            drag.append(pull)
+            damping.append(damped)
+            decay.append(left.prod())
         held = slow.inverse * self.equation.scale * slow.balanced(fast.torque)
         push = _total(drag, nothing) - _total(force, nothing) - held
         damped = _total(damping, nothing)
         left = jnp.exp(-damped) if not hard else jnp.ones_like(position)
-        for part in decay:
+        for part in decay if hard else ():
             left = left * part
         return State(push, _total(stiffness, nothing), damped, left)
 
@@ -165,8 +171,9 @@ def _gate(closed: Array, value: Array) -> Array:
     return jnp.where(closed, value, 0.0) if closed.dtype == bool else closed * value
 
 
-def _either(one: Array, other: Array) -> Array:
-    return one | other if one.dtype == bool else 1.0 - (1.0 - one) * (1.0 - other)
+def _choose(closed: Array, value: Array, other: Array) -> Array:
+    """The value for closed contacts, otherwise the other one; with a smooth law a mean of both."""
+    return jnp.where(closed, value, other) if closed.dtype == bool else other + closed * (value - other)
 
 
 def _total(parts: list[Array], nothing: Array) -> Array:

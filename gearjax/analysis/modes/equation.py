@@ -2,9 +2,9 @@
 
     M q'' + C q' + K q + J^T f = Q(t) - M r phi'',     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
 
-with one damper per pair along its first flank, ``c overlap'``, or one damper per slice of a contact line, in proportion
-to the stiffness of the slice. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the highest
-natural frequency. `gearjax.analysis.equation` is the special case of one coordinate and of springs of pairs of teeth.
+with one damper per pair along the flank that touches, ``c overlap'``, or one damper per slice of a contact line, in
+proportion to the stiffness of the slice. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the
+highest natural frequency. `gearjax.analysis.equation` is the special case of one coordinate and of springs of pairs of teeth.
 """
 
 from typing import NamedTuple
@@ -196,20 +196,19 @@ class StructureEquation(eqx.Module):
     def drag(self, stiffness: Float[Array, " contact"]) -> Float[Array, " damper"]:
         """Coefficients of the dampers [N s/m]."""
         assert self.coefficient is not None
-        return self.springs.per_mesh(self.coefficient) * stiffness if self.springs.sliced else self.coefficient
+        if self.springs.sliced:
+            return self.springs.per_mesh(self.coefficient) * stiffness
+        return self.layout.per_contact(self.coefficient) if self.springs.all_damped else self.coefficient
 
     def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " damper"]:
-        """How far each damper acts, 0 to 1: while its slice or any flank of its pair is in contact, or always."""
+        """How far each damper acts, 0 to 1: while its slice or flank is in contact (`Layout.engaged`), or always."""
         assert self.scene.damping is not None
         closed = self.scene.contact.closed(overlap)
         if self.springs.sliced:
             return closed if self.scene.damping.acting == "contact" else self.springs.carries
         if self.scene.damping.acting == "always":
             return jnp.ones((self.layout.teeth,), overlap.dtype)
-        left = jnp.ones((self.layout.teeth,), overlap.dtype)
-        for flank in self.layout.flanks:
-            left = left * (1.0 - closed[flank])
-        return 1.0 - left
+        return self.layout.engaged(closed)
 
     def on_coordinates(self, now: Excitation, elastic: Array, damping: Array | None) -> Float[Array, " coordinate"]:
         """Generalised forces of the contacts on the coordinates, ``J^T f`` [N m, N]."""

@@ -75,7 +75,7 @@ class Lines(eqx.Module):
             carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0
         else:
             carries = equation.loaded(jacobian, now.torque)
-        held, first = jnp.where(carries, springs.mean, 0.0), springs.damped
+        held, first = jnp.where(carries, springs.mean, 0.0), layout.flanks[0]
         if not apart:
             if coefficient is not None:
                 acts = jnp.where(carries[first], coefficient, 0.0) if layout.sides_turn else coefficient
@@ -172,7 +172,7 @@ class Lines(eqx.Module):
         kept = self._of_mean(self.stiffness, seen)
         if self.hears_speed and self.damping is not None:
             heard = sight[len(self.seen) :]
-            kept = kept + self._of_mean(self.damping, equation.layout.on_first(heard) if self.apart else heard)
+            kept = kept + self._of_mean(self.damping, equation.springs.at_contacts(heard) if self.apart else heard)
         if now.lever is None:
             return kept - force
         first = jnp.zeros_like(seen).at[0].set(1.0)

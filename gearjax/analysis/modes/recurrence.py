@@ -260,8 +260,8 @@ class Linear(NamedTuple):
         pair = np.asarray(layout.pair)
         seen, heard = (pair, flank), (pair, flank)
         if lines.hears_speed:
-            first = layout.flanks[0]
-            heard = np.concatenate([pair, pair[first]]), np.concatenate([flank, np.full(layout.teeth, flank.max() + 1)])
+            damped = lines.equation.springs.damped
+            heard = np.concatenate([pair, pair[damped]]), np.concatenate([flank, flank[damped] + flank.max() + 1])
         of_inputs = jax.vmap(lambda row, at: _slope(partial(lines.inputs, row), at, pair, heard))(rows, path.expected)
         if path.missed is None:
             return of_inputs, None

@@ -1,8 +1,8 @@
 """Properties of the contact springs that hold at all times: means, an upper bound, and the places of the dampers.
 
-The stiffness of a pair of teeth varies about a mean, and each pair has one damper, along its first flank. Slices of
-contact lines enter and leave the path of contact, and their stiffness depends on the angle. Their mean is that of the
-whole mesh over its mesh period, and each slice has its own damper, in proportion to its stiffness.
+The stiffness of a pair of teeth varies about a mean, and each pair has one damper, along the flank that touches. Slices
+of contact lines enter and leave the path of contact, and their stiffness depends on the angle. Their mean is that of
+the whole mesh over its mesh period, and each slice has its own damper, in proportion to its stiffness.
 """
 
 import math
@@ -38,6 +38,7 @@ class MeanSprings(eqx.Module):
             [N m/rad, N/m]; ``None`` for other springs.
         harmonics: number of harmonics of the mesh frequency that steps resolve.
         layout: sides and pairs of the contacts.
+        all_damped: whether each contact may have a damper: slices, and flanks of pairs whose dampers act in contact.
     """
 
     mean: Float[Array, " contact"]
@@ -47,6 +48,7 @@ class MeanSprings(eqx.Module):
     matrices: Float[Array, "mesh coordinate coordinate"] | None
     harmonics: int = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
+    all_damped: bool = eqx.field(static=True)
 
     @classmethod
     def of(cls, scene: Scene, torque: Scalar) -> "MeanSprings":
@@ -56,7 +58,8 @@ class MeanSprings(eqx.Module):
             compliance = scene.linear_compliance
             mean = layout.per_contact(layout.apiece(compliance.mean_stiffness(layout.teeth)))
             numbers = mean, compliance.peak_stiffness(), jnp.ones_like(mean[0]), jnp.ones_like(mean), None
-            return cls(*numbers, compliance.harmonics, layout)
+            acting = scene.damping is None or scene.damping.acting == "contact"
+            return cls(*numbers, compliance.harmonics, layout, acting)
         period = 2 * math.pi / np.array(scene.system.mesh_orders)
         angles = jnp.asarray(period[:, None] / ANGLES * np.arange(ANGLES), scene.dtype)
         own = jnp.asarray(_mesh(layout) == np.arange(len(period))[:, None], scene.dtype)
@@ -83,7 +86,7 @@ class MeanSprings(eqx.Module):
         carries = drives.astype(whole.dtype)
         peak = whole.max(axis=1) / whole.mean(axis=1)
         numbers = stiffness.mean(axis=1).sum(axis=0), peak, ratios[0, 0], carries, matrices.mean(axis=1)
-        return cls(*numbers, HARMONICS, layout)
+        return cls(*numbers, HARMONICS, layout, all_damped=True)
 
     @property
     def sliced(self) -> bool:
@@ -96,12 +99,12 @@ class MeanSprings(eqx.Module):
 
     @property
     def damped(self) -> Place:
-        """The contacts that have dampers: the first flank of each pair, or all slices."""
-        return slice(0, len(self.layout.side)) if self.sliced else self.layout.flanks[0]
+        """The contacts that may have dampers: all, or the first flank of each pair if dampers always act."""
+        return slice(0, len(self.layout.side)) if self.all_damped else self.layout.flanks[0]
 
     def at_contacts(self, of_dampers: Float[Array, " damper"]) -> Float[Array, " contact"]:
         """Numbers of the dampers at their contacts, zero at the other contacts."""
-        return of_dampers if self.sliced else self.layout.on_first(of_dampers)
+        return of_dampers if self.all_damped else self.layout.on_first(of_dampers)
 
     def earliest(self, of_contacts: Float[Array, " contact"]) -> Float[Array, " damper"]:
         """For each damper, the smallest number of the contacts that it belongs to."""
@@ -111,7 +114,7 @@ class MeanSprings(eqx.Module):
         least = of_contacts[first]
         for flank in others:
             least = jnp.minimum(least, of_contacts[flank])
-        return least
+        return self.layout.per_contact(least) if self.all_damped else least
 
     def damping(self, damping: DampingRatio, mass: Array) -> Float[Array, "*pair"]:
         """Damping coefficients of the pairs [N s/m]; for slices the coefficient over stiffness of each mesh [s].
