@@ -4,7 +4,8 @@
 
 with one damper per pair along the flank that touches, ``c overlap'``, or one damper per slice of a contact line, in
 proportion to the stiffness of the slice. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the
-highest natural frequency. `gearjax.analysis.equation` is the special case of one coordinate and of springs of pairs of teeth.
+highest natural frequency. `gearjax.analysis.equation` is the special case of one coordinate and of springs of pairs of
+teeth.
 """
 
 from typing import NamedTuple
