@@ -170,6 +170,11 @@ class Missing:
 MISSING = Missing()
 
 
+def with_article(name: str) -> str:
+    """A name after its article: ``an elliptic_pair``, ``a two_kv``, ``an rv_cycloidal``."""
+    return f"{'an' if name[0] in 'aeio' or name.startswith('rv') else 'a'} {name}"
+
+
 def is_concrete(value: object) -> bool:
     """Whether the numbers of ``value`` are known now, that is, whether none of them is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))

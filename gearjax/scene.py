@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, SceneError, check_name, nearest
+from gearjax.checks import ParameterError, SceneError, check_name, nearest, with_article
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
     AbstractCompliance,
@@ -120,8 +120,8 @@ class Scene(eqx.Module):
             for slot in ("backlash", "reference"):
                 if getattr(self, slot) is not None:
                     raise SceneError(
-                        f"[{slot}] is not for a {self.system.kind}, whose contacts touch both flanks and count from "
-                        "the ideal profile: its clearances come from its modification and errors"
+                        f"[{slot}] is not for {with_article(self.system.kind)}, whose contacts touch both flanks and "
+                        "count from the ideal profile: its clearances come from its modification and errors"
                     )
         if self.system.exact and self.reference is not None:
             words = 'counts errors to first order: leave it out, or use clearance = "linear"'

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
+from gearjax.checks import ParameterError, SceneError, is_concrete, nearest, with_article
 from gearjax.compliance import (
     AbstractLineContact,
     AbstractSliceCompliance,
@@ -91,7 +91,7 @@ def check_impact(scene: Scene) -> None:
         words = "the teeth themselves strike each other in motion: leave out [impact], or give tip_contact"
         raise SceneError(f'[impact]: with tip_contact = "corner" {words} = "ends"')
     if system.meshing_in is None and not (isinstance(scene.impact, Pulses) and scene.springs_apart):
-        raise SceneError(f"[impact] is for a helical_pair, not for a {system.kind}")
+        raise SceneError(f"[impact] is for a helical_pair, not for {with_article(system.kind)}")
 
 
 def check_coupled(scene: Scene) -> None:

@@ -116,7 +116,7 @@ def test_what_does_not_suit_is_said():
         "# No positions, sizes, cumulative_pitch for a two_kv: each body of this two_kv has no rim of pins or teeth"
         in written("two_kv")
     )
-    assert "[backlash] is not for a rv_cycloidal" in written("rv_cycloidal")
+    assert "[backlash] is not for an rv_cycloidal" in written("rv_cycloidal")
     assert TOGETHER in written("rv_cycloidal")
 
 

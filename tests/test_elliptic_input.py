@@ -9,6 +9,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.checks import ParameterError, SceneError
+from gearjax.geometry import ratio_table
 from gearjax.geometry.noncircular import EllipseRatio
 from gearjax.units import deg, um
 from tests.elliptic import MODULE, TEETH, E
@@ -39,7 +40,13 @@ REFUSED = [
         {"teeth": 3, "eccentricity": 0.0},
         "undercut: the pitch curve of the driver is curved outwards with a radius of 4.5 mm at 0 deg, must be",
     ),
-    ({"teeth": 3, "eccentricity": 0.0}, "or an addendum of at most 0.1754"),
+    ({"teeth": 3, "eccentricity": 0.0}, "must be at least 25.6459 mm: give more teeth"),  # no addendum would help
+    ({"teeth": 12, "eccentricity": 0.0}, "give more teeth, or an addendum of at most 0.7018"),
+    ({"teeth": 3, "eccentricity": 0.0, "addendum": 0.17}, "must be at least 1: give more teeth"),
+    (
+        {"input_speed": -20.0},
+        'input_speed = "-190.986 rpm": must be above 0: seen from behind, gears that turn',
+    ),
     (
         {"teeth": 47, "driver_lobes": 2},
         "would have 23.5 teeth, must be a whole number: give a multiple of 2",
@@ -77,6 +84,12 @@ def test_gears_that_cannot_be(changes, words):
         (TABLE[:5], {}, "must be a list of 8 values or more"),
         ([1.2, 1.2, 1.2, 1.2, 0.8, 0.8, 0.8, 0.8] * 3, {}, "has a corner or a jump near"),
         ((1 + 0.3 * (2 * np.abs(np.arange(36) / 18 - 1) - 1)).tolist(), {}, "has a corner or a jump near"),
+        ((1 + 0.2 * (2 * np.abs((np.arange(36) + 0.5) / 18 - 1) - 1)).tolist(), {}, "or a jump near 175 deg"),
+        (1 + 0.05 * (np.abs(np.sin(np.arange(72) * 2.5 * deg)) - 0.63652), {}, "a corner or a jump near 0 deg"),
+        *[
+            (1 + 0.3 * np.cos(np.linspace(0.0, 2 * np.pi, number)), {}, "the same point of the lobe: leave the last")
+            for number in (13, 37, 361)
+        ],
         ((1 + 0.9 * np.cos(np.arange(36) * 10 * deg)).tolist(), {}, 'ratio = "(as given)": self-locking'),
     ],
 )
@@ -86,7 +99,47 @@ def test_ratios_that_cannot_be(ratio, changes, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("number", [36, 72])
+@pytest.mark.parametrize("number", [64, 100, 720])
+def test_corners_anywhere_on_smooth_tables(number, rng):
+    """The table turns by a tenth of its swing per radian or more at a random place, between its values too."""
+    t = 2 * np.pi * np.arange(number) / number
+    for _ in range(20):
+        smooth = 1 + 0.1 * np.cos(t + rng.uniform(0, 6)) + 0.05 * np.cos(2 * t + rng.uniform(0, 6))
+        place = rng.uniform(0, number)
+        away = np.mod(np.arange(number) - place, number) * 2 * np.pi / number
+        turned = smooth + 0.15 * rng.choice([-1, 1]) * (away * (2 * np.pi - away) / (2 * np.pi) - np.pi / 3)
+        found = list(ratio_table.faults(turned / turned.mean(), 1, 1))
+        assert len(found) == 1
+        near = float(found[0].split(" deg")[0].split()[-1]) * number / 360
+        assert abs(np.mod(near - place + number / 2, number) - number / 2) <= 1.5
+        assert not list(ratio_table.faults(smooth / smooth.mean(), 1, 1))
+
+
+@pytest.mark.parametrize("decimals", [3, 4, 6, 12])
+@pytest.mark.parametrize("number", [8, 13, 20, 50, 200, 720])
+def test_rounded_values_have_no_corners(number, decimals, rng):
+    t = 2 * np.pi * (np.arange(number) + 0.5) / number  # its first and its last value are equal
+    for _ in range(10):
+        table = 1 + rng.uniform(0.05, 0.4) * np.cos(t)
+        assert not list(ratio_table.faults(np.round(table, decimals), 1, 1))
+
+
+def test_turning_backwards_is_turning_forwards_seen_from_behind():
+    """Levers and gaps of the back flanks at the angle -t are those of driving flanks at t, as the message says."""
+    t = jnp.asarray(np.linspace(0.1, 6.0, 9))
+    ratio = 1 + 0.3 * np.cos(np.arange(36) * 10 * deg + 0.4)
+    behind = np.roll(ratio[::-1], 1)
+    errors = {body: gj.Eccentricity(body, 30 * um, phase) for body, phase in (("driver", 0.3), ("driven", -1.1))}
+    mirrored = {body: dataclasses.replace(error, phase=-error.phase) for body, error in errors.items()}
+    one = gj.Scene(by_table(ratio, teeth=47), errors, backlash=gj.InitialBacklash(60 * um))
+    other = gj.Scene(by_table(behind, teeth=47), mirrored, backlash=gj.InitialBacklash(60 * um))
+    for angle in t:
+        back, drive = one.contacts(-angle), other.contacts(angle)
+        assert float(back.lever[1]) == pytest.approx(-float(drive.lever[0]), rel=1e-12)
+        assert float(back.gap[1]) - 60 * um == pytest.approx(float(drive.gap[0]), abs=1e-17)
+
+
+@pytest.mark.parametrize("number", [36, 48, 64, 72])
 @pytest.mark.parametrize("e", [0.2, 0.5, 0.7])
 def test_smooth_tables_pass(e, number):
     ratio = EllipseRatio(jnp.asarray(e)).rates(jnp.asarray(np.arange(number) * 2 * np.pi / number))[0]

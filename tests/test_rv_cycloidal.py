@@ -353,7 +353,7 @@ def test_errors_of_wrong_bodies_are_refused_by_name(rv_text, table):
 
 
 def test_parts_that_do_not_go_together_are_refused(rv_text, config_text):
-    with pytest.raises(gj.SceneError, match=r"\[backlash\] is not for a rv_cycloidal"):
+    with pytest.raises(gj.SceneError, match=r"\[backlash\] is not for an rv_cycloidal"):
         gj.loads(rv_text + '\n[backlash]\ninitial = "1 um"\n')
     line = 'kind = "hertz_line_contact"\nyoungs_modulus = "206 GPa"\npoissons_ratio = 0.3\nface_width = "11 mm"\n'
     old = 'kind = "harmonic_stiffness"     # or'

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest
+from gearjax.checks import MISSING, GearjaxError, ParameterError, check_name, check_path, nearest, with_article
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.compliance import AbstractToothCompliance
 from gearjax.config.measured import READERS
@@ -246,7 +246,9 @@ def _without_design(name: str, design: Any, errors: dict[str, AbstractError], sy
             raise ParameterError(key, one, nearest(one, others))
     size = system.gear_size(measured.body)
     if size is None:
-        raise ParameterError(key, design, f"is not for a {system.kind}, which does not give the sizes of its gears")
+        raise ParameterError(
+            key, design, f"is not for {with_article(system.kind)}, which does not give the sizes of its gears"
+        )
     try:
         return measured.without([errors[one] for one in design], size)
     except ParameterError as fault:

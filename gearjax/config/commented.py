@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from gearjax.analysis.choice import stiffness_order
-from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
+from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest, with_article
 from gearjax.clearance import InitialBacklash, ZeroAtStart
 from gearjax.config.build import CONTACTS, REFERENCE_KEYS, loads
 from gearjax.config.distributions import COLUMN_KEYS, distribution_keys
@@ -94,8 +94,8 @@ def template(kind: str) -> str:
     if kind not in systems:
         raise ParameterError("new", kind, f"unknown kind of gear set; {nearest(kind, systems)}")
     head = _prose(
-        f'A {kind} reducer: gearjax run FILE. Physical values are strings with their unit, such as "30 N*m". Lines '
-        "that begin with # and a space explain; remove the # in front of a key to use it."
+        f"{with_article(kind).capitalize()} reducer: gearjax run FILE. Physical values have their unit, such "
+        'as "30 N*m". Lines that begin with # and a space explain; remove the # in front of a key to use it.'
     )
     try:
         text = head + _part("system", systems[kind], kind)
@@ -243,7 +243,7 @@ def _errors(text: str, scene: Scene) -> str:
         if fault:
             refused.setdefault(fault, []).append(part.kind)
     for fault, names in refused.items():
-        words = f"No {', '.join(names)} for a {scene.system.kind}: {fault}"
+        words = f"No {', '.join(names)} for {with_article(scene.system.kind)}: {fault}"
         sections += f"\n{_prose(words)}"
     return sections
 

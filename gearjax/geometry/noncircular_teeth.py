@@ -205,8 +205,29 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
         if not ratio.min() >= 1:
             place = float(t[int(ratio.argmin())]) / units.deg
             words = f"no continuous contact: contact ratio {ratio.min():.4g} at {place:.4g} deg, must be at least 1"
-            yield "addendum", f"{addendum:.6g}", words + ": raise the addendum"
+            yield "addendum", f"{addendum:.6g}", f"{words}: {_longer_contact(curves, t, module, addendum)}"
             return
+
+
+HIGHER = 1.02, 1.05, 1.1, 1.2, 1.35, 1.5, 2.0, 3.0, 5.0
+
+
+def _longer_contact(curves: PitchCurves, t: np.ndarray, module: float, addendum: float) -> str:
+    """Advice on teeth that lose contact: a higher addendum if the teeth are not undercut by then, else more teeth."""
+    bends = np.asarray(_looked_at(curves, jnp.asarray(module), jnp.asarray(addendum))[1])
+    for higher in HIGHER:
+        if _sharp(curves, t, bends, module, higher * addendum) is not None:
+            break
+        if _meets(curves, module, higher * addendum):
+            return "raise the addendum"
+    return "give more teeth"
+
+
+def _meets(curves: PitchCurves, module: float, addendum: float) -> bool:
+    """Whether circular gears of the same curvatures have continuous contact."""
+    if addendum <= 0:
+        return False
+    return bool(np.asarray(_looked_at(curves, jnp.asarray(module), jnp.asarray(addendum))[2]).min() >= 1)
 
 
 def _locks(curves: PitchCurves, t: np.ndarray, leans: np.ndarray) -> Fault | None:
@@ -250,11 +271,10 @@ def _sharp(curves: PitchCurves, t: np.ndarray, bends: np.ndarray, module: float,
                 radius = 1 / bend[worst]
                 told = f"undercut: the pitch curve of the {name} is curved {words} with a radius of {_mm(radius)} at "
                 told = f"{told}{t[worst] / units.deg:.4g} deg, must be at least {_mm(height / share)}: give more teeth"
-                return (
-                    "addendum",
-                    f"{addendum:.6g}",
-                    f"{told}, or an addendum of at most {_floored(radius * share / module, 4)}",
-                )
+                lower = math.floor(radius * share / module * 1e4) / 1e4
+                if _meets(curves, module, lower):  # else lower teeth lose contact: only more teeth help
+                    told = f"{told}, or an addendum of at most {lower:.4f}"
+                return "addendum", f"{addendum:.6g}", told
     return None
 
 

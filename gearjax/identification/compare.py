@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.checks import ParameterError, SceneError, nearest, with_article
 from gearjax.identification.measurement import Measurement, a_measurement, several
 from gearjax.identification.moving import moving_error
 from gearjax.identification.orders import candidates, waves
@@ -214,10 +214,12 @@ def _start_angle(scene: Scene, record: Measurement, te: np.ndarray) -> float:
     cycle = scene.system.cycle
     kind = scene.system.kind
     if not scene.system.turns_evenly:
-        raise SceneError(f"a start angle needs an output that turns evenly; that of a {kind} does not")
+        raise SceneError(f"a start angle needs an output that turns evenly; that of {with_article(kind)} does not")
     size = max(ANGLES_PER_CURVE, int(20 * scene.system.fastest_order * cycle / (2 * np.pi)))
     if size > MOST_ANGLES:
-        raise SceneError(f"a start angle needs {size} angles of a {kind}'s cycle, more than {MOST_ANGLES}")
+        raise SceneError(
+            f"a start angle needs {size} angles of the cycle of {with_article(kind)}, more than {MOST_ANGLES}"
+        )
     grid = np.arange(size) * (cycle / size)
     torque = float(np.median(record.loads))
     curve = computed_error(scene, grid, torque, bool(record.back[0]))

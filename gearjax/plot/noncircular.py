@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gearjax.checks import GearjaxError, ParameterError, SceneError
+from gearjax.checks import GearjaxError, ParameterError, SceneError, with_article
 from gearjax.geometry.noncircular_outline import outline, placed
 from gearjax.geometry.noncircular_teeth import circular_contact_ratio
 from gearjax.plot.axes import finish
@@ -126,7 +126,7 @@ def save_noncircular_animation(scene: Scene, path: str | Path, *, frames: int = 
 
     system, path = scene.system, Path(path)
     if not isinstance(system, AbstractNoncircularPair):
-        raise SceneError(f"an animation is of non-circular gears, which those of a {system.kind} are not")
+        raise SceneError(f"an animation is of non-circular gears, which those of {with_article(system.kind)} are not")
     if path.suffix.lower() not in (".gif", ".mp4"):
         raise ParameterError("path", str(path), "must end in .gif or .mp4")
     if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import SceneError
+from gearjax.checks import SceneError, with_article
 from gearjax.files import writable, write_file
 from gearjax.identification.synthetic import computed_error
 from gearjax.results.joint_files import MUJOCO_FILE, TE_FILE, mjcf
@@ -102,11 +102,15 @@ def joint_model(scene: Scene, torque: float) -> Joint:
     require(scene, "a joint model", "compliance")
     system = scene.system
     if not system.turns_evenly:
-        raise SceneError(f"a joint model needs an output that turns evenly; that of a {system.kind} does not")
+        raise SceneError(
+            f"a joint model needs an output that turns evenly; that of {with_article(system.kind)} does not"
+        )
     cycle = system.cycle
     size = 1 << max(8, int(np.ceil(np.log2(PER_TURN * system.fastest_order * cycle / (2 * np.pi)))))
     if size > MOST_ANGLES:
-        raise SceneError(f"a joint model of a {system.kind} needs {size} angles for its cycle, more than {MOST_ANGLES}")
+        raise SceneError(
+            f"a joint model of {with_article(system.kind)} needs {size} angles for its cycle, more than {MOST_ANGLES}"
+        )
     theta = np.arange(size) * (cycle / size)
     both = scene.has_back or scene.layout.sides_turn
     shares = [*(-share for share in reversed(SHARES)), *SHARES] if both else list(SHARES)
