@@ -1,5 +1,6 @@
 """Wall time of a computation, with the compilation time separated."""
 
+import threading
 import time
 from types import TracebackType
 
@@ -13,11 +14,12 @@ def _compiled(event: str, duration_secs: float, **_: str | int) -> None:
     if event.startswith("/jax/core/compile/"):
         now = time.perf_counter()
         for watch in _running:
-            watch.intervals.append((now - duration_secs, now))
+            if watch.thread == threading.get_ident():
+                watch.intervals.append((now - duration_secs, now))
 
 
 class Stopwatch:
-    """Wall time of a ``with`` block, and how much of it tracing and compiling took.
+    """Wall time of a ``with`` block, and how much of it tracing and compiling took, in the thread of the block.
 
     Example:
         >>> from gearjax.timing import Stopwatch
@@ -34,11 +36,14 @@ class Stopwatch:
         """Time of tracing and compiling [s]."""
         self.intervals: list[tuple[float, float]] = []
         """Start and end of each event of tracing or compiling [s]."""
+        self.thread = 0
+        """The thread whose events count."""
 
     def __enter__(self) -> "Stopwatch":
         if not _listening:
             jax.monitoring.register_event_duration_secs_listener(_compiled)
             _listening.append(True)
+        self.thread = threading.get_ident()
         _running.append(self)
         self._began = time.perf_counter()
         return self

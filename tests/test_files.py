@@ -59,7 +59,7 @@ def nothing_computed(monkeypatch):
     monkeypatch.setattr("gearjax.results.run_cases", computed)
     monkeypatch.setattr("gearjax.results.optimise", computed)
     monkeypatch.setattr("gearjax.studies.tradeoff.tradeoff", computed)
-    monkeypatch.setattr("gearjax.studies.tradeoff.accurate_step", computed)
+    monkeypatch.setattr("gearjax.studies.accurate_step.accurate_step", computed)
     monkeypatch.setattr("gearjax.cli.tolerance.study", computed)
     monkeypatch.setattr("gearjax.identification.compare", computed)
     monkeypatch.setattr("gearjax.results.identification.identified", computed)

@@ -11,7 +11,8 @@ import tomli_w
 import gearjax as gj
 from gearjax.config import loads
 from gearjax.plot.tradeoff import tradeoff_figure
-from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, accurate_step, settings, static_choices, tradeoff
+from gearjax.studies.accurate_step import accurate_step
+from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, settings, static_choices, tradeoff
 from gearjax.units import arcmin
 from tests.test_cli import command
 from tests.test_matrix import GEAR_SETS, MOVES, RUN

@@ -94,7 +94,7 @@ def _run(
     if accuracy is not None:
         allowed = _positive("--accuracy", accuracy)
         if scene.run is not None and "dynamic" in scene.run.analyses:
-            from gearjax.studies.tradeoff import accurate_step
+            from gearjax.studies.accurate_step import accurate_step
 
             stepper = accurate_step(scene, allowed, say)
     for remark in results.remarks(scene):
@@ -240,7 +240,7 @@ def optimise(
 
     page = Report(report, folder)
     with page.listening():
-        optimisation = run_optimise(section, scene, say)
+        optimisation = run_optimise(section, scene, say, workers=os.cpu_count() or 1)
     told = optimisation.as_json()
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
@@ -289,7 +289,7 @@ def tradeoff(
             else:
                 print_shifts(shifted)
             return
-    comparison = run_tradeoff(scene, allowed, say)
+    comparison = run_tradeoff(scene, allowed, say, workers=os.cpu_count() or 1)
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 

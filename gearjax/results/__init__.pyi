@@ -14,8 +14,7 @@ from .loads_on_parts import face_load_factors, forces_on_bearings, impacts_as_js
 from .optimisation import Optimisation, optimise, save_optimisation
 from .spectra import OrderLines, order_lines
 from .torques import against_torque
-from .tradeoff import as_json as tradeoff_as_json
-from .tradeoff import save_tradeoff
+from .tradeoff import save_tradeoff, tradeoff_as_json
 
 __all__ = [
     "Case",

@@ -200,8 +200,14 @@ def _metrics(cases: list[Case]) -> dict:
     return {**entries[0]["metrics"], "cases": entries}
 
 
-def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Optimisation:
+def optimise(section: OptimiseSection, scene: Scene, progress: Progress, *, workers: int = 1) -> Optimisation:
     """Search by grid and by gradients, take the better result, and analyse the scene before and after.
+
+    Args:
+        section: what to search for.
+        scene: the scene.
+        progress: function that is called with lines of progress.
+        workers: number of analyses whose programs are compiled in parallel (`run_cases`).
 
     Raises:
         ParameterError: the objective does not depend on one of the free numbers.
@@ -218,11 +224,12 @@ def optimise(section: OptimiseSection, scene: Scene, progress: Progress) -> Opti
     best = grid.best if grid is not None and grid.objective < gradient.objective else gradient.best
     points = {"after": best} if grid is None else {"grid": grid.best, "after": best}
     moved = {stage: free.set(scene, jnp.asarray(point, scene.dtype)) for stage, point in points.items()}
+    progress("sensitivity at the optimum, then all analyses before and after")
     around = local_sensitivity(section.objective, scene, where=section.where, at=best, bounds=section.bounds)
     cases = {}
     for stage, changed in {"before": scene, **moved}.items():
         cases[stage] = []
-        for case in run_cases(changed):
+        for case in run_cases(changed, workers=workers):
             progress(f"{stage}: {case.title}")
             cases[stage].append(case)
     point = np.asarray(free.get(scene), dtype=float)

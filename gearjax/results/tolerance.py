@@ -242,7 +242,8 @@ def _tightened(section: ToleranceSection, progress: Progress) -> dict[str, dict[
     tolerances, options = _in_precision(section)
     progress("each tolerance halved")
     number = min(TIGHTENED_SAMPLES, section.samples)
-    return tightened(Work(tolerances, measures, number=number, seed=section.seed, **options), number)
+    work = Work(tolerances, measures, number=number, seed=section.seed, **options)
+    return tightened(work, number, progress=progress)
 
 
 def _without_motion(section: ToleranceSection) -> list[Measure]:

@@ -7,7 +7,7 @@ from gearjax.studies.tradeoff import Measured, Tradeoff
 from gearjax.units import arcmin
 
 
-def as_json(config: str, tradeoff: Tradeoff) -> dict:
+def tradeoff_as_json(config: str, tradeoff: Tradeoff) -> dict:
     """The object that ``gearjax tradeoff --json`` prints."""
     return {
         "config": config,

@@ -14,7 +14,7 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import GearjaxError, ParameterError
-from gearjax.progress import Progress, silent
+from gearjax.progress import Left, Progress, silent
 from gearjax.scene import Scene
 from gearjax.studies import valleys
 from gearjax.studies.blocks import in_blocks
@@ -322,7 +322,10 @@ def _in_chunks(
     def run(points: np.ndarray, begun: np.ndarray) -> _Descents:
         return _run(search, physics, jnp.asarray(points, dtype), jnp.asarray(begun, dtype), optimiser)
 
+    left = Left(len(points))
+
     def done(number: int) -> None:
-        progress(f"{number} of {len(points)} starts descended and polished")
+        rest = left.after(number - left.done)
+        progress(f"{number} of {len(points)} starts descended and polished{rest}")
 
     return in_blocks(run, size, points, begun, done=done)

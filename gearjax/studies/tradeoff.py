@@ -1,10 +1,11 @@
 """Accuracy and cost of each choice on a scene: errors of the dynamic metrics, run time, gradient time, compile time."""
 
 import dataclasses
-import math
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -19,13 +20,12 @@ from gearjax.analysis.solvers import LONGEST_STEP, Stepper
 from gearjax.checks import SceneError
 from gearjax.compliance import HarmonicStiffness
 from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
-from gearjax.progress import Progress, silent
+from gearjax.progress import Left, Progress, silent, told_seconds
 from gearjax.run import METRICS, Run
 from gearjax.scene import Scene
 from gearjax.scene_checks import require_springs_apart
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
-from gearjax.units import arcmin
 
 STEPS = (0.8, 0.4, 0.2, 0.1, 0.05)  # rad of the fastest motion
 WIDTHS = (1e-8, 1e-7, 1e-6)  # m
@@ -33,9 +33,7 @@ TRUE_STEP = 0.0125  # rad of the fastest motion: Runge-Kutta steps of the refere
 LONGEST_GRADIENT = 20.0  # s: gradients that are expected to take longer are not measured
 DIFFERENTIATED = ("solver", "fidelity", "precision")  # groups whose gradients are timed
 REPEATS = 3
-YARDSTICK = 0.05  # rad of the fastest motion: first Runge-Kutta steps of the reference of `accurate_step`
-UNSURE = 0.2  # of the allowed error: largest uncertainty of the reference
-MOST_HALVINGS = 4
+TRUTH_WORK, GRADIENT_WORK = 4, 5  # the reference, and compiling a gradient, take some times as long as compiling a run
 Metrics = dict[float, dict[str, float]]
 """Metrics by torque and name [rad]."""
 
@@ -64,6 +62,20 @@ class Setting:
     scheme: str = ""
 
 
+class FirstRun(NamedTuple):
+    """The first run of a setting.
+
+    Args:
+        metrics: metrics by torque and name [rad].
+        seconds: time of one torque without compilation [s].
+        compile_seconds: time of tracing and compiling [s], beside other settings if there are several workers.
+    """
+
+    metrics: Metrics
+    seconds: float
+    compile_seconds: float
+
+
 @dataclasses.dataclass(frozen=True)
 class Measured:
     """Accuracy and cost of a setting.
@@ -78,7 +90,8 @@ class Measured:
         gradient_measured: whether the gradient's time was measured. Otherwise it is estimated from another setting of
             the same scheme, in runs, because a gradient compiles for 10 s and more; for the shortest runs the estimate
             is rough.
-        compile_seconds: compile time of the first run [s].
+        compile_seconds: compile time of the first run, beside those of other settings if several are compiled at once
+            [s].
     """
 
     group: str
@@ -135,111 +148,63 @@ class Tradeoff:
         return min(good, key=lambda row: row.seconds, default=None)
 
 
-def tradeoff(scene: Scene, error: float, progress: Progress = silent) -> Tradeoff:
+def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers: int = 1) -> Tradeoff:
     """Measure every setting on the run section of a scene.
 
     Args:
         scene: a scene with a run section that lists ``dynamic``.
         error: allowed error of the metrics [rad].
         progress: called with a line of text now and then.
+        workers: number of settings whose programs are compiled in parallel, in threads; runs are timed alone. A thread
+            uses the settings of the whole process, but not settings of the calling thread alone.
 
     Raises:
         SceneError: there is no dynamic analysis to measure.
     """
-    run = _dynamic(scene)
-    longest, usual = _resolving(scene, run)
+    run = dynamic_run(scene)
+    longest, usual = resolving(scene, run)
     truth_step = FixedStep(TRUE_STEP * longest, solver=RungeKutta4())
     yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
-    progress(f"reference: Runge-Kutta, steps of {TRUE_STEP * longest:.2g} s")
-    truth, seconds, _ = _run(yardstick, repeats=0)
-    tried, rows = settings(scene, run, longest, usual), []
-    for setting in tried:
-        rows.append(_measure(setting, truth))
-        progress(f"{setting.group}: {setting.name}: {rows[-1].seconds:.3g} s")
-    rows = _with_gradients(tried, rows, progress)
+    tried = settings(scene, run, longest, usual)
+    began = time.perf_counter()
+    first_run(Setting("solver", "usual", scene, usual, run.samples))
+    once, work = time.perf_counter() - began, len(tried) + TRUTH_WORK + GRADIENT_WORK * len(_schemes(tried))
+    told = told_seconds(once * work / workers)
+    progress(f"{len(tried)} settings, and Runge-Kutta in steps of {truth_step.step:.2g} s beside them: some {told}")
+    left, runs = Left(work), []
+    with ThreadPoolExecutor(workers) as pool:
+        for setting, first in zip((yardstick, *tried), pool.map(first_run, (yardstick, *tried)), strict=True):
+            runs.append(first)
+            work = TRUTH_WORK if setting is yardstick else 1
+            progress(f"compiled: {setting.group}: {setting.name}{left.after(work)}")
+        truth = runs[0]
+        rows = [_measured(*each, truth.metrics) for each in zip(tried, runs[1:], strict=True)]
+        rows = _with_gradients(tried, rows, pool, left, progress)
     statics = static_choices(scene)
     for choice in statics:
         progress(f"static TE, {choice.name}: {choice.seconds:.3g} s")
-    return Tradeoff(truth, seconds, rows, error, statics)
+    return Tradeoff(truth.metrics, truth.seconds, rows, error, statics)
 
 
-def _dynamic(scene: Scene) -> Run:
+def dynamic_run(scene: Scene) -> Run:
+    """The run section of a scene.
+
+    Raises:
+        SceneError: there is none that lists ``dynamic``, or springs of the scene are coupled.
+    """
     if scene.run is None or "dynamic" not in scene.run.analyses:
         raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
     require_springs_apart(scene, "tradeoff")
     return scene.run
 
 
-def _resolving(scene: Scene, run: Run) -> tuple[float, FixedStep]:
+def resolving(scene: Scene, run: Run) -> tuple[float, FixedStep]:
     """The longest step that resolves the fastest motion [s], and the usual steps of a run."""
     usual = suitable_step(scene, run.duration)
     return usual.step / STEP * LONGEST_STEP, usual
 
 
-def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> FixedStep:
-    """The longest steps of the fitted scheme whose metrics are within an error of a reference.
-
-    The reference is computed by Runge-Kutta, a different scheme, because step lengths of one scheme share errors that
-    their comparison does not show. Its steps are halved until the metrics change little compared with the error. The
-    step of the fitted scheme is predicted from the usual one, as the error falls with the square of the step, and
-    then tried.
-
-    Args:
-        scene: a scene with a run section that lists ``dynamic``.
-        error: allowed error of the metrics [rad].
-        progress: called with a line of text now and then.
-
-    Raises:
-        SceneError: there is no dynamic analysis, or no step is short enough.
-    """
-    run = _dynamic(scene)
-    longest, usual = _resolving(scene, run)
-
-    def metrics(stepper: FixedStep) -> Metrics:
-        return _run(Setting("solver", "", scene, stepper, run.samples), 0)[0]
-
-    truth, unsure = _yardstick(metrics, longest, error, progress)
-    sizes = (*STEPS, STEPS[-1] / 2, STEPS[-1] / 4)
-    size, tried = STEP, {}
-    while size not in tried:
-        stepper = FixedStep(size * longest, windows=usual.windows)
-        tried[size] = off = _apart(metrics(stepper), truth) + unsure
-        progress(f"steps of {stepper.step:.2g} s: metrics within {off / arcmin:.2g} arcmin")
-        good = [one for one, apart in tried.items() if apart <= error]
-        foretold = size * math.sqrt(error / max(off, 1e-3 * error))
-        if good and (longer := [one for one in sizes if max(good) < one <= foretold and one not in tried]):
-            size = max(longer)
-        elif good:
-            size = max(good)
-        else:
-            shorter = [one for one in sizes if one < min(tried)]
-            if not shorter:
-                raise SceneError(
-                    f"accuracy: no step down to {stepper.step:.2g} s is within {error / arcmin:.2g} arcmin"
-                )
-            size = max((one for one in shorter if one <= foretold), default=min(shorter))
-    return FixedStep(size * longest, windows=usual.windows)
-
-
-def _yardstick(
-    metrics: Callable[[FixedStep], Metrics], longest: float, error: float, progress: Progress
-) -> tuple[Metrics, float]:
-    """Metrics by Runge-Kutta, and their uncertainty: a third of the change when the step was halved [rad]."""
-    step = YARDSTICK * longest
-    coarse = metrics(FixedStep(2 * step, solver=RungeKutta4()))
-    for _ in range(MOST_HALVINGS):
-        truth = metrics(FixedStep(step, solver=RungeKutta4()))
-        unsure = _apart(coarse, truth) / 3
-        progress(f"reference: Runge-Kutta, steps of {step:.2g} s: within {unsure / arcmin:.2g} arcmin")
-        if unsure <= UNSURE * error:
-            return truth, unsure
-        coarse, step = truth, step / 2
-    raise SceneError(
-        f"accuracy: {error / arcmin:.2g} arcmin cannot be verified: the error of Runge-Kutta itself is larger"
-    )
-
-
-def _apart(one: Metrics, other: Metrics) -> float:
+def apart(one: Metrics, other: Metrics) -> float:
     """Largest difference of any metric under any torque [rad]."""
     return max(abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS)
 
@@ -269,7 +234,7 @@ def static_choices(scene: Scene) -> list[StaticChoice]:
     for name in choices:
         largest = float(forces[exact].max())
         off = float(np.abs(forces[name] - forces[exact]).max()) / largest if largest > 0 else 0.0
-        compared.append(StaticChoice(name, _apart(metrics[name], metrics[exact]), off, *times[name]))
+        compared.append(StaticChoice(name, apart(metrics[name], metrics[exact]), off, *times[name]))
     return compared
 
 
@@ -324,27 +289,45 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
     return [*trials, Setting("precision", "float32", single, alone, number, scheme="fitted")]
 
 
-def _measure(setting: Setting, truth: dict[float, dict[str, float]]) -> Measured:
-    metrics, seconds, compile_seconds = _run(setting, REPEATS)
-    error = max(abs(metrics[torque][name] - truth[torque][name]) for torque in truth for name in METRICS)
-    return Measured(setting.group, setting.name, error, metrics, seconds, None, False, compile_seconds)
+def _measured(setting: Setting, first: FirstRun, truth: Metrics) -> Measured:
+    """What one setting takes and how far it is off, from its first run; the run is repeated alone for its time."""
+    torque, ts = _torques(setting)[0], _times(setting)
+    seconds = _seconds(lambda: jax.block_until_ready(_once(setting, setting.scene, ts, torque).te))
+    off = apart(first.metrics, truth)
+    return Measured(setting.group, setting.name, off, first.metrics, seconds, None, False, first.compile_seconds)
 
 
-def _with_gradients(tried: list[Setting], rows: list[Measured], progress: Progress) -> list[Measured]:
+def _schemes(tried: list[Setting]) -> list[str]:
+    """Names of the schemes of which gradients are measured."""
+    return list(dict.fromkeys(setting.scheme or setting.name for setting in tried if setting.group in DIFFERENTIATED))
+
+
+def _with_gradients(
+    tried: list[Setting], rows: list[Measured], pool: ThreadPoolExecutor, left: Left, progress: Progress
+) -> list[Measured]:
     """The rows with the times of their gradients, measured for the slowest allowed run of each scheme."""
     schemes: dict[str, list[int]] = {}
     for place, (setting, row) in enumerate(zip(tried, rows, strict=True)):
         if setting.group in DIFFERENTIATED and setting.gradient * row.seconds <= LONGEST_GRADIENT:
             schemes.setdefault(setting.scheme or setting.name, []).append(place)
-    rows = list(rows)
+    chosen = {}
     for scheme, places in schemes.items():
         own = [place for place in places if tried[place].group != "precision"]  # float32 takes their multiple
-        chosen = max(own or places, key=lambda place: rows[place].seconds)
-        multiple = _gradient_seconds(tried[chosen]) / rows[chosen].seconds
+        chosen[scheme] = max(own or places, key=lambda place: rows[place].seconds)
+    rows = list(rows)
+    compiled = pool.map(lambda place: _gradient(tried[place]), chosen.values())
+    gradients = []
+    for scheme, gradient in zip(chosen, compiled, strict=True):
+        gradients.append(gradient)
+        progress(f"compiled: gradient, {scheme}{left.after(GRADIENT_WORK)}")
+    for (scheme, measured), gradient in zip(chosen.items(), gradients, strict=True):
+        multiple = _seconds(gradient) / rows[measured].seconds
         progress(f"gradient, {scheme}: {multiple:.3g} runs")
-        for place in places:
+        for place in schemes[scheme]:
             seconds = multiple * rows[place].seconds
-            rows[place] = dataclasses.replace(rows[place], gradient_seconds=seconds, gradient_measured=place == chosen)
+            rows[place] = dataclasses.replace(
+                rows[place], gradient_seconds=seconds, gradient_measured=place == measured
+            )
     return rows
 
 
@@ -364,23 +347,18 @@ def _once(setting: Setting, scene: Scene, ts: Array, torque: float) -> Motion:
     return simulate(scene, ts, torque, start=run.start, settle=run.settle, stepper=setting.stepper)
 
 
-def _run(setting: Setting, repeats: int) -> tuple[dict[float, dict[str, float]], float, float]:
-    """Metrics by torque, time of one run [s], and time of compilation [s]."""
-    metrics, times, ts = {}, [], _times(setting)
+def first_run(setting: Setting) -> FirstRun:
+    """The first run of a setting, which compiles its program."""
+    metrics, ts = {}, _times(setting)
     with Stopwatch() as watch:
         for torque in _torques(setting):
             motion = _once(setting, setting.scene, ts, torque)
             metrics[torque] = {name: float(getattr(motion, name)) for name in METRICS}
-    torque = _torques(setting)[0]
-    for _ in range(repeats):
-        began = time.perf_counter()
-        jax.block_until_ready(_once(setting, setting.scene, ts, torque).te)
-        times.append(time.perf_counter() - began)
-    seconds = float(np.median(times)) if times else watch.seconds / len(metrics)
-    return metrics, seconds, watch.compile_seconds
+    return FirstRun(metrics, watch.seconds / len(metrics), watch.compile_seconds)
 
 
-def _gradient_seconds(setting: Setting) -> float:
+def _gradient(setting: Setting) -> Callable[[], object]:
+    """A function that computes the gradient of a setting, compiled by a first call."""
     torque, ts = _torques(setting)[0], _times(setting)
 
     @eqx.filter_jit
@@ -389,9 +367,18 @@ def _gradient_seconds(setting: Setting) -> float:
             errors
         )
 
+    def gradient() -> object:
+        return jax.block_until_ready(slope(setting.scene.errors, setting.scene))
+
+    gradient()
+    return gradient
+
+
+def _seconds(computed: Callable[[], object]) -> float:
+    """Median time of a computation [s]."""
     times = []
-    for _ in range(1 + REPEATS):
+    for _ in range(REPEATS):
         began = time.perf_counter()
-        jax.block_until_ready(slope(setting.scene.errors, setting.scene))
+        computed()
         times.append(time.perf_counter() - began)
-    return float(np.median(times[1:]))
+    return float(np.median(times))

@@ -11,7 +11,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.analysis.metrics import deviation
 from gearjax.checks import ParameterError, SceneError, nearest
-from gearjax.progress import Progress, silent
+from gearjax.progress import Left, Progress, silent
 from gearjax.scene_checks import require_output_alone
 from gearjax.studies.descent import default_optimiser, descend
 from gearjax.studies.select import numbers
@@ -198,12 +198,14 @@ class _Search:
         """Ends of the descents of gear sets, shape (unit, free), from starts; both of shape (unit, start, where)."""
         units, number, size = starts.shape
         ends = np.empty_like(starts)
+        left = Left(units)
         for first in range(0, units, BLOCK):
             part = slice(first, first + BLOCK)
             rows = np.repeat(inputs[part], number, axis=0), starts[part].reshape(-1, size)
             reached = self._program(*(row.astype(self.measures.theta.dtype) for row in rows))
             ends[part] = reached.reshape(-1, number, size)
-            progress(f"matched assembly: {min(first + BLOCK, units)} of {units} units searched{self.way.words}")
+            rest = left.after(len(reached) // number)
+            progress(f"matched assembly: {left.done:.0f} of {units} units searched{self.way.words}{rest}")
         return ends
 
     def __call__(self, values: Float[Array, " free"], start: Float[Array, " where"]) -> Float[Array, " where"]:

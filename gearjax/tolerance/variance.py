@@ -16,6 +16,7 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import GearjaxError
+from gearjax.progress import Left, Progress, silent
 from gearjax.tolerance.monte_carlo import Work, over_rows
 from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.statistics import Estimate, share
@@ -166,13 +167,16 @@ def _one_at_a_time(work: Work) -> np.ndarray:
     return np.nan_to_num(np.nanmax(measured, axis=1) - np.nanmin(measured, axis=1))
 
 
-def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
+def tightened(
+    work: Work, number: int, factor: float = TIGHTER, progress: Progress = silent
+) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
     """Yield of the same gear sets as they are, and with one tolerance tightened.
 
     Args:
         work: the study; yields are of its measures with limits.
         number: number of gear sets.
         factor: factor on the tolerance.
+        progress: called with a line of text after each tolerance.
 
     Returns:
         By measure and path: the yield, and the yield with that tolerance scaled (`Tolerances.centres`).
@@ -183,6 +187,7 @@ def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dic
     limited = [measure for measure in work.measures if measure.is_limited]
     before, _ = work.evaluate(inputs)
     yields: dict[str, dict[str, tuple[Estimate, Estimate]]] = {measure.name: {} for measure in limited}
+    left = Left(len(work.sample.tolerated))
     for path in work.sample.tolerated if limited else ():
         place = paths.index(path)
         moved = inputs.copy()
@@ -192,4 +197,5 @@ def tightened(work: Work, number: int, factor: float = TIGHTER) -> dict[str, dic
             column = work.names.index(measure.name)
             pair = (share(measure.holds(part[:, column]), sizes) for part in (before, after))
             yields[measure.name][path] = (next(pair), next(pair))
+        progress(f"halved: {path}{left.after()}")
     return yields
