@@ -247,7 +247,7 @@ def test_outlines_are_closed_and_as_long_as_told():
     pair = Teeth(curves, (TEETH, TEETH), MODULE, 1.0, backlash=1e-4)
     for gear in (0, 1):
         points = outline(tooth_points(pair, gear, 24))
-        assert len(points) == TEETH * 4 * 24
+        assert len(points) == TEETH * 6 * 24
         steps = np.hypot(*np.diff(np.concatenate([points, points[:1]]), axis=0).T)
         assert steps.max() < 0.6 * MODULE
     # half of the backlash is gone from each gear's teeth, measured along the pitch curve

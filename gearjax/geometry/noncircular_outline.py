@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.geometry.noncircular import PitchCurves
+from gearjax.geometry.noncircular_root import Cutter, Root, convex, cut_by_mate, cut_by_rack, points_below
 from gearjax.geometry.noncircular_teeth import offset_points, reach
 from gearjax.typing import Array
 
@@ -38,23 +39,15 @@ class Teeth(NamedTuple):
         """Arc length from tooth to tooth [m]."""
         return float(self.curves.perimeter) / self.number[0]
 
+    @property
+    def thickness(self) -> float:
+        """Arc length from the front to the back of a tooth [m]."""
+        return 0.5 * self.pitch - 0.5 * self.backlash / math.cos(float(self.curves.pressure_angle))
 
-class _Ends(NamedTuple):
-    """Ends of the flanks of one side, in rising order of the arc length at which the flanks cross the pitch curve.
-
-    Args:
-        crossing: arc length at which the flank crosses the pitch curve, shape (place,) [m].
-        parameter: parameter of the pitch point from which the end is cut, shape (place,) [rad].
-        below: parameter of the pitch curve below the end, shape (place,) [rad].
-    """
-
-    crossing: np.ndarray
-    parameter: np.ndarray
-    below: np.ndarray
-
-    def at(self, crossing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both parameters of the end of flanks that cross the pitch curve at given arc lengths, by interpolation."""
-        return np.interp(crossing, self.crossing, self.parameter), np.interp(crossing, self.crossing, self.below)
+    @property
+    def height(self) -> float:
+        """Height of the teeth above the pitch curves [m]."""
+        return self.addendum * self.module
 
 
 def outline(pieces: list[np.ndarray]) -> np.ndarray:
@@ -63,39 +56,49 @@ def outline(pieces: list[np.ndarray]) -> np.ndarray:
 
 
 def tooth_points(teeth: Teeth, gear: int, points: int) -> list[np.ndarray]:
-    """Pieces of the outline of a gear: first flank, tip, second flank and following root of each tooth.
+    """Pieces of the outline of a gear: first flank, tip, second flank, fillet, bottom and fillet of each tooth.
 
     Each piece has the shape (tooth, point, 2) [m]. The teeth are in the order of rising arc length of the pitch curve.
-    The axes turn with the gear; x points towards the other gear at input angle zero. The flanks are cut by a rack, as
-    far down as the tips of the other gear reach. From there to the roots, which are 0.25 modules deeper, they are drawn
-    straight: the fillet is not modelled.
+    The axes turn with the gear; x points towards the other gear at input angle zero. The flanks are cut by a rack.
+    Below them the roots are those of the same rack with rounded tips, or, if a pitch curve is concave, those that the
+    other gear leaves (`gearjax.geometry.noncircular_root`). They are 0.25 modules deeper than the tips of the other
+    gear reach, less if the cutter's teeth are too thin for it (with an addendum of 1 beyond 22 deg).
 
     Args:
         teeth: teeth of the pair.
         gear: 0 for the driver, 1 for the driven gear.
         points: number of points of each piece.
     """
-    way = 1 if gear == 0 else -1
-    height = teeth.addendum * teeth.module
     crossing = teeth.pitch * np.arange(teeth.number[gear])  # arc lengths at which drive flanks cross the pitch curve
-    slope = math.cos(float(teeth.curves.pressure_angle))
-    thick = 0.5 * teeth.pitch - 0.5 * teeth.backlash / slope
-    begins = {1: crossing, -1: crossing + way * thick}
+    begins = {1: crossing, -1: crossing + (1 if gear == 0 else -1) * teeth.thickness}
     order = (1, -1) if gear == 0 else (-1, 1)
     share = np.linspace(0.0, 1.0, points)
+    racked = convex(teeth.curves)
     flanks, tips, roots = [], [], []
     for side in order:
-        tip, foot = (_ends(teeth, gear, side, height, tips=end) for end in (True, False))
-        (end, above), (start, below) = tip.at(begins[side]), foot.at(begins[side])
-        along = start[:, None] + (end - start)[:, None] * share
+        end, above = _ends(teeth, gear, side, begins[side], tips=True)
+        root = _root(teeth, gear, side, begins[side], share, racked)
+        along = _between(root.start, end, share)
         flanks.append(flank(teeth.curves, gear, side, along, begins[side][:, None]))
         tips.append(above)
-        roots.append(below)
+        roots.append(root)
+    after, before = roots[1], roots[0]  # roots after the second flank of a tooth, and before its first flank
     around = 2 * math.pi * teeth.number[gear] / teeth.number[0]
-    next_root = np.append(roots[0][1:], roots[0][0] + around)
-    over = _curve(teeth.curves, gear, tips, share, height)
-    under = _curve(teeth.curves, gear, (roots[1], next_root), share, -(height + ROOT * teeth.module))
-    return [flanks[0], over, flanks[1][:, ::-1], under]
+    tip = points_below(teeth.curves, gear, _between(tips[0], tips[1], share), 0.0, -teeth.height)
+    under = _between(after.end, np.append(before.end[1:], before.end[0] + around), share)
+    bottom = points_below(teeth.curves, gear, under, 0.0, _between(after.depth, np.roll(before.depth, -1), share))
+    fillet = np.roll(before.points, -1, axis=0)[:, ::-1]
+    return [flanks[0], tip, flanks[1][:, ::-1], after.points, bottom, fillet]
+
+
+def _root(teeth: Teeth, gear: int, side: int, crossing: np.ndarray, share: np.ndarray, racked: bool) -> Root:
+    """Roots next to the flanks of one side, by a rack or by the other gear."""
+    cutter = Cutter(teeth.height, ROOT * teeth.module, teeth.pitch - teeth.thickness, teeth.module)
+    if racked:
+        return cut_by_rack(teeth.curves, gear, side if gear == 1 else -side, crossing, cutter, share)
+    start, _ = _ends(teeth, gear, side, crossing, tips=False)
+    foot = start, flank(teeth.curves, gear, side, start, crossing)
+    return cut_by_mate(teeth.curves, gear, side, foot, cutter, share)
 
 
 def flank(curves: PitchCurves, gear: int, side: int, t: np.ndarray, crossing: np.ndarray) -> np.ndarray:
@@ -129,26 +132,27 @@ def _crossings(curves: PitchCurves, gear: int, side: int, tips: bool, t: Array, 
     return curves.arc_length(t) - way * side * along / slope, below
 
 
-@eqx.filter_jit
-def _offset(curves: PitchCurves, gear: int, t: Array, height: Array) -> Array:
-    return jnp.stack(offset_points(curves, gear, t, height)[0], axis=-1)
+def _ends(teeth: Teeth, gear: int, side: int, crossing: np.ndarray, tips: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the flanks that cross the pitch curve at given arc lengths, at their tips or where the other tips reach.
 
-
-def _ends(teeth: Teeth, gear: int, side: int, height: float, tips: bool) -> _Ends:
-    """Ends of flanks at their own tips, or where the tips of the other gear reach; a little more than once around."""
+    Both results have the shape (tooth,) [rad]: parameters of the pitch points from which the ends are cut, and
+    parameters of the pitch curve next to the ends. They are interpolated, and corrected twice along the slope.
+    """
     curves = teeth.curves
     around = 2 * math.pi * teeth.number[gear] / teeth.number[0]
-    beyond = around * (1 + 4 / teeth.number[gear])
-    t = jnp.linspace(around - beyond, beyond, LOOKED_AT * teeth.number[gear])
-    arc, below = _crossings(curves, gear, side, tips, t, jnp.asarray(height))
-    return _Ends(np.asarray(arc), np.asarray(t), np.asarray(below))
+    beyond = around * (1 + 4 / teeth.number[gear])  # a little more than once around
+    t, height = np.linspace(around - beyond, beyond, LOOKED_AT * teeth.number[gear]), jnp.asarray(teeth.height)
+    arc, below = (np.asarray(part) for part in _crossings(curves, gear, side, tips, jnp.asarray(t), height))
+    end, slope = np.interp(crossing, arc, t), np.interp(crossing, arc, np.gradient(arc, t))
+    for _ in range(2):
+        own, below = (np.asarray(part) for part in _crossings(curves, gear, side, tips, jnp.asarray(end), height))
+        end = end - (own - crossing) / slope
+    return end, below
 
 
-def _curve(curves: PitchCurves, gear: int, ends: tuple | list, share: np.ndarray, height: float) -> np.ndarray:
-    """Points of a curve at a height from the pitch curve, between two parameters, shape (tooth, point, 2) [m]."""
-    first, last = ends
-    t = first[:, None] + (last - first)[:, None] * share
-    return np.asarray(_offset(curves, gear, jnp.asarray(t), jnp.asarray(height)))
+def _between(first: np.ndarray, last: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Numbers between two of each tooth, at shares from 0 to 1, shape (tooth, point)."""
+    return first[:, None] + (last - first)[:, None] * share
 
 
 def placed(points: np.ndarray, gear: int, turned: float, centre_distance: float) -> np.ndarray:

@@ -23,7 +23,7 @@ GEARS = ("driver", "driven gear")
 
 
 def offset_points(
-    curves: PitchCurves, gear: int, t: Float[Array, "..."], height: Scalar | float
+    curves: PitchCurves, gear: int, t: Float[Array, "..."], height: Float[Array, "..."] | float
 ) -> tuple[tuple[Array, Array], Array]:
     """Points of the curve at a height outside a gear's pitch curve, and the direction of its tangent [m, rad].
 

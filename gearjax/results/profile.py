@@ -32,8 +32,8 @@ def export_profile(
     modifications. DXF (AutoCAD 2000, drawing units millimetres) holds one polyline, of arcs for discs and of straight
     lines for teeth. CSV holds points for straight lines; the last point repeats the first. The pieces are
     within the tolerance of the profile; those of a disc are halved one by one, so that they are short where it is
-    curved. Half of the backlash
-    of a scene is taken from the teeth of each gear. Fillets of teeth are not modelled.
+    curved. Half of the backlash of a scene is taken from the teeth of each gear. Their roots have the fillets that a
+    rack with rounded tips leaves.
 
     Args:
         of: the gear set, or a scene of it.
@@ -86,28 +86,31 @@ def export_profile(
 
 def _teeth(system: GearOutlines, body: str, backlash: float, tolerance: float) -> np.ndarray:
     """Points of a gear's teeth; straight lines between them keep the tolerance; counter-clockwise, shape (n, 2) [m]."""
-    number = FIRST + 1
+    number, pieces = FIRST + 1, {}
     while True:
         fine = system.teeth_of(body, 2 * number - 1, backlash)
-        missed = 0.0
-        for piece in fine:
-            begin, middle, end = piece[:, :-2:2], piece[:, 1::2], piece[:, 2::2]
-            along = end - begin
-            off = middle - begin
-            across = np.abs(along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0])
-            missed = max(missed, float((across / np.hypot(along[..., 0], along[..., 1])).max()))
-        if missed <= SAFETY * tolerance:
+        for name, piece in enumerate(fine):
+            if name not in pieces and _apart(piece) <= SAFETY * tolerance:
+                pieces[name] = piece[:, ::2]
+        if len(pieces) == len(fine):
             break
         number = 2 * number - 1
         if number * len(fine) * len(fine[0]) > MOST_POINTS:
             words = f"needs more than {MOST_POINTS} points: give a larger tolerance"
             raise ParameterError("tolerance", f"{tolerance:g} m", words)
-    pieces = [piece[:, ::2] for piece in fine]
-    points = outline(pieces)
+    points = outline([pieces[name] for name in range(len(fine))])
     apart = np.hypot(*(points - np.roll(points, 1, axis=0)).T)
     points = points[apart > FINEST]  # adjacent pieces share a point
     x, y = points.T
     return points if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0 else points[::-1]
+
+
+def _apart(piece: np.ndarray) -> float:
+    """Largest distance of every other point of a piece of all teeth from the line between its neighbours [m]."""
+    begin, middle, end = piece[:, :-2:2], piece[:, 1::2], piece[:, 2::2]
+    along, off = end - begin, middle - begin
+    across = np.abs(along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0])
+    return float((across / np.hypot(along[..., 0], along[..., 1])).max())
 
 
 def _csv(points: np.ndarray) -> str:
