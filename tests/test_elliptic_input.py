@@ -44,6 +44,10 @@ REFUSED = [
     ({"teeth": 12, "eccentricity": 0.0}, "give more teeth, or an addendum of at most 0.7018"),
     ({"teeth": 3, "eccentricity": 0.0, "addendum": 0.17}, "must be at least 1: give more teeth"),
     (
+        {"teeth": 90, "module": 2e-3, "eccentricity": 0.3, "driver_lobes": 3, "driven_lobes": 2},
+        "times as deep as flanks of the driven gear go, at",
+    ),
+    (
         {"input_speed": -20.0},
         'input_speed = "-190.986 rpm": must be above 0: seen from behind, gears that turn',
     ),

@@ -183,6 +183,8 @@ def faults(curves: PitchCurves, module: float, addendum: float) -> Iterator[Faul
     t, numbers = np.linspace(0.0, 2 * math.pi, PLACES + 1), (jnp.asarray(module), jnp.asarray(addendum))
     leans, bends, rounded_ratio = (np.asarray(part) for part in _looked_at(curves, *numbers))
     wrong = _locks(curves, t, leans) or _sharp(curves, t, bends, module, addendum)
+    if wrong is None and bends.min() < 0:
+        wrong = _cut_by_hollow(curves, t, module, addendum)
     if wrong is not None:
         yield wrong
         return
@@ -276,6 +278,35 @@ def _sharp(curves: PitchCurves, t: np.ndarray, bends: np.ndarray, module: float,
                     told = f"{told}, or an addendum of at most {lower:.4f}"
                 return "addendum", f"{addendum:.6g}", told
     return None
+
+
+def _cut_by_hollow(curves: PitchCurves, t: np.ndarray, module: float, addendum: float) -> Fault | None:
+    """Fault of flanks that tips of the other gear reach past the evolute of their own pitch curve.
+
+    Next to a hollow of their pitch curve tips are wider apart than those of a rack, and reach deeper. A flank folds
+    where a tip is farther from the pitch point, along the line of action, than ``sin(alpha0)`` over the curvature.
+    """
+    past = np.asarray(_past(curves, jnp.asarray(t), jnp.asarray(addendum * module)))
+    gear, _, worst = np.unravel_index(int(past.argmax()), past.shape)
+    if past.max() <= 1:
+        return None
+    told = (
+        f"undercut: tips of the {GEARS[1 - gear]} reach {past.max():.3g} times as deep as flanks of the {GEARS[gear]}"
+    )
+    words = f"{told} go, at {t[worst] / units.deg:.4g} deg: lower the addendum, or give more teeth"
+    return "addendum", f"{addendum:.6g}", words
+
+
+@eqx.filter_jit
+def _past(curves: PitchCurves, t: Array, height: Array) -> Array:
+    """How deep tips of the other gear reach, over the depth at which flanks fold, shape (gear, side, angle)."""
+    bends, sine = curves.at(t).curvatures, jnp.sin(curves.pressure_angle)
+    return jnp.stack(
+        [
+            jnp.stack([jnp.abs(reach(curves, 1 - gear, t, side, height)[0]) * bend / sine for side in (1, -1)])
+            for gear, bend in enumerate(bends)
+        ]
+    )
 
 
 def _floored(number: float, digits: int) -> str:
