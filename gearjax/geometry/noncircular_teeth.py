@@ -290,10 +290,8 @@ def _cut_by_hollow(curves: PitchCurves, t: np.ndarray, module: float, addendum: 
     gear, _, worst = np.unravel_index(int(past.argmax()), past.shape)
     if past.max() <= 1:
         return None
-    told = (
-        f"undercut: tips of the {GEARS[1 - gear]} reach {past.max():.3g} times as deep as flanks of the {GEARS[gear]}"
-    )
-    words = f"{told} go, at {t[worst] / units.deg:.4g} deg: lower the addendum, or give more teeth"
+    told = f"undercut: tips of the {GEARS[1 - gear]} reach {past.max():.5g} times as deep as flanks"
+    words = f"{told} of the {GEARS[gear]} go, at {t[worst] / units.deg:.4g} deg: lower the addendum, or give more teeth"
     return "addendum", f"{addendum:.6g}", words
 
 
