@@ -82,7 +82,7 @@ class Running:
     [
         (["run", str(CONFIG)], "done: "),
         (["optimise", str(PHASES)], "grid of"),
-        (["tradeoff", str(CONFIG)], "reference"),
+        (["tradeoff", str(CONFIG)], "beside them"),
         (["reproduce", "two_kv"], "computing"),
         (["reproduce", "involute_rv"], "finite elements"),
     ],
