@@ -45,7 +45,7 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
         stepper = FixedStep(size * longest, windows=usual.windows)
         tried[size] = off = apart(metrics(stepper), truth) + unsure
         progress(f"steps of {stepper.step:.2g} s: metrics within {off / arcmin:.2g} arcmin")
-        good = [one for one, apart in tried.items() if apart <= error]
+        good = [one for one, missed in tried.items() if missed <= error]
         foretold = size * math.sqrt(error / max(off, 1e-3 * error))
         if good and (longer := [one for one in sizes if max(good) < one <= foretold and one not in tried]):
             size = max(longer)

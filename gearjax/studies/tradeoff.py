@@ -175,8 +175,8 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
     with ThreadPoolExecutor(workers) as pool:
         for setting, first in zip((yardstick, *tried), pool.map(first_run, (yardstick, *tried)), strict=True):
             runs.append(first)
-            work = TRUTH_WORK if setting is yardstick else 1
-            progress(f"compiled: {setting.group}: {setting.name}{left.after(work)}")
+            rest = left.after(TRUTH_WORK if setting is yardstick else 1)
+            progress(f"compiled: {setting.group}: {setting.name}{rest}")
         truth = runs[0]
         rows = [_measured(*each, truth.metrics) for each in zip(tried, runs[1:], strict=True)]
         rows = _with_gradients(tried, rows, pool, left, progress)
