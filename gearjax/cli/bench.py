@@ -91,11 +91,11 @@ def identify(
     text = text_of(config)
     scene, section, records = _read(config, text, measured, dynamic)
     folder = folder_for(out, json_, config)
+    page = Report(report, folder)
     told_read(config, scene)
     from gearjax.cli.bench_tables import print_found
     from gearjax.results.identification import identified, save_identified
 
-    page = Report(report, folder)
     with page.listening():
         result = identified(section, scene, records, say)
     for words in result.found.notes:

@@ -73,30 +73,29 @@ def run(
     """
     text, scene = _read(config)
     folder = folder_for(out, json_, config)
-    told_read(config, scene)
+    page, allowed = Report(report, folder), None if accuracy is None else _positive("--accuracy", accuracy)
+    if scene.run is not None:
+        told_read(config, scene)
     from gearjax.analysis import FewAngles
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewAngles)  # `remarks` reports it once, with what to change
-        page = Report(report, folder)
         with page.listening():
-            _run(config, text, scene, folder, json_, accuracy, page)
+            _run(config, text, scene, folder, json_, allowed, page)
 
 
 def _run(
-    config: Path, text: str, scene: "Scene", folder: Path | None, json_: bool, accuracy: float | None, page: Report
+    config: Path, text: str, scene: "Scene", folder: Path | None, json_: bool, allowed: float | None, page: Report
 ) -> None:
     from gearjax import results
     from gearjax.cli import tables
     from gearjax.config import self_contained
 
     stepper = None
-    if accuracy is not None:
-        allowed = _positive("--accuracy", accuracy)
-        if scene.run is not None and "dynamic" in scene.run.analyses:
-            from gearjax.studies.accurate_step import accurate_step
+    if allowed is not None and scene.run is not None and "dynamic" in scene.run.analyses:
+        from gearjax.studies.accurate_step import accurate_step
 
-            stepper = accurate_step(scene, allowed, say)
+        stepper = accurate_step(scene, allowed, say)
     for remark in results.remarks(scene):
         noted(page, remark)
     cases = []
@@ -233,12 +232,12 @@ def optimise(
 
     scene, section = loads_optimise(text, config.parent)
     folder = folder_for(out, json_, config)
+    page = Report(report, folder)
     told_read(config, scene)
     from gearjax.cli.tables import print_optimisation
     from gearjax.results import optimise as run_optimise
     from gearjax.results import save_optimisation
 
-    page = Report(report, folder)
     with page.listening():
         optimisation = run_optimise(section, scene, say, workers=os.cpu_count() or 1)
     told = optimisation.as_json()
@@ -269,14 +268,15 @@ def tradeoff(
     Without --out the results go to out/NAME; with --json and no --out nothing is written.
     """
     text, scene = _read(config)
-    folder = folder_for(out, json_, config)
-    told_read(config, scene)
+    folder, allowed = folder_for(out, json_, config), _positive("--error", error)
+    if scene.run is not None:
+        told_read(config, scene)
     from gearjax.cli.tables import print_shifts, print_tradeoff
     from gearjax.config import loads_tolerance, read_tables
     from gearjax.results import save_tradeoff, tradeoff_as_json
     from gearjax.studies.tradeoff import tradeoff as run_tradeoff
 
-    allowed, moving = _positive("--error", error), scene.run is not None and "dynamic" in scene.run.analyses
+    moving = scene.run is not None and "dynamic" in scene.run.analyses
     shifted = []
     if "tolerance" in read_tables(text):
         from gearjax.results.tolerance import shifts, shifts_as_json
