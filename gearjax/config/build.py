@@ -181,6 +181,11 @@ def _read_in(name: str, table: Any, folder: Path) -> Any:
 
 
 def scene_of(tables: dict[str, Any]) -> Scene:
+    """The scene of tables that do not depend on a folder (`with_files`); sections of studies are not looked at.
+
+    Raises:
+        ParameterError: a value is wrong; the message names the key, what was given and what would be right.
+    """
     for key in tables:
         if key not in SECTIONS:
             raise ParameterError(key, tables[key], f"unknown section; {nearest(key, SECTIONS)}")
