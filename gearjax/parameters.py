@@ -38,6 +38,7 @@ class Parameter:
         example: a sensible value as written in a configuration, such as ``"2.5 mm"`` or 12; ``None`` to use the example
             of the dimension.
         is_file: whether a name is that of a file or a folder; configurations look for it from their own folder on.
+        negative: what to give in place of a negative number, in words.
     """
 
     dimension: units.Dimension | None
@@ -51,6 +52,7 @@ class Parameter:
     periodic: bool = False
     example: Any = None
     is_file: bool = False
+    negative: str = ""
 
     @property
     def range(self) -> tuple[float, float]:
@@ -94,6 +96,11 @@ class Parameter:
             if bound is not None
         ]
         return " and ".join(words)
+
+    def right(self, value: Any) -> str:
+        """What would be right in place of a value outside the bounds, in words."""
+        words = f"must be {self.allowed() or 'finite'}"
+        return f"{words}: {self.negative}" if self.negative and np.any(np.asarray(value) < 0) else words
 
     def holds(self, value: Any) -> bool:
         """Whether all values are finite and within the bounds."""
@@ -294,4 +301,4 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
     if parameter.kind == "count" and abs(int(value)) > 2**62:
         raise ParameterError(key, value, f"must be {parameter.allowed()}")
     if not parameter.holds(value):
-        raise ParameterError(key, value, f"must be {parameter.allowed() or 'finite'}")
+        raise ParameterError(key, value, parameter.right(value))

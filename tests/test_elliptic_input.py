@@ -1,6 +1,7 @@
 """What elliptic and other non-circular pairs may be: what is refused, and with which words; extremes; precision."""
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from gearjax.checks import ParameterError, SceneError
 from gearjax.geometry import ratio_table
 from gearjax.geometry.noncircular import EllipseRatio
 from gearjax.units import deg, um
+from tests.conftest import ROOT
 from tests.elliptic import MODULE, TEETH, E
 from tests.test_elliptic_pair import MOVING, THETA, pair, scene
 
@@ -49,7 +51,7 @@ REFUSED = [
     ),
     (
         {"input_speed": -20.0},
-        'input_speed = "-190.986 rpm": must be above 0: seen from behind, gears that turn',
+        "rpm: gears that turn backwards turn forwards, seen from behind: give the size of the speed",
     ),
     (
         {"teeth": 47, "driver_lobes": 2},
@@ -158,6 +160,17 @@ def test_a_table_of_an_ellipse_is_the_ellipse():
     for torque in (None, 15.0):
         one, two = (gj.transmission_error(each, THETA, torque).te for each in (own, other))
         np.testing.assert_allclose(one, two, atol=1e-10)
+
+
+def test_a_configuration_that_turns_backwards_is_told_the_same():
+    text = (ROOT / "configs" / "elliptic" / "dong_2020.toml").read_text(encoding="utf-8")
+    text = re.sub(r'input_speed = "[^"]*"', 'input_speed = "-600 rpm"', text)
+    with pytest.raises(ParameterError, match=r'input_speed = "-600 rpm": must be at least .* seen from behind'):
+        gj.loads(text)
+    fast = text.replace('"-600 rpm"', '"1e9 rpm"')
+    with pytest.raises(ParameterError) as caught:
+        gj.loads(fast)
+    assert "backwards" not in str(caught.value)
 
 
 def test_slots_that_do_not_go_together():

@@ -153,5 +153,6 @@ def test_a_public_name_is_no_module_of_the_same_name(package):
     beside = {path.stem for path in Path(module.__file__).parent.iterdir()}
     assert set(module.__all__) & beside <= {"units"}
     assert set(dir(module)) >= set(module.__all__)
-    with pytest.raises(AttributeError, match="nothing_of_this_name"):
-        module.nothing_of_this_name  # noqa: B018
+    for name in ("nothing_of_this_name", "_nothing"):
+        with pytest.raises(AttributeError, match=name):
+            getattr(module, name)

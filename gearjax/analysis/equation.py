@@ -183,11 +183,11 @@ class Equation(eqx.Module):
             speed = gaps.lever * velocity - gaps.gap_rate
             if gaps.lever_rate is not None:
                 speed = speed + gaps.lever_rate * position
+            drag = self.layout.per_contact(coefficient) * gaps.lever * speed
             if scene.damping.acting == "always":
-                first = self.layout.flanks[0]
-                return (net - (gaps.lever[first] * coefficient * speed[first]).sum()) / self.inertia
-            engaged = self.layout.engaged(scene.contact.closed(overlap))
-            net = net - (gaps.lever * self.layout.per_contact(coefficient) * engaged * speed).sum()
+                net = net - drag[self.layout.flanks[0]].sum()
+            else:
+                net = net - (self.layout.engaged(scene.contact.closed(overlap)) * drag).sum()
         return net / self.inertia
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:

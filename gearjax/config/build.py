@@ -353,5 +353,5 @@ def _or_number(parameter: Parameter) -> str:
 def _number(key: str, given: Any, parameter: Parameter) -> float:
     value = read_parameter(key, given, parameter)
     if not parameter.holds(value):
-        raise ParameterError(key, given, f"must be {parameter.allowed()}")
+        raise ParameterError(key, given, parameter.right(value))
     return value

@@ -31,13 +31,13 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
         GearjaxError: something in the text is wrong, or it has no such section; the message is one line that says
             where.
     """
-    tables = with_files(read_tables(text), Path(folder))
-    scene = scene_of(tables)
-    if "optimise" not in tables:
-        raise GearjaxError(
-            "the configuration has no [optimise]: add a section with objective and where, such as this line before the "
-            'first section: optimise = {objective = "no_load_amplitude", where = ["errors.planet_1.phase"]}'
-        )
+    tables, scene = _with_section(
+        "optimise",
+        text,
+        folder,
+        "objective and where",
+        'optimise = {objective = "no_load_amplitude", where = ["errors.planet_1.phase"]}',
+    )
     return scene, _read_optimise(tables, scene, Path(folder))
 
 
@@ -68,13 +68,25 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
         GearjaxError: something in the text is wrong, or it has no such section; the message is one line that says
             where.
     """
-    tables = with_files(read_tables(text), Path(folder))
-    scene = scene_of(tables)
-    if "tolerance" not in tables:
-        raise GearjaxError(
-            "the configuration has no [tolerance]: add a section with samples, measures and numbers, such as this line "
-            'before the first section: tolerance = {samples = 10000, measures = ["no_load.peak_to_peak"], '
-            '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}}'
-        )
+    tables, scene = _with_section(
+        "tolerance",
+        text,
+        folder,
+        "samples, measures and numbers",
+        'tolerance = {samples = 10000, measures = ["no_load.peak_to_peak"], '
+        '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}}',
+    )
     section = read_tolerance(tables["tolerance"], scene, Path(folder))
     return inlined(tables, scene, Path(folder)), scene, section
+
+
+def _with_section(section: str, text: str, folder: str | Path, keys: str, example: str) -> tuple[dict[str, Any], Scene]:
+    """Tables and scene of a configuration that must have a section; else an error with its keys and an example."""
+    tables = with_files(read_tables(text), Path(folder))
+    scene = scene_of(tables)
+    if section not in tables:
+        raise GearjaxError(
+            f"the configuration has no [{section}]: add a section with {keys}, such as this line before the first "
+            f"section: {example}"
+        )
+    return tables, scene

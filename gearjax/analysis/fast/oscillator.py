@@ -126,15 +126,16 @@ class Oscillator(eqx.Module):
                 own = _part(slow.drag, flank)
                 own = own if slow.turning is None else own + _part(slow.turning, flank) * position
                 pull, damped = _choose(closed, own, pull), _choose(closed, _part(slow.damping, flank), damped)
-                left = _choose(closed, _part(slow.decay, flank), left) if hard else left
+                left = jnp.where(closed, _part(slow.decay, flank), left) if hard else left
             drag.append(pull)
             damping.append(damped)
-            decay.append(left.prod())
+            if hard:
+                decay.append(left.prod())
         held = slow.inverse * self.equation.scale * slow.balanced(fast.torque)
         push = _total(drag, nothing) - _total(force, nothing) - held
         damped = _total(damping, nothing)
         left = jnp.exp(-damped) if not hard else jnp.ones_like(position)
-        for part in decay if hard else ():
+        for part in decay:
             left = left * part
         return State(push, _total(stiffness, nothing), damped, left)
 
