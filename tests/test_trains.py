@@ -329,9 +329,12 @@ def lagrange(scene: gj.Scene, torque: float, time: float, q, v):
     arms = jacobian[first, :2]
     at_pair = 1 / np.einsum("ij,jk,ik->i", arms, np.linalg.inv(mass[:2, :2]), arms)
     coefficient = float(scene.damping.ratio) * np.sqrt(2 * 2e8 * at_pair)
-    acts = (overlap[first] > 0) | (overlap[first + 1] > 0) if scene.damping.acting == "contact" else np.ones(2)
-    approach = jacobian[first] @ v - np.asarray(rate)[first]
-    force = force - jacobian[first].T @ (coefficient * acts * approach)
+    touches = overlap.reshape(2, 2) > 0  # of each mesh, the driving flank and the back flank
+    along, acts = first, np.ones(2)
+    if scene.damping.acting == "contact":  # a damper acts along the flank that touches, the driving one if both do
+        along, acts = first + ~touches[:, 0], touches.any(axis=1)
+    approach = jacobian[along] @ v - np.asarray(rate)[along]
+    force = force - jacobian[along].T @ (coefficient * acts * approach)
     assert own.pairs == 1
     return np.linalg.solve(mass, force)
 
