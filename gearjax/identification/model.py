@@ -16,7 +16,7 @@ from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array
 from gearjax.units import arcmin
 
-LANES = 1 << 15  # rows times points that are computed at once, so that they stay in the processor's cache
+LEAST_POINTS = 64  # room in the program of the sums of several points; a search starts from so many by default
 FEW = 6  # contacts, up to which their balance is written as one expression
 LOOKS = 7  # rows at which the linearity of the gaps is tested
 TRIED = 3  # points that are compared at these rows
@@ -191,15 +191,12 @@ class Problem:
         """Sums at several points; ``values`` has shape (point, number)."""
         if not isinstance(self.model, Tables):  # uses the program of `curve`, as another one takes seconds to compile
             return Normal(*(np.stack(parts) for parts in zip(*(self._summed(v, weight) for v in values), strict=True)))
-        size, points = self.padded.theta.size, len(values)
-        weights = jnp.asarray(np.concatenate([weight, np.zeros(size - weight.size)]))
-        at_once = 1 << (max(1, LANES // size).bit_length() - 1)
-        whole = np.concatenate([values, np.repeat(values[-1:], -points % at_once, axis=0)])
-        parts = [
-            sums(self.model, jnp.asarray(whole[begin : begin + at_once]), self._te, weights, self._basis)
-            for begin in range(0, len(whole), at_once)
-        ]
-        return Normal(*(np.concatenate(each)[:points] for each in zip(*parts, strict=True)))
+        points, room = len(values), max(LEAST_POINTS, 1 << (len(values) - 1).bit_length())
+        weights = np.concatenate([weight, np.zeros(self.padded.theta.size - weight.size)])
+        whole = np.concatenate([values, np.zeros((room - points, values.shape[1]))])
+        given, number = jnp.asarray(whole), jnp.asarray(points)
+        parts = sums(self.model, given, number, self._te, jnp.asarray(weights), self._basis)
+        return Normal(*(np.asarray(part)[:points] for part in parts))
 
     def _summed(self, values: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Sums at one point."""

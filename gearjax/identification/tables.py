@@ -22,7 +22,7 @@ from gearjax.contact.equilibrium import hard_rest
 from gearjax.contact.search import closed_side, hard_balance
 from gearjax.identification.unknowns import Unknown, scene_with
 from gearjax.scene import Scene, Stiffness
-from gearjax.typing import Array, Bool, Float
+from gearjax.typing import Array, Bool, Float, Int
 from gearjax.units import arcmin
 
 ROWS_AT_ONCE = 4096  # rows whose influences are computed at once
@@ -56,47 +56,44 @@ class Tables(AbstractCurves):
 
     def positions(self, values: Float[Array, "s unknown"]) -> tuple[Float[Array, "s n"], Float[Array, "s n unknown"]]:
         """Positions of the output and their derivatives [rad]."""
-        gap = self.nominal[None] + jnp.einsum("su,ucn->scn", values, self.influence)
-        softness = jnp.ones_like(values[:, 0]) if self.softness is None else values[:, self.softness]
+        q, rate = jax.lax.map(self.at, values)
+        return q, jnp.swapaxes(rate, 1, 2)
+
+    def at(self, values: Float[Array, " unknown"]) -> tuple[Float[Array, " n"], Float[Array, "unknown n"]]:
+        """Positions of the output at one point, and their derivatives [rad]."""
+        gap = self.nominal + jnp.einsum("u,ucn->cn", values, self.influence)
+        softness = jnp.ones_like(values[0]) if self.softness is None else values[self.softness]
         found = [self._carrying(gap, softness)] if self.loaded else []
         found += [self._touching(gap)] if self.touching else []
         q, active = found[0]
         if len(found) == 2:
-            rigid = (self.torque == 0)[None]
+            rigid = self.torque == 0
             q = jnp.where(rigid, found[1][0], q)
-            active = jnp.where(rigid[:, None], found[1][1], active)
-        slope = (active * self.lever[None]).sum(axis=1)
+            active = jnp.where(rigid[None], found[1][1], active)
+        slope = (active * self.lever).sum(axis=0)
         slope = jnp.where(slope > 0, slope, 1.0)
-        rate = jnp.einsum("scn,ucn->snu", active, self.influence) / slope[..., None]
+        rate = (active[None] * self.influence).sum(axis=1) / slope[None]
         if self.softness is not None:
-            rate = rate.at[:, :, self.softness].set(jnp.where(self.torque == 0, 0.0, -self.torque)[None] / slope)
+            rate = rate.at[self.softness].set(jnp.where(self.torque == 0, 0.0, -self.torque) / slope)
         return q, rate
 
-    def _carrying(self, gap: Float[Array, "s contact n"], softness: Float[Array, " s"]) -> tuple[Array, Array]:
+    def _carrying(self, gap: Float[Array, "contact n"], softness: Float[Array, ""]) -> tuple[Array, Array]:
         """Positions under the torque [rad], and the levers of the contacts that carry, zero for the others."""
-        points, contacts, rows = gap.shape
-        applied = (-softness[:, None] * self.torque[None]).ravel()
-        gaps, arms = (
-            jnp.moveaxis(jnp.broadcast_to(part, gap.shape), 1, 0).reshape(contacts, -1)
-            for part in (gap, self.lever[None])
-        )
+        applied = -softness * self.torque
         if self.side:
-            q = hard_rest(list(gaps / arms), list(arms * arms), self.side, applied)
+            q = hard_rest(list(gap / self.lever), list(self.lever * self.lever), self.side, applied)
         else:
-            q = hard_balance(arms, gaps, applied, closed_side(arms, gaps, applied))
-        q = q.reshape(points, rows)
-        lever = self.lever[None]
-        return q, jnp.where(lever * q[:, None] > gap, lever, 0.0)
+            q = hard_balance(self.lever, gap, applied, closed_side(self.lever, gap, applied))
+        return q, jnp.where(self.lever * q[None] > gap, self.lever, 0.0)
 
-    def _touching(self, gap: Float[Array, "s contact n"]) -> tuple[Array, Array]:
+    def _touching(self, gap: Float[Array, "contact n"]) -> tuple[Array, Array]:
         """Positions at which the first contact touches [rad], and its lever, zero for the others."""
-        lever = self.lever[None]
+        lever = self.lever
         place = gap / jnp.where(lever == 0, 1.0, lever)
         lower, upper = jnp.where(lever < 0, place, -jnp.inf), jnp.where(lever > 0, place, jnp.inf)
-        which = jnp.where(self.back[None], jnp.argmin(upper, axis=1), jnp.argmax(lower, axis=1))
-        q = jnp.where(self.back[None], upper.min(axis=1), lower.max(axis=1))
-        one = jnp.arange(gap.shape[1])[None, :, None] == which[:, None]
-        return q, jnp.where(one, lever, 0.0)
+        which = jnp.where(self.back, jnp.argmin(upper, axis=0), jnp.argmax(lower, axis=0))
+        q = jnp.where(self.back, upper.min(axis=0), lower.max(axis=0))
+        return q, jnp.where(jnp.arange(gap.shape[0])[:, None] == which[None], lever, 0.0)
 
 
 class Plain(AbstractCurves):
@@ -171,17 +168,26 @@ class Plain(AbstractCurves):
 
 
 @eqx.filter_jit
-def sums(model: AbstractCurves, values: Array, te: Array, weight: Array, basis: Array) -> tuple[Array, Array, Array]:
-    """Sums of a least-squares problem at several points: cost, ``J^T W J`` and ``J^T W r``, as in `Normal`."""
+def sums(
+    model: Tables, values: Array, number: Int[Array, ""], te: Array, weight: Array, basis: Array
+) -> tuple[Array, Array, Array]:
+    """Sums of a least-squares problem: cost, ``J^T W J`` and ``J^T W r``, as in `Normal`.
+
+    Only the first ``number`` points are computed, so that a search whose starts end one by one has one program.
+    """
     size = values.shape[1] - basis.shape[1]
-    q, rate = model.positions(values[:, :size])
-    further = jnp.broadcast_to(basis[None], (values.shape[0], *basis.shape))
-    jacobian = jnp.concatenate([rate / arcmin, further], axis=-1)
-    residual = te[None] - q / arcmin - jnp.einsum("sf,nf->sn", values[:, size:], basis)
-    residual = jnp.where(weight[None] > 0, residual, 0.0)
-    pulled = jacobian * weight[None, :, None]
-    cost = (weight[None] * residual**2).sum(axis=1)
-    return cost, jnp.einsum("snp,snq->spq", pulled, jacobian), jnp.einsum("snp,sn->sp", pulled, residual)
+    further, root = basis.T, jnp.sqrt(weight)
+
+    def one(point: Array) -> Array:
+        q, rate = model.at(point[:size])
+        residual = te - q / arcmin - point[size:] @ further
+        residual = jnp.where(weight > 0, residual, 0.0)
+        columns = root[None] * jnp.concatenate([rate / arcmin, further, residual[None]])
+        return columns @ columns.T
+
+    nothing = jnp.zeros((len(values), values.shape[1] + 1, values.shape[1] + 1), values.dtype)
+    all_sums = jax.lax.fori_loop(0, number, lambda i, so_far: so_far.at[i].set(one(values[i])), nothing)
+    return all_sums[:, -1, -1], all_sums[:, :-1, :-1], all_sums[:, :-1, -1]
 
 
 @eqx.filter_jit

@@ -6,6 +6,7 @@ unknowns themselves.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -89,7 +90,7 @@ class Unknowns:
         """Whether each unknown is a reciprocal, shape (unknown,)."""
         return np.array([unknown.kind == "reciprocal" for unknown in self.each], bool)
 
-    @property
+    @functools.cached_property
     def start(self) -> np.ndarray:
         """Values in the scene, in units of the search, shape (unknown,)."""
         return self.columns(self.scene)
