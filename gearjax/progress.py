@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 Progress = Callable[[str], None]
+EVERY = 5.0  # seconds between two lines of a search
 SURE = 0.1  # share of the parts after which the time for the rest is told
 
 
@@ -17,10 +18,11 @@ class Left:
 
     Args:
         parts: number of parts, or their whole work in any unit.
+        sure: ``about``, or ``at most`` if fewer parts may do.
     """
 
-    def __init__(self, parts: float | int):
-        self.parts, self.done = parts, 0.0
+    def __init__(self, parts: float | int, sure: str = "about"):
+        self.parts, self.done, self._sure = parts, 0.0, sure
         self._began = time.perf_counter()
 
     def after(self, parts: float | int = 1) -> str:
@@ -29,7 +31,31 @@ class Left:
         if self.done < SURE * self.parts:
             return ""
         rest = (time.perf_counter() - self._began) / self.done * (self.parts - self.done)
-        return "" if rest < 1.0 else f", about {told_seconds(rest)} left"
+        return "" if rest < 1.0 else f", {self._sure} {told_seconds(rest)} left"
+
+
+class Searching:
+    """Lines of a search whose evaluations take long; how many it needs is known from experience only.
+
+    Args:
+        progress: called with a line now and then.
+        words: what was evaluated, such as ``motions integrated``.
+        usual: number of evaluations that such a search usually takes.
+    """
+
+    def __init__(self, progress: Progress, words: str, usual: int):
+        self._progress, self._words, self._usual = progress, words, usual
+        self._left: Left | None = None
+
+    def __call__(self, evaluations: int) -> None:
+        """Count further evaluations; the first ones also compile, so that their time says nothing on the rest."""
+        if self._left is None:
+            self._left, self._first, self._said = Left(max(self._usual - evaluations, 1)), evaluations, time.monotonic()
+            return
+        rest = self._left.after(evaluations)
+        if time.monotonic() - self._said > EVERY:
+            self._said = time.monotonic()
+            self._progress(f"{self._first + self._left.done:.0f} {self._words}{rest}")
 
 
 def told_seconds(seconds: float | int) -> str:

@@ -25,6 +25,24 @@ def test_the_rest_of_the_time_follows_from_the_parts_that_are_done(monkeypatch):
     assert left.after() == ""
 
 
+def test_a_search_tells_now_and_then_how_far_it_is(monkeypatch):
+    """The first evaluation compiles: it does not count for the time left."""
+    now, lines = [0.0], []
+    for clock in ("perf_counter", "monotonic"):
+        monkeypatch.setattr(progress.time, clock, lambda: now[0])
+    search = progress.Searching(lines.append, "motions", 40)
+    for at, evaluations in ((60.0, 2), (63.0, 2), (66.0, 2), (100.0, 24), (110.0, 12)):
+        now[0] = at
+        search(evaluations)
+    assert lines == ["6 motions, about 50 s left", "30 motions, about 10 s left", "42 motions"]
+
+
+def test_a_search_that_may_end_early():
+    left = progress.Left(2, "at most")
+    left._began -= 50.0
+    assert left.after() == ", at most 50 s left"
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [(1.4, "1 s"), (9.4, "9 s"), (12, "10 s"), (96, "100 s"), (130, "2 min"), (5000, "83 min"), (9000, "2.5 h")],

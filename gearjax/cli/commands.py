@@ -323,7 +323,9 @@ def tolerance(
     Without --out the results go to out/NAME; with --json and no --out nothing is written, and nothing can be resumed.
     """
     text = text_of(config)
+    _check_cluster(scheduler, workers)
     folder = folder_for(out, json_, config)
+    say(f"reading {config}")  # what reads distributions takes a second to import
     from gearjax.cli.tolerance import print_tolerance, study
     from gearjax.results.tolerance import save_tolerance
 
@@ -342,6 +344,13 @@ def tolerance(
         print(json.dumps(told, allow_nan=False))
     else:
         print_tolerance(results)
+
+
+def _check_cluster(scheduler: str | None, workers: int | None) -> None:
+    if scheduler is not None and workers is not None:
+        raise ParameterError("--workers", workers, "belongs to a local cluster: leave --scheduler or --workers out")
+    if workers is not None and workers < 1:
+        raise ParameterError("--workers", workers, "must be at least 1")
 
 
 def folder_for(out: Path | None, json_: bool, config: Path) -> Path | None:

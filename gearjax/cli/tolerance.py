@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gearjax.checks import ParameterError
 from gearjax.cli.stopping import say_when_stopped
 from gearjax.cli.tables import output
 from gearjax.config import loads_tolerance
@@ -51,12 +50,8 @@ def study(
         say: function that is called with lines of progress.
 
     Raises:
-        GearjaxError: a mistake in the configuration or in the options.
+        GearjaxError: a mistake in the configuration.
     """
-    if scheduler is not None and workers is not None:
-        raise ParameterError("--workers", workers, "belongs to a local cluster: leave --scheduler or --workers out")
-    if workers is not None and workers < 1:
-        raise ParameterError("--workers", workers, "must be at least 1")
     if scheduler is None and workers is None:
         use_all_cores()
     tables, _, section = loads_tolerance(text, base)

@@ -1,15 +1,17 @@
 """Reading of the sections of studies: ``optimise``, ``identify`` and ``tolerance``."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gearjax.checks import GearjaxError
 from gearjax.config.build import read_tables, scene_of, with_files
-from gearjax.config.identify import IdentifySection, read_identify
 from gearjax.config.optimise import OptimiseSection, read_optimise
 from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
 from gearjax.scene import Scene
 from gearjax.tolerance import Tolerances
+
+if TYPE_CHECKING:
+    from gearjax.config.identify import IdentifySection
 
 
 def check_studies(tables: dict[str, Any], scene: Scene, folder: Path) -> None:
@@ -48,7 +50,7 @@ def _read_optimise(tables: dict[str, Any], scene: Scene, folder: Path) -> Optimi
     return read_optimise(tables["optimise"], scene, population)
 
 
-def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, IdentifySection]:
+def loads_identify(text: str, folder: str | Path = ".") -> "tuple[Scene, IdentifySection]":
     """Load a scene and its identify section from TOML text; file names in the text are relative to the folder.
 
     If the text has no identify section, the section has its default values.
@@ -56,6 +58,8 @@ def loads_identify(text: str, folder: str | Path = ".") -> tuple[Scene, Identify
     Raises:
         GearjaxError: something in the text is wrong; the message is one line that says where.
     """
+    from gearjax.config.identify import read_identify  # what it reads for takes half a second to import
+
     tables = with_files(read_tables(text), Path(folder))
     scene = scene_of(tables)
     return scene, read_identify(tables.get("identify", {}), scene, Path(folder))

@@ -5,15 +5,15 @@ Outlying rows get less weight.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from gearjax.checks import GearjaxError
 from gearjax.identification.measurement import Measurement, binned
-from gearjax.identification.model import Model, Problem
+from gearjax.identification.model import Model, Normal, Problem
 from gearjax.identification.rows import Rows, further
-from gearjax.identification.search import Known, descend
+from gearjax.identification.search import Known, Sums, descend
 from gearjax.scene import Scene
 
 BINS = 400  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
@@ -100,6 +100,7 @@ def fitted(
     starts: np.ndarray,
     *,
     robust: bool,
+    counted: Callable[[int], None],
 ) -> Fit:
     """The best end of several starts.
 
@@ -110,7 +111,17 @@ def fitted(
         precision: means and precisions of the priors, in units of the search, shape (number,) each.
         starts: numbers that the search starts from, shape (start, number).
         robust: whether outlying rows get less weight.
+        counted: called with the number of points at which the sums of all rows were computed.
     """
+
+    def sums_with(weight: np.ndarray) -> Sums:
+        def sums(points: np.ndarray) -> Normal:
+            found = problem.normal(points, weight)
+            counted(len(points))
+            return found
+
+        return sums
+
     positive = np.zeros(starts.shape[1], bool)
     positive[: len(model.unknowns.each)] = model.unknowns.reciprocals
     sigma = noise_of(rows)
@@ -130,7 +141,7 @@ def fitted(
     weight = rows.weight.copy()
     ends, sums = starts, None
     for turn in range(ROUNDS if robust else 2):
-        ends, sums = descend(lambda v, w=weight: problem.normal(v, w), ends, known, positive, weight.sum())
+        ends, sums = descend(sums_with(weight), ends, known, positive, weight.sum())
         best = int(np.argmin(sums.cost))
         residual = rows.te - problem.curve(ends[best])[0]
         sigma = max(spread_of(residual) if robust else float(np.std(residual)), 1e-9)
@@ -143,7 +154,7 @@ def fitted(
     sigma = float(np.sqrt((weight * residual**2).sum() / max(weight.sum() - ends.shape[1], 1.0)))
     sigma = max(sigma, LEAST * float(np.ptp(rows.te)))
     known = Known(precision[0], precision[1] * sigma**2)
-    ends, sums = descend(lambda v: problem.normal(v, weight), ends, known, positive, weight.sum())
+    ends, sums = descend(sums_with(weight), ends, known, positive, weight.sum())
     if not np.isfinite(sums.cost).any():
         raise GearjaxError(
             "the model is not finite at any start: give the scene numbers nearer to the measured gear set"

@@ -1,7 +1,7 @@
 """Identification of the errors that explain a measured transmission error (TE)."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,14 @@ from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import Visible, block_length, hidden_directions, visible
-from gearjax.progress import Progress, silent
+from gearjax.progress import Progress, Searching, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
 OFFSET_SPREAD = 0.02 * arcmin  # standard deviation of the encoders' offset between recordings
 STARTS = 64
 MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion starts from
+USUAL = 10  # curves of all rows that a start needs: for the time left only
 FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
 SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
@@ -241,7 +242,8 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
     records, options = wanted.records, wanted.options
     check_turned(records, list(unknowns.vectors))
     model = Model.of(unknowns, records, loaded=wanted.loaded)
-    fit = _fit(model, scene, records, list(wanted.free), options, None)
+    slow = Searching(wanted.progress, "curves computed, with derivatives", 2 * USUAL)
+    fit = _fit(model, scene, records, list(wanted.free), options, None, _uncounted if model.straight else slow)
     if wanted.moves:
         model, fit = _in_motion(model, fit, scene, wanted)
     return (model, *_with_orders(model, fit, scene, wanted)) if wanted.look else (model, fit, [])
@@ -264,8 +266,14 @@ def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[M
         starts = np.concatenate([fit.values[None], fit.others])[:MOST_MOVING]
         if width == WIDE:
             starts[:, unseen] = unknowns.start[unseen]
-        fit = _fit(moving, scene, records, list(wanted.free), wanted.options, starts)
+            told = Searching(wanted.progress, "motions integrated, with derivatives", 2 * USUAL * len(starts))
+        fit = _fit(moving, scene, records, list(wanted.free), wanted.options, starts, told)
     return moving, fit
+
+
+def _uncounted(points: int) -> None:
+    """For models whose searches take less than a second."""
+    del points
 
 
 def _fit(
@@ -275,6 +283,7 @@ def _fit(
     orders: Sequence[float],
     options: _Options,
     starts: np.ndarray | None,
+    counted: Callable[[int], None] = _uncounted,
 ) -> Fit:
     """The fit with some free orders; from the usual starts if ``starts`` is ``None``."""
     rows = rows_of(records, scene, orders, _drifts(records))
@@ -289,7 +298,7 @@ def _fit(
         assert rough is not None
         number = options.starts or (STARTS if model.straight else FEW_STARTS)
         starts = starts_of(model, rough, number, options.key)
-    return fitted(model, rows, rough, precision, starts, robust=options.robust)
+    return fitted(model, rows, rough, precision, starts, robust=options.robust, counted=counted)
 
 
 def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
-from gearjax.progress import Progress, silent
+from gearjax.progress import Left, Progress, silent
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import Work, over_rows
@@ -135,6 +135,7 @@ def allocate(
     best: tuple = ((before.low >= required, -given), before, ones)
     if not best[0][0]:
         best = ((False, before.value), before, ones)
+    left = Left(CORRECTIONS, "at most")
     for turn in range(1, CORRECTIONS + 1):
         solution = optimize.minimize(
             lambda logs: tuple(part / scale for part in price(np.exp(logs))),
@@ -152,7 +153,8 @@ def allocate(
         factors = np.exp(np.clip(solution.x, *bounds.T))
         after = judge(factors, turn)
         cost = price(factors)[0]
-        progress(f"allocation {turn}: cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]")
+        reached = f"cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]"
+        progress(f"allocation {turn} of at most {CORRECTIONS}: {reached}{left.after()}")
         met = after.low >= required
         # a proved yield ranks before one that is not; then the lower cost counts, or the higher yield
         rank = (met, -cost if met else after.value)
