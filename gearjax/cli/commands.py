@@ -325,7 +325,6 @@ def tolerance(
     text = text_of(config)
     _check_cluster(scheduler, workers)
     folder = folder_for(out, json_, config)
-    say(f"reading {config}")  # what reads distributions takes a second to import
     from gearjax.cli.tolerance import print_tolerance, study
     from gearjax.results.tolerance import save_tolerance
 
