@@ -16,7 +16,7 @@ from gearjax.identification.rows import Rows, further
 from gearjax.identification.search import Known, Sums, descend
 from gearjax.scene import Scene
 
-BINS = 400  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
+BINS = 256  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
 PER_TURN = 12  # steps per cycle of the highest order, at least
 MOST_BINS = 2000  # of one recording
 ROUGH_STEPS = 20

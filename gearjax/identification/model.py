@@ -16,6 +16,7 @@ from gearjax.scene import Scene, Stiffness
 from gearjax.typing import Array
 from gearjax.units import arcmin
 
+KEPT = 4  # curves that a problem keeps: a search that goes on begins where it ended
 LEAST_POINTS = 64  # room in the program of the sums of several points; a search starts from so many by default
 FEW = 6  # contacts, up to which their balance is written as one expression
 LOOKS = 7  # rows at which the linearity of the gaps is tested
@@ -185,6 +186,7 @@ class Problem:
         self.rows = rows
         self.padded = rows.padded()
         self.model = model.at(self.padded)
+        self._curves: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
         self._te, self._basis = jnp.asarray(self.padded.te), jnp.asarray(self.padded.basis)
 
     def normal(self, values: np.ndarray, weight: np.ndarray) -> Normal:
@@ -207,6 +209,12 @@ class Problem:
 
     def curve(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The model's curve [arcmin] and its derivatives at one point, shape (n,) and (n, number)."""
+        point = values.tobytes()
+        if point not in self._curves:
+            self._curves = dict(list(self._curves.items())[1 - KEPT :]) | {point: self._computed(values)}
+        return self._curves[point]
+
+    def _computed(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows, size = self.rows, values.size - self.rows.basis.shape[1]
         q, rate = (
             np.asarray(part)[0, : rows.theta.size]
