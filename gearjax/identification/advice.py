@@ -50,7 +50,7 @@ def suggestions(
     for words, record in _tried(model, told, records):
         if record.back.any() and not model.scene.has_back and not model.scene.layout.sides_turn:
             continue
-        hidden, apart = _with(model, fit, record)
+        hidden, apart, far = _with(model, fit, record)
         after = set(hidden_in_words(model.unknowns, hidden))
         shows = []
         if len(hidden) < len(told.hidden):
@@ -60,6 +60,8 @@ def suggestions(
             shows.append(
                 f"which of {number} solutions is right" if every else f"that {apart} of {number} solutions are wrong"
             )
+        if far and not shows:
+            shows.append("how far the hidden directions reach, at least in part")
         if shows:
             found.append((len(hidden), -apart, len(after - before), Suggestion(words, len(hidden), tuple(shows))))
     found.sort(key=lambda each: each[:3])
@@ -93,8 +95,11 @@ def _tried(model: Model, told: Visible, records: Sequence[Measurement]) -> list[
     ]
 
 
-def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, int]:
-    """Directions that stay hidden with a further recording, and the number of other solutions that it distinguishes."""
+def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, int, int]:
+    """Directions that stay hidden with a further recording, and how many other solutions it distinguishes.
+
+    The last number is that of the points in the same flat valley that it distinguishes.
+    """
     size = len(model.unknowns.each)
     rows = rows_of([record], model.scene, [], False)
     problem = Problem(model.beside([record]), rows)
@@ -102,8 +107,12 @@ def _with(model: Model, fit: Fit, record: Measurement) -> tuple[np.ndarray, int]
     more = np.zeros((rows.theta.size, fit.values.size))
     more[:, :size] = jacobian[:, :size] - jacobian[:, :size].mean(axis=0)  # the recording has an unknown offset
     whole = dataclasses.replace(fit, matrix=fit.matrix + more.T @ more)
-    apart = sum(_off(problem.curve(other[: size + 1])[0] - curve) > TOLD_APART * fit.sigma**2 for other in fit.others)
-    return hidden_directions(whole, size), apart
+
+    def apart(points: np.ndarray) -> int:
+        curves = (problem.curve(point[: size + 1])[0] for point in points)
+        return sum(_off(other - curve) > TOLD_APART * fit.sigma**2 for other in curves)
+
+    return hidden_directions(whole, size), apart(fit.others), apart(fit.within)
 
 
 def _off(difference: np.ndarray) -> float:

@@ -14,6 +14,8 @@ from gearjax.identification.measurement import Measurement, binned
 from gearjax.identification.model import Model, Normal, Problem
 from gearjax.identification.rows import Rows, further
 from gearjax.identification.search import Known, Sums, descend
+from gearjax.identification.valley import between
+from gearjax.identification.weights import noise_of, of_outliers, of_recordings, spread_of
 from gearjax.scene import Scene
 
 BINS = 256  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
@@ -22,12 +24,13 @@ MOST_BINS = 2000  # of one recording
 ROUGH_STEPS = 20
 NEAR = 0.5  # of the least cost on the means: excess up to which a start is refined
 POLISHED, FLATTEST = 4, 2  # starts refined: the best, and those of the good ones whose sums have the lowest rank
-FAR = 4.0  # standard deviations beyond which a row gets less weight
 ROUNDS = 4  # of reweighting
 NEAR_ZERO = 0.05  # spread of every second start, over that of the others
 LARGEST = 1e4  # units of the search: spread of the starts, at most
 LEAST = 1e-6  # of the span of the TE: least standard deviation of a row
 SAME = 12.0  # squared standard errors within which two ends count as one, apart from hidden directions
+FLAT = 25.0  # the same for a point inside a flat valley: at a rim, two more numbers follow the noise
+CLEARLY = 1.1  # ratio of the errors of two solutions above which one has clearly smaller ones
 AS_GOOD = 12.0  # variances of a row by which the sum of squares of an equally good end may exceed the least one
 
 
@@ -40,8 +43,11 @@ class Fit:
         cost: weighted sum of squares of the rows [arcmin^2].
         sigma: standard deviation of a row [arcmin].
         weight: weight of each row, shape (n,).
+        share: share of its weight that is left to each row, below one for outliers, shape (n,).
         matrix: ``J^T W J`` of all rows, without the priors, shape (number, number).
         others: other solutions that fit equally well, shape (k, number).
+        within: other ends in the same flat valley, between which and ``values`` all points fit equally well, shape
+            (k, number).
         problem: the problem of all rows.
         known: the priors, their precisions multiplied by the variance of a row.
     """
@@ -50,8 +56,10 @@ class Fit:
     cost: float
     sigma: float
     weight: np.ndarray
+    share: np.ndarray
     matrix: np.ndarray
     others: np.ndarray
+    within: np.ndarray
     problem: Problem
     known: Known
 
@@ -59,17 +67,6 @@ class Fit:
     def residual(self) -> np.ndarray:
         """Measured minus computed, shape (n,) [arcmin]."""
         return self.problem.rows.te - self.problem.curve(self.values)[0]
-
-
-def noise_of(rows: Rows) -> float:
-    """Standard deviation of the noise from row to row, without slow curves [arcmin]."""
-    second = np.diff(rows.te, 2)[np.diff(rows.record, 2) == 0]
-    return float(max(1.4826 * np.median(np.abs(second)) / np.sqrt(6), 1e-6)) if second.size else 1e-6
-
-
-def spread_of(values: np.ndarray) -> float:
-    """Standard deviation estimated from the median absolute deviation, which outliers hardly change."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Sequence[float]) -> Rows:
@@ -122,34 +119,30 @@ def fitted(
 
         return sums
 
-    positive = np.zeros(starts.shape[1], bool)
-    positive[: len(model.unknowns.each)] = model.unknowns.reciprocals
+    unknowns = model.unknowns
+    beside = np.zeros(starts.shape[1] - len(unknowns.each), bool)
+    positive = np.concatenate([unknowns.reciprocals, beside])
+    errors = np.concatenate([[each.path.startswith("errors.") for each in unknowns.each], beside])
     sigma = noise_of(rows)
     known = Known(precision[0], precision[1] * sigma**2)
     problem = Problem(model, rows)
     if rough is not None and len(starts) > 1:
-        bins = rough.rows
-        ends, sums = descend(
-            lambda v: rough.normal(v, bins.weight), starts, known, positive, bins.weight.sum(), ROUGH_STEPS
-        )
-        order = np.argsort(sums.cost)
-        good = order[sums.cost[order] <= (1 + NEAR) * sums.cost[order[0]] + 100 * sigma**2]
-        apart = good[_apart(ends[good], sums.matrix[good], sigma)]
-        ranks = [rank_of(matrix - np.diag(known.precision)) for matrix in sums.matrix[apart]]
-        flattest = apart[np.argsort(ranks, kind="stable")[:FLATTEST]]
-        starts = ends[list(dict.fromkeys([*apart[:POLISHED], *flattest]))]
-    weight = rows.weight.copy()
+        starts = _best_on_means(rough, starts, known, positive, sigma)
+    weight, share = rows.weight.copy(), np.ones(rows.weight.shape)
     ends, sums = starts, None
-    for turn in range(ROUNDS if robust else 2):
+    for turn in range(ROUNDS):
         ends, sums = descend(sums_with(weight), ends, known, positive, weight.sum())
         best = int(np.argmin(sums.cost))
         residual = rows.te - problem.curve(ends[best])[0]
-        sigma = max(spread_of(residual) if robust else float(np.std(residual)), 1e-9)
+        of_records = rows.weight * of_recordings(residual, rows)
+        even = np.sqrt(of_records) * residual
+        sigma = max(spread_of(even) if robust else float(np.std(even)), 1e-9)
         known = Known(precision[0], precision[1] * sigma**2)
-        new = np.minimum(1.0, (FAR * sigma / np.maximum(np.abs(residual), 1e-300)) ** 2) if robust else weight
-        if turn and np.abs(new - weight).max() < 1e-3:
+        share = of_outliers(even, sigma) if robust else share
+        moved = np.abs(of_records * share - weight).max()
+        if turn and moved < 1e-3:
             break
-        weight = new
+        weight = of_records * share
     assert sums is not None
     sigma = float(np.sqrt((weight * residual**2).sum() / max(weight.sum() - ends.shape[1], 1.0)))
     sigma = max(sigma, LEAST * float(np.ptp(rows.te)))
@@ -160,17 +153,52 @@ def fitted(
             "the model is not finite at any start: give the scene numbers nearer to the measured gear set"
         )
     order = np.argsort(sums.cost)
-    ends, cost, matrix = ends[order], sums.cost[order], sums.matrix[order]
-    good = cost - cost[0] < AS_GOOD * sigma**2
-    ends, matrix = ends[good], matrix[good]
-    # of equally good ends, the one whose sums have the lowest rank is taken: a search may stop at the rim of a flat
-    # valley, where the recordings seem to determine more than they do
+    order = order[sums.cost[order] - sums.cost[order[0]] < AS_GOOD * sigma**2]
+    ends, sums = ends[order], Normal(*(part[order] for part in sums))
+    values, others, within = _flattest(sums_with(weight), ends, sums, known, errors, positive, sigma)
+    there = problem.normal(values[None], weight)
+    return Fit(values, float(there.cost[0]), sigma, weight, share, there.matrix[0], others, within, problem, known)
+
+
+def _best_on_means(rough: Problem, starts: np.ndarray, known: Known, positive: np.ndarray, sigma: float) -> np.ndarray:
+    """The best of the starts' ends on the means, and those of the good ones whose sums have the lowest rank."""
+    bins = rough.rows
+    ends, sums = descend(
+        lambda v: rough.normal(v, bins.weight), starts, known, positive, bins.weight.sum(), ROUGH_STEPS
+    )
+    order = np.argsort(sums.cost)
+    good = order[sums.cost[order] <= (1 + NEAR) * sums.cost[order[0]] + 100 * sigma**2]
+    apart = good[_apart(ends[good], sums.matrix[good], sigma)]
+    ranks = [rank_of(matrix - np.diag(known.precision)) for matrix in sums.matrix[apart]]
+    flattest = apart[np.argsort(ranks, kind="stable")[:FLATTEST]]
+    return ends[list(dict.fromkeys([*apart[:POLISHED], *flattest]))]
+
+
+def _flattest(
+    sums: Sums,
+    ends: np.ndarray,
+    at_ends: Normal,
+    known: Known,
+    errors: np.ndarray,
+    positive: np.ndarray,
+    sigma: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of equally good points the one that is taken, the ends that are other solutions, and those in its flat valley.
+
+    The sums of the one that is taken have the lowest rank: a search may stop at the rim of a flat valley, where the
+    recordings seem to determine more than they do. Where that leaves a choice, its errors are the smallest.
+    """
+    valley = between(sums, ends, at_ends, known, errors, positive, FLAT * sigma**2)
+    points, matrix = np.concatenate([ends, valley.points]), np.concatenate([at_ends.matrix, valley.matrix])
     ranks = [rank_of(part - np.diag(known.precision)) for part in matrix]
-    best = int(np.argmin(ranks))
-    first = [best, *(i for i in range(len(ends)) if i != best)]
-    distinct = [first[i] for i in _apart(ends[first], matrix[first], sigma)[1:]]
-    sums = problem.normal(ends[best : best + 1], weight)
-    return Fit(ends[best], float(sums.cost[0]), sigma, weight, sums.matrix[0], ends[distinct], problem, known)
+    sizes = np.where(ranks == np.min(ranks), np.linalg.norm(points[:, errors], axis=1), np.inf)
+    best = int(np.argmax(sizes <= CLEARLY * sizes.min()))  # ends are in the order of their costs
+    joined = np.concatenate([valley.joined, np.ones(len(valley.points), bool)])
+    apart = [int(i) for i in np.flatnonzero(~joined) if i != best]
+    first = [best, *apart] if joined[best] else [best, 0, *apart]
+    distinct = [first[i] for i in _apart(points[first], matrix[first], sigma)[1:]]
+    same = [i for i in np.flatnonzero(valley.joined) if i != best] if joined[best] else []
+    return points[best], points[distinct], points[same]
 
 
 def _apart(ends: np.ndarray, matrix: np.ndarray, sigma: float) -> list[int]:

@@ -14,13 +14,13 @@ from gearjax.identification.model import Model
 from gearjax.identification.orders import Order
 from gearjax.identification.unknowns import Unknowns
 from gearjax.identification.visible import Visible, hidden_in_words, strongest_correlations
+from gearjax.identification.weights import OUTLYING
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
 Z = 1.959964  # standard errors to either side of an interval of 95 %
 LOOSELY = 0.3  # of its value: assumed standard deviation of a hidden number that is no error
 SOFTEST = 0.05  # least reciprocal that is drawn, in units of the search
-OUTLYING = 0.99  # weight below which a row counts as an outlier
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Identification:
             "correlations": [list(each) for each in self.correlations],
             "blocks": self.visible.blocks,
             "condition": self.visible.condition,
-            "outlying_rows": int((self.fit.weight < OUTLYING).sum()),
+            "outlying_rows": int((self.fit.share < OUTLYING).sum()),
             "orders": [dataclasses.asdict(each) for each in self.orders],
             "notes": list(self.notes),
             "suggestions": [dataclasses.asdict(each) for each in self.suggestions],

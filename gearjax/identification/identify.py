@@ -9,8 +9,8 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.identification.advice import suggestions
-from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, noise_of, starts_of
-from gearjax.identification.found import OUTLYING, Identification
+from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, starts_of
+from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
 from gearjax.identification.model import MOVING, Model, Problem
 from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error
@@ -19,7 +19,8 @@ from gearjax.identification.rows import names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
-from gearjax.identification.visible import Visible, block_length, hidden_directions, visible
+from gearjax.identification.visible import Visible, hidden_directions, visible
+from gearjax.identification.weights import OUTLYING, noise_of
 from gearjax.progress import Progress, Searching, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
@@ -118,7 +119,7 @@ def identify(
     wanted = _Wanted(records, where, back, loaded, moves, free, isinstance(orders, str), options, progress)
     scene, (model, fit, known) = _by_reference(scene, wanted, notes)
     rows = fit.problem.rows
-    if loaded and fit.sigma > POOR * noise_of(rows):
+    if loaded and fit.sigma > POOR * noise_of(rows, fit.weight):
         _check_torque(scene, wanted, fit)
     told = visible(fit, model.unknowns)
     others = np.array([_nearest(fit, model, _hidden_at(fit, model, other), other) for other in fit.others])
@@ -226,7 +227,7 @@ def _by_reference(scene: Scene, wanted: _Wanted, notes: list[str]) -> tuple[Scen
     found = _found(absolute, wanted)
     if scene.reference is None:
         return scene, found
-    if found[1].sigma > WELL * noise_of(found[1].problem.rows):
+    if found[1].sigma > WELL * noise_of(found[1].problem.rows, found[1].weight):
         other = _found(scene, wanted)
         if other[1].cost < found[1].cost - AS_GOOD * found[1].sigma ** 2:
             return scene, other
@@ -325,8 +326,7 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
         _, jacobian = fit.problem.curve(fit.values)
         left = unexplained(fit.residual, fit.weight, jacobian, rows, scene)
         left = [order for order in left if order.order not in {each.order for each in known}]
-        hangs = block_length(fit.residual, rows.record) / 6 if known else 1.0
-        if not left or left[0].significance < SIGNIFICANT * max(1.0, hangs):
+        if not left or left[0].significance < SIGNIFICANT:
             break
         known.append(left[0])
         wanted.progress(f"order added to the fit: {left[0].name} ({left[0].amplitude:.3g} arcmin)")
@@ -373,10 +373,10 @@ def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> 
 def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], notes: list[str]) -> None:
     """Add remarks on the fit to the notes."""
     size = len(model.unknowns.each)
-    outlying = int((fit.weight < OUTLYING).sum())
+    outlying = int((fit.share < OUTLYING).sum())
     if outlying > 2e-3 * fit.weight.size:
         notes.append(f"{outlying} of {fit.weight.size} rows are outliers and have less weight")
-    noise = noise_of(fit.problem.rows)
+    noise = noise_of(fit.problem.rows, fit.weight)
     if fit.sigma > POOR * noise and told.blocks > 1:
         notes.append(
             f"the residual ({fit.sigma:.3g} arcmin) is larger than the noise from row to row ({noise:.3g} arcmin): "

@@ -11,6 +11,7 @@ from gearjax.scene import Scene
 SIGNIFICANT = 12.0  # Fisher's F ratio of a significant order, two degrees of freedom
 PER_OUTPUT_TURN = 60  # highest order that is tried, in cycles per turn of the output
 MULTIPLES = 3  # multiples of the bodies' orders that are tried
+NEIGHBOURS = np.arange(2, 10)  # waves more or less in a recording: orders whose squares tell the noise beside one
 LEFT = 0.01  # share of a wave's square that the model's derivatives must leave: below, they can take its place
 
 
@@ -70,6 +71,7 @@ def unexplained(
     """Orders in the residual of a model, the most significant one first.
 
     Of each wave, only the part orthogonal to the model's derivatives counts: the model can represent the rest itself.
+    It must be larger than the noise of all rows, and than that of the orders beside it.
 
     Args:
         residual: measured minus computed [arcmin].
@@ -86,6 +88,7 @@ def unexplained(
     left = root * residual
     left = left - base @ (base.T @ left)
     freedom = max(rows.theta.size - base.shape[1] - 2, 1)
+    span = max(float(np.ptp(rows.theta[rows.record == i])) for i in np.unique(rows.record)) / (2 * np.pi)
     found = []
     for order, (name, body) in known.items():
         waves = np.stack([np.cos(order * rows.theta), np.sin(order * rows.theta)], axis=1) * root[:, None]
@@ -94,11 +97,26 @@ def unexplained(
             continue
         parts, *_ = np.linalg.lstsq(beside, left, rcond=None)
         gained = float(((beside @ parts) ** 2).sum())
-        rest = max(float((left**2).sum()) - gained, 1e-300)
-        ratio = gained / 2 / (rest / freedom)
+        rest = max(float((left**2).sum()) - gained, 1e-300) / freedom
+        ratio = gained / 2 / rest
+        if ratio > SIGNIFICANT:
+            ratio = min(ratio, gained / 2 / max(_beside(order, span, root, rows.theta, left), 1e-300))
         amplitude, phase = float(np.hypot(*parts)), float(np.arctan2(-parts[1], parts[0]))
         found.append(Order(order, name, body, amplitude, phase, ratio))
     return sorted(found, key=lambda each: -each.significance)
+
+
+def _beside(order: float, span: float, root: np.ndarray, theta: np.ndarray, left: np.ndarray) -> float:
+    """Square of the noise near an order: successive rows may hang together, so that slow waves of noise are larger.
+
+    It is the median over neighbours that a recording can tell from the order, so that a few waves among them count
+    little.
+    """
+    near = order + np.concatenate([-NEIGHBOURS, NEIGHBOURS]) / span
+    near = near[near * span > 0.9]
+    parts = np.exp(1j * np.outer(near, theta)) @ (root * left)
+    squares = np.abs(parts) ** 2 / max(float((root**2).sum()), 1e-300)
+    return float(np.median(squares)) / np.log(2)  # squares of noise are exponentially distributed
 
 
 def waves(theta: np.ndarray, curve: np.ndarray, orders: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from gearjax.identification.fit import Fit, scaled, without_further
 from gearjax.identification.unknowns import Unknowns
 
 UNSEEN = 1e-9  # of an unknown's own sum of squares, below which there is only rounding
+LEAST = 1e-15  # information of a direction, of numbers scaled to ones: less is rounding
 TAKES_PART = 1e-5  # least coefficient of an unknown that takes part in a direction
 CORRELATED = 0.05  # correlation of successive rows, above which standard errors are computed from blocks of rows
 SHORTEST_BLOCK = 10
@@ -71,9 +72,9 @@ def visible(fit: Fit, unknowns: Unknowns) -> Visible:
     hidden = hidden_directions(fit, size)
     blocks = block_length(fit.residual, fit.problem.rows.record)
     settled = _settled(hidden, fit.known.precision[:size] > 0)
-    singular = bool(len(hidden)) and not settled
-    covariance = _covariance(fit, jacobian, blocks, singular=singular)
-    alone = covariance if blocks == 1 else _covariance(fit, jacobian, 1, singular=singular)
+    unsettled = 0 if settled else len(hidden)
+    covariance = _covariance(fit, jacobian, blocks, unsettled)
+    alone = covariance if blocks == 1 else _covariance(fit, jacobian, 1, unsettled)
     inflation = float(np.median(np.diag(covariance)[:size] / np.maximum(np.diag(alone)[:size], 1e-300)))
     told = _combinations(fit, unknowns, hidden, covariance)
     prior = np.diag(fit.known.precision)
@@ -124,14 +125,17 @@ def block_length(residual: np.ndarray, record: np.ndarray) -> int:
     return int(np.clip(np.ceil(6 * time), SHORTEST_BLOCK, max(SHORTEST_BLOCK, residual.size // 40)))
 
 
-def _covariance(fit: Fit, jacobian: np.ndarray, blocks: int, *, singular: bool) -> np.ndarray:
-    """Covariance of the numbers found, from the scatter of the rows, or of blocks if successive rows are correlated."""
+def _covariance(fit: Fit, jacobian: np.ndarray, blocks: int, hidden: int) -> np.ndarray:
+    """Covariance of the numbers found, from the scatter of the rows, or of blocks if successive rows are correlated.
+
+    Hidden directions are left out; directions that the recordings hardly determine have large variances.
+    """
     precision = fit.known.precision
     matrix = fit.matrix + np.diag(precision)
     part, scale = scaled(matrix)
-    bad = singular or np.linalg.cond(part) > 1 / UNSEEN
-    inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True) if bad else np.linalg.inv(part)
-    inverse = inverse / scale[:, None] / scale[None, :]
+    values, vectors = np.linalg.eigh(part)
+    seen = vectors[:, hidden:] / np.sqrt(np.maximum(values[hidden:], LEAST))
+    inverse = seen @ seen.T / scale[:, None] / scale[None, :]
     variance = fit.sigma**2
     if blocks == 1:
         scatter = variance * matrix

@@ -1,0 +1,58 @@
+"""Flat valleys of a least-squares problem: points between ends that fit equally well."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gearjax.identification.model import Normal
+from gearjax.identification.search import Known, Sums, descend
+
+PLACES = 0.25, 0.5, 0.75  # on the way from the best end to another
+MIDDLE = 1  # of these places
+SLIDE = 0.25  # share of the cost that still counts as equally good, which a pull towards zero may add
+STEPS = 12
+
+
+class Valley(NamedTuple):
+    """What lies between the best end of a search and the others.
+
+    Args:
+        points: points inside the valley, shape (k, number).
+        matrix: their ``J^T W J``, with the priors, shape (k, number, number).
+        joined: for each end, whether all points on the way to it from the best one fit equally well.
+    """
+
+    points: np.ndarray
+    matrix: np.ndarray
+    joined: np.ndarray
+
+
+def between(
+    sums: Sums, ends: np.ndarray, best: Normal, known: Known, errors: np.ndarray, positive: np.ndarray, most: float
+) -> Valley:
+    """Look for points between ends that fit equally well.
+
+    A search that stops at the rim of a flat valley sees a slope on one side, so that its sums seem to determine what
+    the inside of the valley hides. The ways from the best end to the others lead through the inside. So does the way to
+    the end that a weak pull of the errors towards zero reaches, if all other searches stopped at the same rim.
+
+    Args:
+        sums: function that returns the sums of points, without the priors.
+        ends: equally good ends, the best one first, shape (end, number).
+        best: sums of the best end with the priors.
+        known: the priors.
+        errors: whether each number is an error, whose nominal value is zero, shape (number,).
+        positive: whether each number stays above zero, shape (number,).
+        most: cost by which points that fit equally well may exceed the best one.
+    """
+    first = ends[0]
+    pull = SLIDE * most / max(float((first[errors] ** 2).sum()), 1e-300)
+    held = Known(np.where(errors, 0.0, known.mean), np.where(errors, known.precision + pull, known.precision))
+    slid, _ = descend(sums, first[None], held, positive, np.inf, STEPS)
+    others = np.concatenate([ends[1:], slid])
+    ways = first + np.array(PLACES)[:, None, None] * (others - first)
+    there = known.added(sums(ways.reshape(-1, first.size)), ways.reshape(-1, first.size))
+    cost = there.cost.reshape(len(PLACES), -1)
+    flat = np.all(cost < best.cost[0] + most, axis=0) & np.isfinite(cost).all(axis=0)
+    inside = there.matrix.reshape(*ways.shape, first.size)[MIDDLE]
+    return Valley(ways[MIDDLE][flat], inside[flat], np.concatenate([[True], flat[:-1]]))
