@@ -342,7 +342,7 @@ def test_noise_of_a_torque_sensor_is_no_load(scene):
     assert any("is taken as zero" in words for words in beside.notes)
     forth = np.concatenate([plain.theta, plain.theta[::-1]])
     both = gj.Measurement(forth, np.concatenate([plain.output, plain.output[::-1]]))
-    with pytest.raises(gj.GearjaxError, match="turns both ways"):
+    with pytest.raises(gj.GearjaxError, match="goes forth and back"):
         gj.identify(scene, both)
 
 

@@ -89,7 +89,7 @@ MENDED = {
     "nan": (lambda table: _with(table, (50, 2), np.nan), "rows with missing values left out", 1),
     "repeated": (lambda table: np.insert(table, 100, table[100], axis=0), "repeated rows left out", 1),
     "unsorted": (lambda table: table[[*range(200), 201, 200, *range(202, ROWS)]], "out of the order of time sorted", 2),
-    "zeros": (lambda table: _with(table, (300, 2), 0.0), "an isolated zero as", 1),
+    "zeros": (lambda table: _with(table, (300, 2), 0.0), "a zero in place of the", 1),
     "wrapped": (lambda table: _column(table, 1, table[:, 1] % 360), "jumps of the input angle", 79),
     "output wrapped": (lambda table: _column(table, 2, (table[:, 2] + 180) % 360), "jumps of the output angle", 1),
 }  # fmt: skip

@@ -17,8 +17,10 @@ from gearjax.identification.measurement import SHORTEST, Measurement, means_of
 CHUNK = 500_000  # rows read at once
 MOST_KEPT = 1_000_000  # rows; a longer recording is averaged while it is read
 MOST_MISSING = 0.3  # largest share of the rows that may lack a value and be left out
+GAP = 5.0  # times the usual time between rows: a gap, in which angles may have made whole turns
 FARTHEST = 1 / 3  # turns: largest median step from row to row of an angle that wraps around
-ALONE = 0.05  # largest share of the rows whose zeros may stand for missing values
+ALONE = 0.3  # largest share of the rows whose zeros may stand for missing values
+SHUFFLED = 0.1  # share of steps far back, above which rows without times are sorted by their input angle
 
 
 def read_measurement(file: str | Path, *, torque: float | None = None) -> Measurement:
@@ -63,8 +65,8 @@ def read_measurement(file: str | Path, *, torque: float | None = None) -> Measur
     key = f"file: {file}"
     beside = beside_of(path)
     header, lines = read_rows("file", path)
-    next(lines)  # refuses a file without rows, or whose first row has more or fewer cells than there are names
     columns, own = columns_of(key, header, beside), _Reader(key, beside)
+    next(lines)  # refuses a file without rows, or whose first row has more or fewer cells than there are names
     _even(key, path, len(header))
     table, averaged = _table(key, path, columns, own)
     record = _record(key, beside.get("name", path.stem), table, beside, torque, own, averaged)
@@ -185,8 +187,9 @@ def _ordered(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarray
     way = np.sign(np.sum(np.sign(steps)))
     wrong = way * steps < -far
     wraps = np.ptp(table["input angle"]) < 2 * np.pi * 1.001 and np.abs(steps).max(initial=0.0) > np.pi
-    if wrong.mean() < 1e-3 and not wraps and wrong.any():
-        raise GearjaxError(f"{own.key}: the input angle jumps back: without a column time its rows cannot be ordered")
+    if wrong.mean() < SHUFFLED and not wraps and wrong.any():
+        words = "an angle may wrap around at 360 deg only, and without a column time rows cannot be ordered"
+        raise GearjaxError(f"{own.key}: the input angle jumps back {int(wrong.sum())} times: {words}")
     if not wraps and wrong.any():
         order = np.argsort(way * table["input angle"], kind="stable")
         own.count("rows out of the order of the input angle sorted", order != np.arange(order.size))
@@ -207,11 +210,11 @@ def _continued(table: dict[str, np.ndarray], own: _Reader) -> dict[str, np.ndarr
     for name in ("te", "output angle", "input angle"):
         if name in table:
             stray = _stray(table[name])
-            own.count(f"rows with an isolated zero as {name} left out", stray)
+            own.count(f"rows with a zero in place of the {name} left out", stray)
             table = {key: values[~stray] for key, values in table.items()}
     for name in ("input angle", "output angle"):
         if name in table:
-            table[name] = _unwrapped(name, table[name], own)
+            table[name] = _unwrapped(name, table[name], own, table.get("time"))
     return table
 
 
@@ -231,7 +234,7 @@ def _stray(values: np.ndarray) -> np.ndarray:
     return zero & within & far
 
 
-def _unwrapped(name: str, angle: np.ndarray, own: _Reader) -> np.ndarray:
+def _unwrapped(name: str, angle: np.ndarray, own: _Reader, time: np.ndarray | None) -> np.ndarray:
     """Unwrap an angle that falls back by a turn once a turn, and continue it from part to part of a file."""
     turn = 2 * np.pi
     before, turns = own.wrapped.get(name, (angle[0], 0.0))
@@ -245,9 +248,22 @@ def _unwrapped(name: str, angle: np.ndarray, own: _Reader) -> np.ndarray:
             words = f"moves {usual / units.deg:.3g} deg from row to row, more than {360 * FARTHEST:.3g} deg"
             raise GearjaxError(f"{own.key}: the {name} wraps around and {words}: its turns cannot be counted")
         own.count(f"jumps of the {name} by whole turns removed", np.abs(falls))
+        missing = _missing_turns(steps[1:] + turn * falls[1:], time)
+        own.count(f"turns of the {name} in gaps counted by the time", np.abs(missing))
+        falls[1:] += missing
     moved = angle + turn * (turns + np.cumsum(falls))
     own.wrapped[name] = float(angle[-1]), float(turns + falls.sum())
     return moved
+
+
+def _missing_turns(steps: np.ndarray, time: np.ndarray | None) -> np.ndarray:
+    """Whole turns that an angle makes in gaps between rows, which its values cannot show: the time does."""
+    passed = np.zeros(steps.shape) if time is None else np.diff(time)
+    usual = float(np.median(passed))
+    if time is None or usual <= 0:
+        return np.zeros(steps.shape)
+    speed = float(np.median(steps[passed > 0] / passed[passed > 0]))
+    return np.where(passed > GAP * usual, np.round((speed * passed - steps) / (2 * np.pi)), 0.0)
 
 
 def _record(

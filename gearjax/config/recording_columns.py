@@ -64,6 +64,8 @@ def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str,
     """Find the column of each quantity."""
     if len(header) == 1 and re.search("[;\t]", header[0]):
         raise GearjaxError(f"{key}: line 1: columns must be separated by commas, decimals by points")
+    if header and header[0].startswith("#"):
+        raise GearjaxError(f"{key}: line 1 must name the columns; it is a comment")
     plain = [_plain(text) for text in header]
     found: dict[str, Column] = {}
     for name, told in beside.get("columns", {}).items():
@@ -137,6 +139,6 @@ def _size(where: str, name: str, unit: str | None, beside: dict[str, Any]) -> fl
             raise GearjaxError(f"{where} {words}")
         return 2 * np.pi / counts
     try:
-        return unit_size("unit", unit, re.sub(r"(?<=\w)\s+(?=\w)", "*", unit), dimension)
+        return unit_size("unit", unit, re.sub(r"(?<=\w)\s*[\s·⋅]\s*(?=\w)", "*", unit), dimension)
     except ParameterError as fault:
         raise GearjaxError(f"{where}: {fault}") from fault

@@ -19,6 +19,7 @@ from gearjax.scene import Scene
 from gearjax.units import arcmin
 
 Z = 1.959964  # standard errors to either side of an interval of 95 %
+SIZES = 16  # sizes of hidden errors that draws have
 LOOSELY = 0.3  # of its value: assumed standard deviation of a hidden number that is no error
 SOFTEST = 0.05  # least reciprocal that is drawn, in units of the search
 
@@ -149,7 +150,8 @@ class Identification:
     def draws(self, number: int, key: int = 0, *, size: float | None = None) -> np.ndarray:
         """Draw unknowns that the recordings leave possible, shape (draw, unknown), in units of the search.
 
-        Hidden directions are drawn from the priors, or else from vectors as large as those that were found.
+        Hidden directions are drawn from the priors, or else from vectors as large as those that were found. How large
+        the vectors of such a gear set are is itself uncertain, as few of them were found.
 
         Args:
             number: number of draws.
@@ -157,8 +159,13 @@ class Identification:
             size: standard deviation of hidden errors, in units of the search; by default that of the vectors found.
         """
         unknowns, rng = len(self.unknowns.each), np.random.default_rng(key)
-        centre, root = self.gaussian(self.visible.inflation, size)
-        drawn = (centre + rng.standard_normal((number, centre.size)) @ root.T)[:, :unknowns]
+        sizes = self._sizes() if size is None else [size]
+        drawn = np.empty((number, unknowns))
+        for i, each in enumerate(sizes):
+            centre, root = self.gaussian(self.visible.inflation, each)
+            own = rng.standard_normal((len(range(i, number, len(sizes))), centre.size))
+            drawn[i :: len(sizes)] = (centre + own @ root.T)[:, :unknowns]
+        rng.shuffle(drawn)
         soft = self.unknowns.reciprocals
         drawn[:, soft] = np.maximum(drawn[:, soft], SOFTEST)
         others = [values[:unknowns] for values in self.fit.others]
@@ -179,8 +186,7 @@ class Identification:
         unknowns = len(self.unknowns.each)
         mean, precision = np.zeros(self.fit.values.size), np.zeros(self.fit.values.size)
         hidden = self.is_hidden & (self.fit.known.precision[:unknowns] == 0) & (not self.visible.settled)
-        vectors = [i for pair in self.unknowns.vectors.values() for i in pair]
-        spread = size or float(np.sqrt(np.mean(self.fit.values[vectors] ** 2))) if vectors else size or 1.0
+        spread = size or self._found_size()[0]
         start = self.unknowns.start
         for i in np.flatnonzero(hidden):
             if self.unknowns.each[i].path.startswith("errors."):
@@ -210,6 +216,29 @@ class Identification:
         """All numbers converted from units of the search to those in which they are shown, shape (..., number)."""
         size = len(self.unknowns.each)
         return np.concatenate([self.unknowns.shown(values[..., :size]), values[..., size:]], axis=-1)
+
+    def _found_size(self) -> tuple[float, int]:
+        """Standard deviation of the components of the vectors, in units of the search, and how many tell it.
+
+        The components that were found have no part in the hidden directions, where they are as near to zero as they
+        can be: so many fewer tell the size.
+        """
+        vectors = [i for pair in self.unknowns.vectors.values() for i in pair]
+        if not vectors:
+            return 1.0, 1
+        hidden = self.visible.hidden[:, vectors]
+        told = max(len(vectors) - (int(np.linalg.matrix_rank(hidden)) if hidden.size else 0), 1)
+        return float(np.sqrt((self.fit.values[vectors] ** 2).sum() / told)) or 1.0, told
+
+    def _sizes(self) -> list[float | None]:
+        """Standard deviations of the vectors that the ones found leave possible, equally probable."""
+        size, told = self._found_size()
+        if not self.is_hidden.any() or self.visible.settled:
+            return [None]
+        from scipy import special  # this import takes a third of a second, and only draws need it
+
+        shares = (np.arange(SIZES) + 0.5) / SIZES
+        return [size * math.sqrt(0.5 * told / float(special.gammaincinv(0.5 * told, share))) for share in shares]
 
     def _towards(self, other: np.ndarray) -> np.ndarray:
         return other - self.fit.values[: other.size]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
+from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.identification.advice import suggestions
 from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, starts_of
 from gearjax.identification.found import Identification
@@ -17,6 +17,7 @@ from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel,
 from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
 from gearjax.identification.rows import names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
+from gearjax.identification.signs import check_signs
 from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import Visible, hidden_directions, visible
@@ -32,7 +33,7 @@ USUAL = 10  # curves of all rows that a start needs: for the time left only
 FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
 SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
-MUCH_BETTER = 0.5  # share of the sum of squares below which the other sign of the torque is taken
+SIGN_STARTS = 16  # starts with another sign
 WELL = 1.3  # times the noise from row to row: up to this, the residual counts as noise
 POOR = 2.0  # times the noise from row to row: above this, the residual is more than noise
 STAYS = 0.1  # variances of a row by which the cost may rise when hidden unknowns are moved
@@ -118,9 +119,6 @@ def identify(
     progress(f"fitting {sum(record.theta.size for record in records)} rows of {len(records)} recordings")
     wanted = _Wanted(records, where, back, loaded, moves, free, isinstance(orders, str), options, progress)
     scene, (model, fit, known) = _by_reference(scene, wanted, notes)
-    rows = fit.problem.rows
-    if loaded and fit.sigma > POOR * noise_of(rows, fit.weight):
-        _check_torque(scene, wanted, fit)
     told = visible(fit, model.unknowns)
     others = np.array([_nearest(fit, model, _hidden_at(fit, model, other), other) for other in fit.others])
     values = _nearest(fit, model, told.hidden, fit.values)
@@ -247,6 +245,8 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
     fit = _fit(model, scene, records, list(wanted.free), options, None, _uncounted if model.straight else slow)
     if wanted.moves:
         model, fit = _in_motion(model, fit, scene, wanted)
+    else:
+        _check_signs(model, fit, scene, wanted)
     return (model, *_with_orders(model, fit, scene, wanted)) if wanted.look else (model, fit, [])
 
 
@@ -302,20 +302,26 @@ def _fit(
     return fitted(model, rows, rough, precision, starts, robust=options.robust, counted=counted)
 
 
-def _check_torque(scene: Scene, wanted: _Wanted, fit: Fit) -> None:
-    """Refuse torques of the wrong sign: the opposite sign explains the recordings much better."""
-    records = [dataclasses.replace(record, torque=-record.loads) for record in wanted.records]
-    back = bool(np.any(np.concatenate([record.back for record in records])))
-    if back and not (scene.has_back or scene.layout.sides_turn):
+def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
+    """Refuse recordings whose torque or transmission error has the wrong sign, where something looks wrong."""
+    noisy = POOR * noise_of(fit.problem.rows, fit.weight)
+    jams = any(
+        each.path == "backlash.initial" and value < 0
+        for each, value in zip(model.unknowns.each, fit.values, strict=False)
+    )
+    if not wanted.loaded or (fit.sigma < noisy and not jams):
         return
-    few = dataclasses.replace(wanted.options, starts=wanted.options.starts or FEW_STARTS, priors={})
-    still = dataclasses.replace(wanted, records=records, back=back, look=False, moves=False, options=few)
-    other = _found(scene, still)[1]
-    if other.cost < MUCH_BETTER * fit.cost and other.sigma < fit.sigma:
-        raise GearjaxError(
-            f"the torque seems to have the wrong sign: with the other sign the residual falls from {fit.sigma:.3g} to "
-            f"{other.sigma:.3g} arcmin (a positive torque resists the output; give sign = -1 in the TOML file)"
-        )
+    starts = wanted.options.starts or (SIGN_STARTS if model.straight else 1)
+    options = dataclasses.replace(wanted.options, starts=starts, priors={})
+
+    def refit(records: list[Measurement]) -> Fit | None:
+        back = bool(np.any(np.concatenate([record.back for record in records])))
+        if back and not (scene.has_back or scene.layout.sides_turn):
+            return None
+        unknowns = unknowns_of(scene, wanted.where, back=back, loaded=True)
+        return _fit(Model.of(unknowns, records, loaded=True), scene, records, list(wanted.free), options, None)
+
+    check_signs(fit, wanted.records, noisy, refit)
 
 
 def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order]]:

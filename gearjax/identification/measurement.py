@@ -10,7 +10,7 @@ import numpy as np
 
 from gearjax.checks import GearjaxError, ParameterError, nearest
 from gearjax.scene import Scene
-from gearjax.units import deg
+from gearjax.units import arcmin, deg
 
 RATIO_TOLERANCE = 2e-3  # relative deviation of the output's slope from that of the gear set
 FACTORS = {  # factors of a wrong slope, and the likely cause
@@ -22,6 +22,8 @@ FACTORS = {  # factors of a wrong slope, and the likely cause
     1 / 60.0: "one of the angles seems to be in arcmin, contrary to its header",
 }
 SHORTEST = 3  # rows
+PITCHES = 3.0  # pitches of the fastest mesh, as an angle of the output: a larger transmission error is impossible
+MOST_FAR = 0.02  # share of the rows that may be so far off: a few are outliers
 FLIPS = 0.05  # share of the rows with a change of sign, above which a torque may be noise
 BOTH_WAYS = 0.2  # share of its span that a recording may turn against its direction, because encoders jitter
 
@@ -104,6 +106,11 @@ class Measurement:
         """Whether the back flanks carry in each row: under a negative torque, or unloaded if the input turns back."""
         return np.where(self.loads == 0, self.turns_back, self.loads < 0)
 
+    def repeats(self, other: "Measurement") -> bool:
+        """Whether another recording has the same angles and values."""
+        own, its = self.output if self.te is None else self.te, other.output if other.te is None else other.te
+        return bool(np.array_equal(self.theta, other.theta) and np.array_equal(own, its))
+
     def error(self, scene: Scene) -> np.ndarray:
         """Transmission error of the recording, ``phi_out - phi_in / i`` (Wang et al. 2020, eq. 22), shape (n,) [rad].
 
@@ -122,11 +129,16 @@ class Measurement:
         """
         steps = np.diff(self.theta)
         if min(np.abs(steps[steps > 0]).sum(), np.abs(steps[steps < 0]).sum()) > BOTH_WAYS * np.ptp(self.theta):
-            raise GearjaxError(f"{self.name}: turns both ways: give one recording for each direction")
+            raise GearjaxError(
+                f"{self.name}: the input angle goes forth and back: give one recording for each direction, rows in the "
+                "order of time, and angles that wrap around at 360 deg or not at all"
+            )
         if self.output is not None:
             _check_ratio(self, scene)
         words = [f"{self.name}: its torque is taken as zero, because it is noise about zero"] if self.is_noise else []
-        return [*self.told(), *words, *_check_span(self, scene)]
+        span = _check_span(self, scene)
+        _check_size(self, scene)
+        return [*self.told(), *words, *span]
 
     def averaged_by(self, size: int) -> "Measurement":
         """The same recording, with the mean of each ``size`` successive rows as one row."""
@@ -215,6 +227,18 @@ def robust_slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(np.median((y[half:] - y[: y.size - half])[good] / run[good]))
 
 
+def _check_size(measured: Measurement, scene: Scene) -> None:
+    """Refuse a transmission error of several tooth pitches: gears would have to skip teeth."""
+    orders = scene.system.orders
+    pitch = 2 * np.pi * orders.get("output", 1.0) / max(orders.values(), default=1.0)
+    error = measured.error(scene)
+    far = np.abs(error - np.median(error)) > PITCHES * pitch
+    if far.mean() > MOST_FAR:
+        words = f"{far.sum()} of {far.size} rows, from row {int(np.argmax(far)) + 1} on, have a transmission error of"
+        limit = f"more than {PITCHES:g} tooth pitches ({PITCHES * pitch / arcmin:.3g} arcmin) beside its median"
+        raise GearjaxError(f"{measured.name}: {words} {limit}: the unit of a column is wrong, or values are missing")
+
+
 def _check_span(measured: Measurement, scene: Scene) -> list[str]:
     """Remarks on what a short or coarse recording cannot show; an aliased recording is refused."""
     theta, orders = measured.theta, scene.system.orders
@@ -252,6 +276,11 @@ def a_measurement(name: str, value: Any) -> None:
             raise ParameterError(name, str(record) if not np.ndim(record) else np.shape(record), words)
     if not several(value):
         raise ParameterError(name, value, "must contain a recording")
+    for i, record in enumerate(several(value)):
+        for other in several(value)[:i]:
+            if record.repeats(other):
+                words = f"has the same rows as {other.name}: give each recording once"
+                raise ParameterError(name, record.name, words)
 
 
 def several(records: Any) -> list[Any]:

@@ -15,7 +15,7 @@ from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement
 from gearjax.identification.model import Problem
 from gearjax.identification.rows import rows_of
-from gearjax.identification.tables import Tables, positions_at
+from gearjax.identification.tables import Tables, curves_at
 from gearjax.identification.unknowns import turned
 from gearjax.progress import Progress, silent
 from gearjax.typing import Array
@@ -210,7 +210,7 @@ class _Turning:
         return np.concatenate(told).reshape(len(turns), len(drawn))
 
     def _te(self, points: np.ndarray) -> np.ndarray:
-        curves: Array = positions_at(self._curves.model, jnp.asarray(points))[0]
+        curves: Array = curves_at(self._curves.model, jnp.asarray(points))
         return np.asarray(curves)[:, : self._rows]
 
     def best(self, few: np.ndarray, many: np.ndarray | None) -> np.ndarray:

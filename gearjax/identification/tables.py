@@ -202,6 +202,12 @@ def positions_at(model: AbstractCurves, values: Array) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
+def curves_at(model: AbstractCurves, values: Array) -> Array:
+    """Positions of the output at several points, without derivatives [rad]."""
+    return model.positions(values)[0]
+
+
+@eqx.filter_jit
 def looked(
     each: tuple[Unknown, ...], scene: Scene, way: Stiffness, theta: Array, values: Array
 ) -> tuple[Array, Array, Array]:

@@ -6,14 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
+from gearjax.analysis import backlash
 from gearjax.checks import SceneError, with_article
 from gearjax.files import writable, write_file
 from gearjax.identification.synthetic import computed_error
 from gearjax.results.joint_files import MUJOCO_FILE, TE_FILE, mjcf
+from gearjax.results.joint_motion import damping_and_inertia
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.units import arcmin
@@ -38,7 +39,8 @@ class Joint:
         left_out: largest standard deviation of the part of the TE that the orders leave out [rad].
         backlash: mean travel of the output without torque [rad]; 0 if no backlash is modelled.
         stiffness: mean torsional stiffness at the largest torque [N m/rad].
-        damping: damping of the output against its ideal motion while flanks touch [N m s/rad]; 0 if none is modelled.
+        damping: damping of the output against its ideal motion while flanks touch, at the largest torque; supports and
+            shafts follow as they do at rest [N m s/rad]; 0 if none is modelled.
         inertia: moment of inertia of the output [kg m2]; ``None`` if none is modelled.
     """
 
@@ -128,14 +130,12 @@ def joint_model(scene: Scene, torque: float) -> Joint:
     whole[:, 0], whole[:, kept] = lines[:, 0], lines[:, kept]
     left = te - np.fft.irfft(whole * size, size, axis=1)
     zero = torques.size // 2
-    backlash = float((te[zero - 1] - te[zero]).mean()) if both else 0.0
-    if both:  # without the elastic part of both sides
-        backlash -= float(
-            torques[zero]
-            * 2
-            * np.abs(np.diff(te[zero : zero + 2], axis=0)).mean()
-            / np.diff(torques[zero : zero + 2])[0]
-        )
+    travel = 0.0
+    if scene.has_back:
+        travel = float(np.mean(backlash(scene, theta).backlash))
+    elif both:  # without the elastic part of both sides
+        elastic = torques[zero] * np.abs(np.diff(te[zero : zero + 2], axis=0)).mean() / np.diff(torques[zero:][:2])[0]
+        travel = float((te[zero - 1] - te[zero]).mean() - 2 * elastic)
     stiffness = float(np.diff(torques[-2:])[0] / np.abs(np.diff(te[-2:], axis=0)).mean())
     return Joint(
         1 / system.orders["output"],
@@ -145,25 +145,10 @@ def joint_model(scene: Scene, torque: float) -> Joint:
         cosine,
         sine,
         float(left.std(axis=1).max()),
-        max(backlash, 0.0),
+        max(travel, 0.0),
         stiffness,
-        *_motion(scene),
+        *damping_and_inertia(scene, torque),
     )
-
-
-def _motion(scene: Scene) -> tuple[float, float | None]:
-    """Damping and moment of inertia of the output."""
-    if scene.inertia is None:
-        return 0.0, None
-    lever = scene.contacts(jnp.zeros_like(scene.system.input_speed)).output_levers
-    inertia = float(scene.inertia.moment(lever))
-    if scene.damping is None or not scene.springs_apart:
-        return 0.0, inertia
-    stiffness = scene.linear_compliance.mean_stiffness(scene.layout.teeth)
-    mass = scene.inertia.at_contacts(lever)
-    damper = scene.damping.ratio * jnp.sqrt(2.0 * stiffness.mean() * mass)
-    carrying = 1.0 if scene.layout.sides_turn else float(len(lever))
-    return float(damper * carrying * jnp.mean(lever * lever)), inertia
 
 
 @arguments.checked(torque=_largest)
@@ -196,13 +181,12 @@ def export_joint(scene: Scene, folder: str | Path, *, torque: float) -> list[Pat
     joint = joint_model(scene, torque)
     place = writable(Path(folder))
     model = TE_FILE.format(**{key: _array(value) for key, value in _arrays(joint).items()}, ratio=repr(joint.ratio))
-    inertia = joint.inertia if joint.inertia is not None else 0.01
     return [
         write_file(place / "orders.csv", _csv(joint)),
         write_file(place / "orders.nc", _netcdf(joint)),
         write_file(place / "te_model.py", model),
         write_file(place / "joint.json", json.dumps(joint.as_json(), indent=1) + "\n"),
-        write_file(place / "joint.xml", mjcf(inertia)),
+        write_file(place / "joint.xml", mjcf(joint.inertia)),
         write_file(place / "joint_mujoco.py", MUJOCO_FILE.format(damping=repr(joint.damping))),
     ]
 

@@ -19,7 +19,9 @@ def curves(theta):
 
 
 def te(theta, torque):
-    """Transmission error at an input angle [rad] under a load torque [N m], on straight lines between TORQUES.
+    """Transmission error at input angles [rad] under load torques [N m], on straight lines between TORQUES.
+
+    Angles and torques are numbers, or arrays that numpy can broadcast.
 
     Beyond the largest torques the last lines are extended. At zero torque the driving flanks touch.
     """
@@ -44,7 +46,9 @@ def between(known, torque):
         first = np.where((torque < 0) & (first >= last_back), last_back - 1, first)
     low, high = TORQUES[first], TORQUES[first + 1]
     share = (torque - low) / (high - low)
-    place = np.broadcast_to(first, known.shape[:-1])[..., None]
+    shape = np.broadcast_shapes(known.shape[:-1], first.shape)
+    known = np.broadcast_to(known, (*shape, known.shape[-1]))
+    place = np.broadcast_to(first, shape)[..., None]
     at, beside = np.take_along_axis(known, place, -1)[..., 0], np.take_along_axis(known, place + 1, -1)[..., 0]
     return at + share * (beside - at)
 
@@ -123,8 +127,13 @@ def install(model, motor="motor", output="output"):
 '''
 
 
-def mjcf(inertia: float) -> str:
+PLACEHOLDER = 0.01  # moment of inertia of the link of a scene without [inertia] [kg m2]
+
+
+def mjcf(inertia: float | None) -> str:
     """A MuJoCo model of one joint with its reducer: the rotor of a motor, and the link that the output turns."""
+    assumed = "" if inertia is not None else "\n      <!-- the gear set lists no [inertia]: give that of your link -->"
+    inertia = PLACEHOLDER if inertia is None else inertia
     return f"""<mujoco model="joint with a reducer">
   <!-- forces between both joints: joint_mujoco.install(model) -->
   <option timestep="1e-5" gravity="0 0 0"/>
@@ -134,7 +143,7 @@ def mjcf(inertia: float) -> str:
       <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
     </body>
     <body name="link">
-      <joint name="output" type="hinge" axis="0 0 1"/>
+      <joint name="output" type="hinge" axis="0 0 1"/>{assumed}
       <inertial pos="0 0 0" mass="1" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/>
     </body>
   </worldbody>
