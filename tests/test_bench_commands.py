@@ -302,8 +302,31 @@ def test_the_function_of_numpy_is_the_static_te(handed, torque):
     for angle in theta[::60]:
         position = model["te"](angle, torque)
         assert model["torque_of"](angle, position) == pytest.approx(torque, rel=1e-6)
+    several = model["te"](theta[:, None], np.array([torque, 2 * torque]))
+    np.testing.assert_allclose(several[:, 0], model["te"](theta, torque), rtol=1e-12, atol=1e-18)
     inside = 0.5 * (model["te"](1.0, 1e-9) + model["te"](1.0, -1e-9))
     assert model["torque_of"](1.0, inside) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "apart"), [("two_kv/measured", 1e-12), ("helical/guo_2018_measured", 0.08)])
+def test_a_joint_has_the_damping_of_its_meshes(name, apart):
+    """2 zeta sqrt(k J), where each pair has a damper, or dampers of slices follow their stiffness."""
+    scene = gj.load(ROOT / "configs" / f"{name}.toml")
+    joint = gj.joint_model(scene, float(scene.run.torques[-1]))
+    critical = 2 * np.sqrt(joint.stiffness * joint.inertia)
+    assert joint.damping == pytest.approx(float(scene.damping.ratio) * critical, rel=apart)
+
+
+@pytest.mark.slow
+def test_shafts_follow_a_joint():
+    """Its swing dies away as the slowest mode of the two-stage gearbox does."""
+    scene = gj.load(ROOT / "configs" / "helical" / "two_stage.toml")
+    joint, modes = gj.joint_model(scene, 300.0), gj.natural_modes(scene, 300.0)
+    assert joint.inertia is not None
+    frequency = 2 * np.pi * float(modes.frequencies[0])
+    assert np.sqrt(joint.stiffness / joint.inertia) == pytest.approx(frequency, rel=0.05)
+    assert joint.damping / (2 * joint.inertia) == pytest.approx(float(modes.damping[0]) * frequency, rel=0.1)
 
 
 @pytest.mark.slow

@@ -346,6 +346,16 @@ def test_noise_of_a_torque_sensor_is_no_load(scene):
         gj.identify(scene, both)
 
 
+def test_noise_of_a_torque_sensor_is_no_change_of_the_load(scene):
+    plain = gj.synthetic_measurement(scene, torque=10.0, rows=ROWS)
+    noise = 10.0 + 5.0 * np.random.default_rng(0).standard_normal(ROWS)
+    record = dataclasses.replace(plain, torque=noise)
+    np.testing.assert_allclose(record.loads, noise.mean())
+    assert any("changes only by noise" in words for words in gj.compare(scene, record).notes)
+    wave = dataclasses.replace(plain, torque=10.0 + 5.0 * np.sin(plain.theta / 10))
+    np.testing.assert_array_equal(wave.loads, wave.torque)
+
+
 @pytest.mark.slow
 def test_long_recordings_are_averaged(scene, unit, monkeypatch):
     monkeypatch.setattr(sys.modules["gearjax.identification.identify"], "MOST_ROWS", 3000)

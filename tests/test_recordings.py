@@ -118,6 +118,48 @@ def test_what_is_mended_is_counted_and_told(name, tmp_path, scene):
     assert np.abs(off).max() < (3e-4 if name == "wrapped" else 1e-7)
 
 
+def test_turns_within_a_gap_are_counted_by_the_time(tmp_path, scene):
+    """Of a wrapped angle 40 rows are missing, in which the input makes more than half a turn."""
+    fine = _finer(TABLE)
+    wrapped = _column(fine, 1, fine[:, 1] % 360)
+    gap = slice(3000, 3000 + int(0.8 * 360 / np.median(np.abs(np.diff(fine[:, 1])))))
+    kept = np.delete(wrapped, gap, axis=0)
+    whole = np.delete(fine, gap, axis=0)
+    with pytest.warns(RepairedData, match="in gaps counted by the time"):
+        record = gj.read_measurement(written(tmp_path, kept))
+    np.testing.assert_allclose(record.theta, whole[:, 1] * deg, atol=1e-4)
+    assert any("has a gap" in words for words in record.check(scene))
+
+
+@pytest.mark.parametrize("size", [300.0, 180 / np.pi * 60])
+def test_a_transmission_error_of_several_pitches_is_impossible(size, scene):
+    """Values that are far too large, as those in arcmin are that are taken for radians."""
+    record = gj.Measurement(THETA, te=TE * size, name="bench")
+    with pytest.raises(gj.GearjaxError, match=r"tooth pitches .* the unit of a column is wrong") as told:
+        record.check(scene)
+    assert len(str(told.value)) < 300
+
+
+def test_zeros_of_a_long_dropout_are_left_out(tmp_path):
+    table = TABLE.copy()
+    table[100:220, 2] = 0.0
+    assert sum(read(written(tmp_path, table)).repairs.values()) == 120
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        ("input angle [deg];te [arcmin]\n0;1,5\n1;2,5", "separated by commas"),
+        ("# bench 3\ninput angle [deg],te [arcmin]\n0,1\n1,2", "line 1 must name the columns"),
+    ],
+)
+def test_files_of_other_habits_are_told_what_is_right(tmp_path, first, words):
+    path = tmp_path / "run.csv"
+    path.write_text(first + "\n", encoding="utf-8")
+    with pytest.raises(gj.GearjaxError, match=words):
+        gj.read_measurement(path)
+
+
 def _finer(table):
     place = np.linspace(0, ROWS - 1, 6 * ROWS)
     return np.stack([np.interp(place, np.arange(ROWS), column) for column in table.T], axis=1)

@@ -25,6 +25,8 @@ SHORTEST = 3  # rows
 PITCHES = 3.0  # pitches of the fastest mesh, as an angle of the output: a larger transmission error is impossible
 MOST_FAR = 0.02  # share of the rows that may be so far off: a few are outliers
 FLIPS = 0.05  # share of the rows with a change of sign, above which a torque may be noise
+ALL_NOISE = 1.2  # standard deviation of a torque over that of its noise from row to row, up to which it is steady
+FEWEST_OF_NOISE = 30  # rows of which noise can be told from waves
 BOTH_WAYS = 0.2  # share of its span that a recording may turn against its direction, because encoders jitter
 
 
@@ -80,8 +82,17 @@ class Measurement:
 
     @property
     def loads(self) -> np.ndarray:
-        """Torque of each row, zero where none was recorded, shape (n,) [N m]."""
-        return np.zeros(self.theta.shape) if self.torque is None or self.is_noise else np.asarray(self.torque)
+        """Torque of each row, zero where none was recorded, its mean if it is steady, shape (n,) [N m]."""
+        if self.torque is None or self.is_noise:
+            return np.zeros(self.theta.shape)
+        return np.full(self.theta.shape, np.mean(self.torque)) if self.is_steady else np.asarray(self.torque)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the torque changes only by noise of its sensor, which differs from row to row."""
+        if self.torque is None or self.torque.size < FEWEST_OF_NOISE or np.ptp(self.torque) == 0:
+            return False
+        return bool(np.std(self.torque) < ALL_NOISE * np.std(np.diff(self.torque, 2)) / np.sqrt(6))
 
     @property
     def is_noise(self) -> bool:
@@ -136,6 +147,8 @@ class Measurement:
         if self.output is not None:
             _check_ratio(self, scene)
         words = [f"{self.name}: its torque is taken as zero, because it is noise about zero"] if self.is_noise else []
+        if self.is_steady and not self.is_noise:
+            words.append(f"{self.name}: its torque is taken as {self.loads[0]:.4g} N m: it changes only by noise")
         span = _check_span(self, scene)
         _check_size(self, scene)
         return [*self.told(), *words, *span]
