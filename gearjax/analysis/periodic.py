@@ -12,9 +12,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
+from gearjax.analysis.period import check_repeats
 from gearjax.analysis.return_map import OfOutput, OfStructure, Problem, eigenvalues, return_map
 from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.scene import Scene
@@ -261,6 +263,7 @@ def speed_sweep(
     if steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
     turns, physics = scene.system.orders[order], scene.precomputed(*MODELLED)
+    check_repeats(scene, 2 * np.pi / turns)
     torque = jnp.asarray(torque, scene.dtype)
     sweep = _speed_sweep(physics, torque, speeds, periods, steps, turns)
     return dataclasses.replace(sweep, ends=sweep.ends[..., 0]) if scene.output_alone else sweep

@@ -21,6 +21,7 @@ from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.modes.lines import Driving
 from gearjax.analysis.modes.steps import AT_ONCE, divisor
+from gearjax.analysis.period import check_repeats
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
@@ -38,6 +39,7 @@ class Problem(NamedTuple):
         """The problem, from checked arguments of a user."""
         require(scene, "dynamic", "compliance", "load", "inertia")
         physics, dtype = scene.precomputed(*MODELLED), scene.dtype
+        check_repeats(scene, scene.system.input_speed * period)
         return cls(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
 
 

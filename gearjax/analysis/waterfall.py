@@ -3,9 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
+from gearjax.analysis.period import check_repeats
 from gearjax.analysis.periodic import at_speed, at_speeds, shoot
 from gearjax.checks import SceneError
 from gearjax.scene import Scene
@@ -69,6 +71,7 @@ def waterfall(
     if steps % 8 or steps < 4 * harmonics:
         raise SceneError(f"steps = {steps}: must be a multiple of 8, and at least {4 * harmonics} for these harmonics")
     turns, torque = scene.system.orders[order], jnp.asarray(torque, scene.dtype)
+    check_repeats(scene, 2 * np.pi / turns)
     return _waterfall(scene.precomputed(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
 
 
