@@ -29,6 +29,8 @@ def check_body(system: AbstractSystem, key: str, error: AbstractError) -> None:
             raise ParameterError("body", error.body, nearest(error.body, system.bodies))
         if error.on_rim:
             _check_rim(system, error)
+        else:
+            error.check(lambda: system.gear_size(error.body))
     except ParameterError as fault:
         others = [_rim_fault(system, error, body) for body in system.bodies] if fault.key == "body" else [None]
         faults = [other for other in others if other is not None and other.key == "body"]

@@ -94,7 +94,7 @@ def harmonics_of(
     parts = (jnp.tensordot(te, wave(angle), ([-1], [-1])) * (2 / theta.shape[0]) for wave in (jnp.cos, jnp.sin))
     squared = sum(part**2 for part in parts)
     # the root has no derivative at zero, where a harmonic is absent
-    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
+    return jnp.where(squared == 0, 0.0, jnp.sqrt(jnp.where(squared == 0, 1.0, squared)))
 
 
 def whole_periods(theta: np.ndarray, order: float) -> bool:

@@ -5,9 +5,16 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
+import jax
+import numpy as np
 
+from gearjax.checks import ParameterError, is_concrete
 from gearjax.contact import BodyView, GearSize
 from gearjax.typing import Array, Float
+from gearjax.units import mm
+
+DEVIATIONS = ("amplitude", "sine", "cosine", "slope", "amount", "outward", "around", "larger", "deviation")
+SUSPICIOUS = 0.1 * mm  # a smaller deviation is far below half of any module
 
 
 class AbstractError(eqx.Module):
@@ -25,16 +32,25 @@ class AbstractError(eqx.Module):
         """Change of the gaps that the error makes, shape (contact,) [m]."""
 
     def check(self, size: Callable[[], GearSize | None]) -> None:
-        """Refuse an error that its gear cannot have.
+        """Refuse an error that its gear cannot have, such as a deviation of more than half a module.
 
         Args:
             size: function that returns the sizes of the gear, or ``None`` if the gear set does not give them. It is
-                called only by errors that need them.
+                called only for errors that may be wrong.
 
         Raises:
             ParameterError: a value is wrong; the message names the key, the given value and what would be right.
         """
-        del size
+        for name in DEVIATIONS:
+            value = getattr(self, name, None)
+            if not isinstance(value, jax.Array | np.ndarray | float) or not is_concrete(value):
+                continue
+            largest = float(np.max(np.abs(value), initial=0.0))
+            gear = size() if largest > SUSPICIOUS else None
+            if gear is None or not is_concrete(tuple(gear)) or largest <= 0.5 * float(gear.module):
+                continue
+            words = f"must be at most half a module, {0.5 * float(gear.module) / mm:.4g} mm: is its unit right?"
+            raise ParameterError(name, f"{'up to ' if np.ndim(value) else ''}{largest / mm:.4g} mm", words)
 
     def proportional(self) -> "AbstractError":
         """The same error described by numbers that its gaps are proportional to; without such numbers, itself."""

@@ -43,14 +43,10 @@ class AbstractMeasured(AbstractError):
         return self.flank in (flank, "both")
 
     def check(self, size: Callable[[], GearSize | None]) -> None:
+        super().check(size)
         gear = size()
-        if gear is None or not is_concrete((self, tuple(gear))):
-            return
-        largest, half = float(np.max(np.abs(self.deviation))), 0.5 * float(gear.module)
-        if largest > half:
-            words = f"must be at most half a module, {half / mm:.4g} mm: is its unit right?"
-            raise ParameterError("deviation", f"up to {largest / mm:.4g} mm", words)
-        self.check_places(gear)
+        if gear is not None and is_concrete((self, tuple(gear))):
+            self.check_places(gear)
 
     def check_places(self, gear: GearSize) -> None:
         """Refuse places and teeth that the gear does not have; raises as `check`."""

@@ -145,10 +145,13 @@ def _middle(size: float, bounds: tuple[int | float, ...]) -> float:
     return math.sqrt(bounds[place - 1] * bounds[place])
 
 
+TIE = 1e-9  # a value in the middle is rounded up, although binary numbers may put it below
+
+
 def _rounded(value: float) -> float:
     """A value rounded to 1 um above 10 um, to 0.5 um from 5 um on, else to 0.1 um (ISO 1328-1:1995, 6; 2013, 5)."""
     step = 1.0 if value > 10 else 0.5 if value >= 5 else 0.1
-    return math.floor(value / step + 0.5) * step
+    return math.floor(value / step + 0.5 + TIE) * step
 
 
 def it_tolerance(grade: int, size: float) -> float:
