@@ -220,13 +220,19 @@ class Case:
 
     @property
     def still(self) -> gj.Scene:
-        """The same without errors, whose TE repeats with the mesh."""
+        """The same without errors, whose TE repeats with the order of ``repeats``."""
         return dataclasses.replace(self.moved, errors={}, reference=None)
 
     @property
-    def mesh(self) -> float:
-        """Time of a mesh period [s]."""
-        return 2 * np.pi / float(self.scene.system.orders["mesh"] * self.scene.system.input_speed)
+    def repeats(self) -> dict[str, Any]:
+        """The order with which the excitation repeats, and enough steps: the mesh, or all meshes of a turn."""
+        by_mesh = self.scene.system.turns_evenly and not self.scene.is_train
+        return {"order": "mesh", "steps": 32} if by_mesh else {"order": "output", "steps": 8192}
+
+    @property
+    def period(self) -> float:
+        """Time after which the TE without errors repeats [s]."""
+        return 2 * np.pi / float(self.scene.system.orders[self.repeats["order"]] * self.scene.system.input_speed)
 
     @property
     def rest(self) -> np.ndarray:
@@ -272,7 +278,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "export_joint": lambda case: len(gj.export_joint(case.moved, tempfile.mkdtemp(), torque=TORQUE)),
     "export_profile": lambda case: np.loadtxt(_written(gj.export_profile, case.moved), delimiter=",", skiprows=1),
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
-    "harmonic_balance": lambda case: gj.harmonic_balance(case.moved, TORQUE, 0.02, harmonics=3).te,
+    "harmonic_balance": lambda case: gj.harmonic_balance(case.still, TORQUE, case.period, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
     "meshing_impact": lambda case: gj.meshing_impact(case.moved, TORQUE).force,
     "mesh_stiffness": lambda case: gj.mesh_stiffness(case.moved, case.theta, TORQUE),
@@ -283,12 +289,14 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "separation_speed": lambda case: gj.separation_speed(case.moved, TORQUE),
     "posterior": lambda case: gj.posterior(case.identified, chains=2, draws=4, warm_up=10).draws,
     "periodic_motion": lambda case: (
-        gj.periodic_motion(case.still, TORQUE, case.mesh, steps=32, longest=1, settle=12).te
+        gj.periodic_motion(case.still, TORQUE, case.period, steps=case.repeats["steps"], longest=1, settle=12).te
     ),
     "reassemble": lambda case: gj.reassemble(case.identified, steps={case.identified.vectors[0]: 4}, draws=4).after,
-    "shooting": lambda case: gj.shooting(case.still, TORQUE, case.mesh, steps=32, guess=case.rest).te,
+    "shooting": lambda case: (
+        gj.shooting(case.still, TORQUE, case.period, steps=case.repeats["steps"], guess=case.rest).te
+    ),
     "simulate": lambda case: gj.simulate(case.moved, case.ts, TORQUE),
-    "speed_sweep": lambda case: gj.speed_sweep(case.moved, TORQUE, np.array([20.0, 30.0]), periods=4, steps=32),
+    "speed_sweep": lambda case: gj.speed_sweep(case.still, TORQUE, np.array([20.0, 30.0]), periods=4, **case.repeats),
     "synthetic_measurement": lambda case: case.recording.output,
     "torque_sweep": lambda case: gj.torque_sweep(
         case.moved, np.arange(12) * np.pi / 6 / case.scene.system.orders["mesh"], np.array([0.5 * TORQUE, TORQUE])
@@ -296,7 +304,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "torsion": lambda case: gj.torsion(case.moved, case.theta[:3], np.array([-TORQUE, TORQUE])),
     "transmission_error": lambda case: [case.te(), case.te(TORQUE)],
     "waterfall": lambda case: (
-        gj.waterfall(case.still, TORQUE, np.array([20.0, 30.0]), harmonics=2, steps=32).peak_to_peak
+        gj.waterfall(case.still, TORQUE, np.array([20.0, 30.0]), harmonics=2, **case.repeats).peak_to_peak
     ),
 }
 OF_NUMBERS: dict[str, Callable[[Case], Any]] = {
