@@ -128,7 +128,7 @@ def test_shapes_of_one_number(scene):
         ("simulate", {"stepper": 1e-5}, "stepper = 1e-05: must be FixedStep"),
         ("shooting", {"period": 0.0}, "period = 0: must be above 0"),
         ("shooting", {"steps": 8.5}, r"steps = 8\.5: must be a whole number"),
-        ("shooting", {"guess": np.ones(3)}, r"guess = \(3,\): is a shape"),
+        ("shooting", {"guess": np.ones(3), "period": 15.8}, r"guess = \(3,\): is a shape"),
         ("harmonic_balance", {"harmonics": 0}, "harmonics = 0: must be at least 1"),
         ("speed_sweep", {"speeds": [-1.0]}, "speeds = -1: must be above 0"),
         ("speed_sweep", {"speeds": []}, r"speeds = \(0,\): is a shape"),

@@ -152,3 +152,8 @@ def test_graded_run_out_holds_its_limit_in_997_of_1000():
     spread = gj.Iso1328RunOut(5, 2.5e-3, 125e-3)
     assert spread.quantile(np.array(0.9973)) == pytest.approx(0.5 * run_out_tolerance(5, 2.5e-3, 125e-3))
     assert gj.Iso286(1e-4, 7, 50e-3).deviation == pytest.approx(25e-6 / 6)
+
+
+def test_a_tolerance_in_the_middle_is_rounded_up():
+    """Exactly 4.15 um by the formula, a little less in binary numbers."""
+    assert gj.flank_tolerance("f_f_alpha", 3, 6e-3, 0.1157, 0.075) * 1e6 == pytest.approx(4.2, abs=1e-9)

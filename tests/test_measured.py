@@ -223,6 +223,9 @@ def test_measured_flanks_that_make_no_grid_are_refused(changes, words):
     [
         (gj.MeasuredFlank("pinion", [10 * mm], [12 * mm]), r"errors.m.deviation .*12 mm.*half a module, 3 mm"),
         (gj.MeasuredPitch("wheel", 4 * mm), r"errors.m.deviation .*half a module"),
+        (gj.TipRelief("pinion", [20 * mm], 1 * mm), r"errors.m.amount = .up to 20 mm.: .*half a module"),
+        (gj.Eccentricity("wheel", 20 * mm, 0.0), r"errors.m.amplitude = .20 mm.: .*half a module, 3 mm"),
+        (gj.CumulativePitch("wheel", 15 * mm, 0.0), r"errors.m.amplitude = .*half a module"),
         (gj.MeasuredFlank("pinion", [10 * mm], [0.0], teeth=[19]), "errors.m.teeth = .*19.*0 to 18"),
         (gj.MeasuredFlank("pinion", [10 * mm], [0.0], teeth=[1.5]), "errors.m.teeth = .*1.5"),
         (

@@ -133,3 +133,11 @@ def test_a_run_with_three_torques_shows_them_in_a_curve():
     assert against_torque(scene, cases[:2]) is None
     shorter = dataclasses.replace(scene, run=dataclasses.replace(scene.run, duration=0.7 * scene.run.duration))
     assert against_torque(shorter, list(run_cases(shorter))) is None
+
+
+def test_without_an_equilibrium_there_are_no_harmonics():
+    """A torque that pulls the teeth apart: nan, as its mean is."""
+    pulled = relieved(8 * um)
+    sweep = gj.torque_sweep(pulled, meshes_of(pulled.system, 12), jnp.array([100.0, -2.0]))
+    assert np.isfinite(sweep.harmonics[0]).all()
+    assert np.isnan(sweep.harmonics[1]).all()

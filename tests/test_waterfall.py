@@ -104,3 +104,35 @@ def test_its_figure(pair, found, tmp_path):
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels[:3] == ["TE, peak-to-peak [arcmin]", "dynamic factor [-]", "frequency [Hz]"]
     figure.savefig(tmp_path / "waterfall.png")
+
+
+REPEATED = {
+    "waterfall": lambda scene: gj.waterfall(scene, 300.0, np.array([20.0]), harmonics=2, steps=32),
+    "speed_sweep": lambda scene: gj.speed_sweep(scene, 300.0, np.array([20.0]), periods=2, steps=32),
+    "shooting": lambda scene: gj.shooting(scene, 300.0, mesh_of(scene), steps=32),
+    "harmonic_balance": lambda scene: gj.harmonic_balance(scene, 300.0, mesh_of(scene), harmonics=2),
+}
+
+
+def mesh_of(scene) -> float:
+    return 2 * np.pi / float(scene.system.orders["mesh"] * scene.system.input_speed)
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_a_period_after_which_errors_do_not_repeat_is_refused(name, linear):
+    """The run-out of a planet repeats after 79 turns of the input, not after a mesh."""
+    with pytest.raises(
+        gj.SceneError, match=r"does not repeat .* gaps differ by 1\.\d+ um; errors repeat after"
+    ) as told:
+        REPEATED[name](linear)
+    assert "\n" not in str(told.value)
+    assert len(str(told.value)) < 300
+
+
+def test_a_load_that_does_not_repeat_is_refused(linear):
+    calm = dataclasses.replace(linear, errors={}, load=gj.SinusoidalLoad(3.3))
+    with pytest.raises(gj.SceneError, match="its load differs"):
+        REPEATED["shooting"](calm)
+    waves = gj.HarmonicStiffness(9e7, [0.1], [0.0])
+    with pytest.raises(gj.SceneError, match="its stiffness differs"):
+        gj.shooting(dataclasses.replace(linear, errors={}, compliance=waves), 300.0, 0.7 * mesh_of(linear), steps=32)
