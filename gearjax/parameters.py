@@ -216,14 +216,19 @@ def count(
     """A static field for a whole number, such as a number of teeth; a change of it compiles the program again."""
     parameter = Parameter(None, "count", at_least=float(at_least), at_most=float(at_most), example=example)
     keywords = {} if default is dataclasses.MISSING else {"default": default}
-    return _field(parameter, static=True, **keywords)
+    return _field(parameter, static=True, converter=_plain, **keywords)
+
+
+def _plain(given: Any) -> Any:
+    """Python's own whole numbers in place of numpy's, which JAX would trace."""
+    return int(given) if isinstance(given, np.integer) else given
 
 
 def counts(*, at_least: int = 1, at_most: int = 100_000, example: list[int] | None = None) -> Any:
     """A static field for a list of whole numbers, such as tooth numbers; a change of it compiles the program again."""
 
     def keep(given: Any) -> Any:
-        return tuple(given) if isinstance(given, list) else given
+        return tuple(map(_plain, given)) if isinstance(given, list | tuple | np.ndarray) else given
 
     parameter = Parameter(None, "counts", at_least=float(at_least), at_most=float(at_most), example=example)
     return _field(parameter, static=True, converter=keep)

@@ -148,6 +148,13 @@ def _influence(scene: Scene) -> Float[Array, "contact contact"]:
     return springs.influence
 
 
+def check_result(scene: Scene, forces: Array) -> None:
+    """Refuse the result of another scene, by the number of its contacts, shape (..., contact)."""
+    own = len(scene.layout.side)
+    if forces.shape[-1] != own:
+        raise SceneError(f"the result is of another scene: it has {forces.shape[-1]} contacts, this scene has {own}")
+
+
 def require(scene: Scene, what: str, *slots: str) -> None:
     """Refuse an analysis, given by name, if the scene does not list the slots that the analysis needs.
 

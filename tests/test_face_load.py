@@ -10,6 +10,7 @@ import pytest
 import gearjax as gj
 from gearjax.results import face_load_factors, run_cases
 from gearjax.units import um
+from tests.conftest import ROOT
 from tests.helical_pairs import GUO_1, SPUR, TEETH, meshes_of, scene_of
 
 PER_LENGTH, TORQUE = 14e9, 400.0
@@ -119,3 +120,22 @@ def test_refusals(scene):
     pair = misaligned(1 * um, 3)
     with pytest.raises(gj.SceneError, match="the load across the face needs a torque"):
         gj.face_load(pair, gj.transmission_error(pair, theta))
+
+
+@pytest.mark.slow
+def test_the_result_of_another_scene_is_refused():
+    scene, other = misaligned(6 * um, 5), misaligned(6 * um, 7)
+    te = gj.transmission_error(scene, meshes_of(scene.system, 8), torque=TORQUE)
+    steel = gj.HertzLineContact(206e9, 0.3, 20e-3)
+    for function in (gj.face_load, lambda scene, te: gj.contact_pressure(scene, te, steel)):
+        with pytest.raises(gj.SceneError, match=r"of another scene: it has \d+ contacts, this scene has \d+$"):
+            function(other, te)
+
+
+def test_tooth_numbers_of_numpy_are_tooth_numbers():
+    given = {"normal_pressure_angle": np.radians(20.0), "helix_angle": 0.1, "input_speed": 10.0, "face_width": 0.02}
+    one, other = (gj.HelicalPair(teeth(23), teeth(61), normal_module=2e-3, **given) for teeth in (int, np.int64))
+    assert type(other.pinion_teeth) is int
+    assert one.cycle == other.cycle
+    train = gj.load(ROOT / "configs" / "helical" / "two_stage.toml").system
+    assert dataclasses.replace(train, wheel_teeth=np.array(train.wheel_teeth)).wheel_teeth == train.wheel_teeth

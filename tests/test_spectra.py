@@ -49,6 +49,15 @@ def test_a_spectrum_of_a_short_run_is_of_a_whole_cycle(scene, analysis, torque):
         assert others.max() < 1e-9 * found.amplitude[26]
 
 
+def test_a_motion_without_damping_is_remarked_on(scene):
+    run = gj.Run(0.2, 201, ("dynamic",), (100.0,), settle=0.0)
+    damped = dataclasses.replace(scene, run=run)
+    assert not any("[damping]" in words for words in results.remarks(damped))
+    for damping in (None, gj.DampingRatio(0.0)):
+        lines = results.remarks(dataclasses.replace(damped, damping=damping))
+        assert any("without [damping]" in words for words in lines)
+
+
 @pytest.mark.slow
 def test_whole_cycles_in_a_record_are_used(scene):
     """Two and a bit: the last two, which are those of any other two."""

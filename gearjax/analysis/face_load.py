@@ -11,6 +11,7 @@ from gearjax.checks import ParameterError, SceneError
 from gearjax.contact import Request
 from gearjax.geometry.plane_of_action import middles
 from gearjax.scene import Scene
+from gearjax.scene_checks import check_result
 from gearjax.systems.base import pose_of
 from gearjax.typing import Array, Float
 
@@ -60,7 +61,8 @@ def face_load(scene: Scene, result: TransmissionError | Motion, mesh: int = 0) -
         Load per width at each angle or time [N/m]; it is differentiable in all numbers of the scene and in the torque.
 
     Raises:
-        SceneError: the teeth of the gear set are not cut into slices, or the result is without load.
+        SceneError: the teeth of the gear set are not cut into slices, or the result is without load or of another
+            scene.
         ParameterError: there is no such mesh.
 
     Example:
@@ -76,6 +78,7 @@ def face_load(scene: Scene, result: TransmissionError | Motion, mesh: int = 0) -
         raise SceneError(f"the load across the face needs slices across the face, which {system.kind} does not have")
     if result.forces is None:
         raise SceneError("the load across the face needs a torque: transmission_error(scene, theta, torque=...)")
+    check_result(scene, result.forces)
     if mesh >= len(system.mesh_orders):
         raise ParameterError("mesh", mesh, f"must be below {len(system.mesh_orders)}, the number of meshes")
     return across_face(scene, result.forces, mesh)

@@ -11,7 +11,7 @@ from gearjax.checks import ParameterError, SceneError, is_concrete
 from gearjax.compliance import AbstractLineContact
 from gearjax.contact import Request
 from gearjax.scene import Scene
-from gearjax.scene_checks import require
+from gearjax.scene_checks import check_result, require
 from gearjax.systems.base import pose_of
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
@@ -135,7 +135,7 @@ def contact_pressure(
         law: material and face width, needed if the scene's compliance does not have them.
 
     Raises:
-        SceneError: forces, radii of curvature or the material are not known.
+        SceneError: forces, radii of curvature or the material are not known, or the result is of another scene.
 
     Example:
         >>> import gearjax as gj, jax.numpy as jnp
@@ -147,6 +147,7 @@ def contact_pressure(
     """
     if te.forces is None:
         raise SceneError("pressure needs a torque: transmission_error(scene, theta, torque=...)")
+    check_result(scene, te.forces)
     return pressures(scene, law, te.theta, te.forces)
 
 

@@ -107,6 +107,11 @@ def remarks(scene: Scene) -> list[str]:
     words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
     if words is not None:
         lines.append(f"{words}: raise run.samples")
+    undamped = scene.damping is None or float(np.max(np.asarray(scene.damping.ratio))) == 0
+    if "dynamic" in run.analyses and undamped:
+        lines.append(
+            "without [damping] what the motion starts with never dies away, and at a resonance it grows without limit"
+        )
     missed = _missed_waves(scene, run)
     if missed is not None and words is None:
         lines.append(missed)
