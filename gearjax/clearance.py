@@ -13,7 +13,7 @@ class InitialBacklash(eqx.Module):
     the backlash of a pair without errors.
 
     Args:
-        initial: backlash along the line of action [m].
+        initial: backlash along the line of action, for helical teeth along the normal of the flanks [m].
     """
 
     initial: Number = length(at_least=0.0, at_most=1.0, example="0.15 mm")

@@ -59,6 +59,18 @@ def test_a_motion_without_damping_is_remarked_on(scene):
 
 
 @pytest.mark.slow
+def test_gears_whose_teeth_are_alike_repeat_after_a_mesh():
+    pair = gj.load(ROOT / "configs" / "helical" / "guo_2018.toml")
+    mesh = 2 * np.pi / 19 / float(pair.system.input_speed)
+    run = gj.Run(mesh, 33, ("no_load",), settle=0.0)
+    alike = {name: error for name, error in pair.errors.items() if error.on_flank}
+    assert 0 < len(alike) < len(pair.errors)
+    for errors, cycle in ((alike, mesh), ({}, mesh), (dict(pair.errors), 47 * 19 * mesh)):
+        case = next(results.run_cases(dataclasses.replace(pair, errors=errors, run=run)))
+        assert case.cycle == pytest.approx(cycle, rel=1e-9)
+
+
+@pytest.mark.slow
 def test_whole_cycles_in_a_record_are_used(scene):
     """Two and a bit: the last two, which are those of any other two."""
     spacing = 15.8 / 790

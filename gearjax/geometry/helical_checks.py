@@ -1,5 +1,6 @@
 """Checks whether two gears on parallel axes fit into each other: what is wrong, and which value would be right."""
 
+import math
 from collections.abc import Iterator
 
 import jax.numpy as jnp
@@ -48,6 +49,8 @@ def longer_contact(pair: InvolutePair) -> str:
     """Advice on how to lengthen the path of contact."""
     if float(pair.tight_pressure_angle) <= 0:  # these teeth have backlash at every centre distance
         return "increase a tip diameter or the profile shifts"
+    if math.isclose(float(pair.tight_centre_distance), float(pair.centre_distance), rel_tol=1e-6):
+        return "increase a tip diameter or the addendum"
     return f"increase a tip diameter, or move the centre distance towards {_mm(pair.tight_centre_distance)}"
 
 

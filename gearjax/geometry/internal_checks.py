@@ -57,7 +57,8 @@ def tooth_faults(name: str, gear: InvoluteGear) -> Iterator[Fault]:
         yield f"{name}_addendum", f"{float(gear.addendum):.6g}", words
         return
     if not gear.internal and tip <= base:
-        yield f"{name}_addendum", f"{float(gear.addendum):.6g}", f"the tip circle is below the base circle, {_mm(base)}"
+        words = f"the tip circle is below the base circle, whose diameter is {_mm(2 * base)}"
+        yield f"{name}_addendum", f"{float(gear.addendum):.6g}", words
         return
     thick = 2 * tip * float(gear.half_angle(jnp.asarray(tip)))
     if thick < THINNEST * float(gear.module):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -116,6 +117,14 @@ def remarks(scene: Scene) -> list[str]:
     if missed is not None and words is None:
         lines.append(missed)
     return lines
+
+
+def _cycle(scene: Scene) -> float:
+    """Input angle after which all errors repeat [rad]: a mesh, if there are none or all teeth have the same."""
+    system, errors = scene.system, scene.errors.values()
+    alike = all(error.on_flank and all(np.size(leaf) == 1 for leaf in jax.tree.leaves(error)) for error in errors)
+    by_mesh = alike and system.turns_evenly and not scene.is_train
+    return 2 * math.pi / system.orders["mesh"] if by_mesh else system.cycle
 
 
 def _missed_waves(scene: Scene, run: Run) -> str | None:
@@ -229,7 +238,7 @@ def _case(scene: Scene, run: Run, analysis: str, torque: float, result: Transmis
         for entry in run.published
         if entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
     ]
-    cycle = scene.system.cycle / float(scene.system.input_speed)
+    cycle = _cycle(scene) / float(scene.system.input_speed)
     return Case(analysis, torque, window, cycle, result, metrics, published[0] if published else None)
 
 
