@@ -308,8 +308,8 @@ def test_what_does_not_suit_is_named():
     with pytest.raises(
         gj.ParameterError, match=r"guess = \(9,\): is a shape: give output, planet_1.x, .*, shape \(n, 5\)"
     ):
-        gj.harmonic_balance(scene, 100.0, 0.1, guess=np.zeros(9))
+        gj.harmonic_balance(scene, 100.0, 15.8, guess=np.zeros(9))
     with pytest.raises(
         gj.ParameterError, match=r"guess = \(2,\): is a shape: give output, planet_1.x, .*, shape \(2, 5\)"
     ):
-        gj.shooting(scene, 100.0, 0.1, guess=np.zeros(2))
+        gj.shooting(scene, 100.0, 15.8, guess=np.zeros(2))
