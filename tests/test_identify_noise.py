@@ -137,3 +137,22 @@ def test_a_direction_that_is_hardly_determined_has_a_large_error():
         assert throw.error is not None
         assert throw.error > 20
         assert abs(throw.value - 6.4 * function(-0.4)) < 3.5 * throw.error
+
+
+@pytest.mark.slow
+def test_hidden_errors_are_drawn_as_large_as_the_others(scene):
+    """Vectors as near to zero as the recordings allow are smaller than true ones: fewer of them tell the size."""
+    true, assumed, plain = [], [], []
+    for seed in range(24):
+        unit = random_unit(seed)
+        records = [recorded(unit, torque, 7 * seed + i, rows=600) for i, torque in enumerate(TORQUES)]
+        found = gj.identify(scene, records, suggest=False, orders=[], starts=16)
+        assert len(found.visible.hidden) == 2
+        vectors = [i for pair in found.unknowns.vectors.values() for i in pair]
+        parts = np.array([unit.planet_1, unit.planet_2, unit.revolution, unit.output])
+        true.append(np.mean(np.abs(parts) ** 2) / 2 / found.unknowns.each[vectors[0]].scale ** 2)
+        plain.append(np.mean(found.fit.values[vectors] ** 2))
+        hidden = found.is_hidden[vectors]
+        assumed.append(1 / found.held()[1][vectors][hidden].max())
+    assert np.mean(plain) < 0.85 * np.mean(true)
+    assert np.mean(assumed) == pytest.approx(np.mean(true), rel=0.12)
