@@ -40,6 +40,7 @@ from tests.bench_units import (
 
 DRIFT = 0.02 * arcmin
 TORQUES = 10.0, 150.0, -40.0
+TOLERANCE = 9.9 * um  # of amplitudes of 4 to 22 um and any phase
 
 
 def drifting_runs(unit: TwoKVUnit, seed: int, **options) -> list[gj.Measurement]:
@@ -118,7 +119,12 @@ def pin_stages(number: int, seed: int) -> None:
 
 
 def reassembled(number: int, seed: int) -> None:
-    """What advice delivers on the unit itself, from three recordings and from a fourth after turning a planet wheel."""
+    """What advice delivers on the unit itself, from three recordings and from a fourth after turning a planet wheel.
+
+    The tolerances of the errors are known, as priors: standard deviations of the components of such units.
+    """
+    bodies = "planet_1", "planet_2", "revolution", "output_wheel"
+    priors = {f"errors.{body}": TOLERANCE for body in bodies}
     scene, paths = two_kv(), ["errors.planet_1", "errors.planet_2"]
     theta = np.linspace(0.0, scene.system.cycle, 4000, endpoint=False)
     rows: dict[str, list[tuple[float, bool]]] = {"three recordings": [], "four": []}
@@ -129,7 +135,7 @@ def reassembled(number: int, seed: int) -> None:
         more = recorded(turned, 150.0, 7 * k, rows=3334)
         more = dataclasses.replace(more, turned={paths[0]: np.pi / 2}, name="turned")
         for name, own in zip(rows, (records, [*records, more]), strict=True):
-            advice = gj.reassemble(gj.identify(scene, own, suggest=False), paths)
+            advice = gj.reassemble(gj.identify(scene, own, priors=priors, suggest=False), paths)
             turns = [np.exp(1j * advice.turns[path]) for path in paths]
             moved = dataclasses.replace(unit, planet_1=unit.planet_1 * turns[0], planet_2=unit.planet_2 * turns[1])
             gain = moved.te(theta, 0.0).std() / unit.te(theta, 0.0).std()
