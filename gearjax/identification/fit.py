@@ -29,7 +29,6 @@ NEAR_ZERO = 0.05  # spread of every second start, over that of the others
 LARGEST = 1e4  # units of the search: spread of the starts, at most
 LEAST = 1e-6  # of the span of the TE: least standard deviation of a row
 SAME = 12.0  # squared standard errors within which two ends count as one, apart from hidden directions
-FLAT = 25.0  # the same for a point inside a flat valley: at a rim, two more numbers follow the noise
 CLEARLY = 1.1  # ratio of the errors of two solutions above which one has clearly smaller ones
 AS_GOOD = 12.0  # variances of a row by which the sum of squares of an equally good end may exceed the least one
 
@@ -188,7 +187,7 @@ def _flattest(
     The sums of the one that is taken have the lowest rank: a search may stop at the rim of a flat valley, where the
     recordings seem to determine more than they do. Where that leaves a choice, its errors are the smallest.
     """
-    valley = between(sums, ends, at_ends, known, errors, positive, FLAT * sigma**2)
+    valley = between(sums, ends, at_ends, known, errors, positive, sigma**2)
     points, matrix = np.concatenate([ends, valley.points]), np.concatenate([at_ends.matrix, valley.matrix])
     ranks = [rank_of(part - np.diag(known.precision)) for part in matrix]
     sizes = np.where(ranks == np.min(ranks), np.linalg.norm(points[:, errors], axis=1), np.inf)

@@ -11,6 +11,7 @@ PLACES = 0.25, 0.5, 0.75  # on the way from the best end to another
 MIDDLE = 1  # of these places
 SLIDE = 0.25  # share of the cost that still counts as equally good, which a pull towards zero may add
 STEPS = 12
+FLAT = 25.0  # variances of a row by which points that fit equally well may exceed the best end, which follows the noise
 
 
 class Valley(NamedTuple):
@@ -28,7 +29,13 @@ class Valley(NamedTuple):
 
 
 def between(
-    sums: Sums, ends: np.ndarray, best: Normal, known: Known, errors: np.ndarray, positive: np.ndarray, most: float
+    sums: Sums,
+    ends: np.ndarray,
+    best: Normal,
+    known: Known,
+    errors: np.ndarray,
+    positive: np.ndarray,
+    variance: float,
 ) -> Valley:
     """Look for points between ends that fit equally well.
 
@@ -43,12 +50,15 @@ def between(
         known: the priors.
         errors: whether each number is an error, whose nominal value is zero, shape (number,).
         positive: whether each number stays above zero, shape (number,).
-        most: cost by which points that fit equally well may exceed the best one.
+        variance: variance of a row of weight one [arcmin^2].
     """
+    most = FLAT * variance
     first = ends[0]
     pull = SLIDE * most / max(float((first[errors] ** 2).sum()), 1e-300)
-    held = Known(np.where(errors, 0.0, known.mean), np.where(errors, known.precision + pull, known.precision))
-    slid, _ = descend(sums, first[None], held, positive, np.inf, STEPS)
+    precision = known.precision + np.where(errors, pull, 0.0)
+    mean = known.mean * known.precision / np.where(precision > 0, precision, 1.0)
+    held = Known(np.where(errors, mean, known.mean), precision)
+    slid, _ = descend(sums, first[None], held, positive, max(float(best.cost[0]) / variance, 1.0), STEPS)
     others = np.concatenate([ends[1:], slid])
     ways = first + np.array(PLACES)[:, None, None] * (others - first)
     there = known.added(sums(ways.reshape(-1, first.size)), ways.reshape(-1, first.size))
