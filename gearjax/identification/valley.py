@@ -7,10 +7,9 @@ import numpy as np
 from gearjax.identification.model import Normal
 from gearjax.identification.search import Known, Sums, descend
 
-PLACES = 0.25, 0.5, 0.75  # on the way from the best end to another
-MIDDLE = 1  # of these places
+BESIDE = 0.25, 0.75  # places on the way from the best end to another that are tried if its middle fits as well
 SLIDE = 0.25  # share of the cost that still counts as equally good, which a pull towards zero may add
-STEPS = 12
+STEPS = 8
 FLAT = 25.0  # variances of a row by which points that fit equally well may exceed the best end, which follows the noise
 
 
@@ -60,9 +59,11 @@ def between(
     held = Known(np.where(errors, mean, known.mean), precision)
     slid, _ = descend(sums, first[None], held, positive, max(float(best.cost[0]) / variance, 1.0), STEPS)
     others = np.concatenate([ends[1:], slid])
-    ways = first + np.array(PLACES)[:, None, None] * (others - first)
-    there = known.added(sums(ways.reshape(-1, first.size)), ways.reshape(-1, first.size))
-    cost = there.cost.reshape(len(PLACES), -1)
-    flat = np.all(cost < best.cost[0] + most, axis=0) & np.isfinite(cost).all(axis=0)
-    inside = there.matrix.reshape(*ways.shape, first.size)[MIDDLE]
-    return Valley(ways[MIDDLE][flat], inside[flat], np.concatenate([[True], flat[:-1]]))
+    middles = first + 0.5 * (others - first)
+    there = known.added(sums(middles), middles)
+    flat = there.cost < best.cost[0] + most  # also without nan
+    if flat.any():
+        ways = np.concatenate([first + share * (others[flat] - first) for share in BESIDE])
+        cost = known.added(sums(ways), ways).cost.reshape(len(BESIDE), -1)
+        flat[flat] = np.all(cost < best.cost[0] + most, axis=0)
+    return Valley(middles[flat], there.matrix[flat], np.concatenate([[True], flat[:-1]]))
