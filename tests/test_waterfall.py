@@ -107,15 +107,15 @@ def test_its_figure(pair, found, tmp_path):
 
 
 REPEATED = {
-    "waterfall": lambda scene: gj.waterfall(scene, 300.0, np.array([20.0]), harmonics=2, steps=32),
-    "speed_sweep": lambda scene: gj.speed_sweep(scene, 300.0, np.array([20.0]), periods=2, steps=32),
-    "shooting": lambda scene: gj.shooting(scene, 300.0, mesh_of(scene), steps=32),
-    "harmonic_balance": lambda scene: gj.harmonic_balance(scene, 300.0, mesh_of(scene), harmonics=2),
+    "waterfall": lambda scene, torque: gj.waterfall(scene, torque, np.array([20.0]), harmonics=2, steps=32),
+    "speed_sweep": lambda scene, torque: gj.speed_sweep(scene, torque, np.array([20.0]), periods=2, steps=32),
+    "shooting": lambda scene, torque: gj.shooting(scene, torque, mesh_of(scene), steps=32),
+    "harmonic_balance": lambda scene, torque: gj.harmonic_balance(scene, torque, mesh_of(scene), harmonics=2),
 }
 
 
 def mesh_of(scene) -> float:
-    return 2 * np.pi / float(scene.system.orders["mesh"] * scene.system.input_speed)
+    return 2 * np.pi / (float(scene.system.orders["mesh"]) * float(scene.system.input_speed))
 
 
 @pytest.mark.parametrize("name", REPEATED)
@@ -123,15 +123,30 @@ def test_a_period_after_which_errors_do_not_repeat_is_refused(name, linear):
     """The run-out of a planet repeats after 79 turns of the input, not after a mesh."""
     words = r"does not repeat .* gaps differ by 0\.06\d+ um; errors repeat after"
     with pytest.raises(gj.SceneError, match=words) as told:
-        REPEATED[name](linear)
+        REPEATED[name](linear, 300.0)
     assert "\n" not in str(told.value)
     assert len(str(told.value)) < 300
+    with pytest.raises(gj.SceneError, match=words):  # the numbers of the scene are known in a trace of the torque, too
+        jax.eval_shape(lambda torque: REPEATED[name](linear, torque), jnp.asarray(300.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("function", [gj.waterfall, gj.speed_sweep])
+def test_a_known_scene_inside_a_trace(function, linear):
+    """The torque is traced, the period is checked: the same as without a trace."""
+    calm = dataclasses.replace(linear, errors={})
+
+    def spread(torque):
+        return function(calm, torque, np.array([20.0]), steps=32, **given).peak_to_peak
+
+    given = {"harmonics": 2} if function is gj.waterfall else {"periods": 2}
+    np.testing.assert_allclose(jax.jit(spread)(300.0), spread(300.0), rtol=1e-9, atol=1e-15)
 
 
 def test_a_load_that_does_not_repeat_is_refused(linear):
     calm = dataclasses.replace(linear, errors={}, load=gj.SinusoidalLoad(3.3))
     with pytest.raises(gj.SceneError, match="its load differs"):
-        REPEATED["shooting"](calm)
+        REPEATED["shooting"](calm, 300.0)
     waves = gj.HarmonicStiffness(9e7, [0.1], [0.0])
     with pytest.raises(gj.SceneError, match="its stiffness differs"):
         gj.shooting(dataclasses.replace(linear, errors={}, compliance=waves), 300.0, 0.7 * mesh_of(linear), steps=32)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax.analysis import modes
 from gearjax.analysis.chebyshev import MOST_NODES
@@ -22,6 +23,7 @@ from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.modes.lines import Driving
 from gearjax.analysis.modes.steps import AT_ONCE, divisor
 from gearjax.analysis.period import check_repeats
+from gearjax.checks import is_concrete
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
@@ -39,7 +41,8 @@ class Problem(NamedTuple):
         """The problem, from checked arguments of a user."""
         require(scene, "dynamic", "compliance", "load", "inertia")
         physics, dtype = scene.precomputed(*MODELLED), scene.dtype
-        check_repeats(scene, scene.system.input_speed * period)
+        if is_concrete((scene.system.input_speed, period)):
+            check_repeats(scene, float(scene.system.input_speed) * float(np.asarray(period)))
         return cls(physics, jnp.asarray(torque, dtype), jnp.asarray(period, dtype))
 
 

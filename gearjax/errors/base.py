@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import numpy as np
 
 from gearjax.checks import ParameterError, is_concrete
@@ -13,7 +12,6 @@ from gearjax.contact import BodyView, GearSize
 from gearjax.typing import Array, Float
 from gearjax.units import mm
 
-DEVIATIONS = ("amplitude", "sine", "cosine", "slope", "amount", "outward", "around", "larger", "deviation")
 SUSPICIOUS = 0.1 * mm  # a smaller deviation is far below half of any module
 
 
@@ -26,6 +24,9 @@ class AbstractError(eqx.Module):
     """Whether it is an error of single pins or teeth, which not every body has."""
     on_flank: ClassVar[bool] = False
     """Whether it is material along the profile or across the face of a tooth, which a design may ask for."""
+
+    deviations: ClassVar[tuple[str, ...]] = ()
+    """Names of the numbers that are deviations of the gear: lengths that are small against its teeth."""
 
     @abc.abstractmethod
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
@@ -41,9 +42,9 @@ class AbstractError(eqx.Module):
         Raises:
             ParameterError: a value is wrong; the message names the key, the given value and what would be right.
         """
-        for name in DEVIATIONS:
-            value = getattr(self, name, None)
-            if not isinstance(value, jax.Array | np.ndarray | float) or not is_concrete(value):
+        for name in self.deviations:
+            value = getattr(self, name)
+            if not is_concrete(value):
                 continue
             largest = float(np.max(np.abs(value), initial=0.0))
             gear = size() if largest > SUSPICIOUS else None

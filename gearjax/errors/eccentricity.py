@@ -23,6 +23,7 @@ class Eccentricity(AbstractError):
     """
 
     kind: ClassVar[str] = "eccentricity"
+    deviations: ClassVar[tuple[str, ...]] = ("amplitude",)
     body: str = name()
     amplitude: Number = length(at_least=0.0, at_most=1.0, example="2 um")
     phase: Number = angle(at_least=-1e6, at_most=1e6, periodic=True)
@@ -48,6 +49,7 @@ class Displacement(AbstractError):
     """
 
     kind: ClassVar[str] = "displacement"
+    deviations: ClassVar[tuple[str, ...]] = ("sine", "cosine")
     body: str = name()
     sine: Number = length(at_least=-1.0, at_most=1.0)
     cosine: Number = length(at_least=-1.0, at_most=1.0)

@@ -27,6 +27,7 @@ class HelixSlope(AbstractError):
     """
 
     kind: ClassVar[str] = "helix_slope"
+    deviations: ClassVar[tuple[str, ...]] = ("slope",)
     on_rim: ClassVar[bool] = True
     on_flank: ClassVar[bool] = True
     body: str = name()
@@ -51,6 +52,7 @@ class Crowning(AbstractError):
     """
 
     kind: ClassVar[str] = "crowning"
+    deviations: ClassVar[tuple[str, ...]] = ("amount",)
     on_rim: ClassVar[bool] = True
     on_flank: ClassVar[bool] = True
     body: str = name()
@@ -79,6 +81,7 @@ class EndRelief(AbstractError):
     """
 
     kind: ClassVar[str] = "end_relief"
+    deviations: ClassVar[tuple[str, ...]] = ("amount",)
     on_rim: ClassVar[bool] = True
     on_flank: ClassVar[bool] = True
     body: str = name()

@@ -27,6 +27,7 @@ class AbstractMeasured(AbstractError):
     """Measured deviations of driving flanks, back flanks or both."""
 
     on_rim: ClassVar[bool] = True
+    deviations: ClassVar[tuple[str, ...]] = ("deviation",)
     deviation: eqx.AbstractVar[Number]
     flank: eqx.AbstractVar[str]
 

@@ -51,6 +51,7 @@ class TipRelief(AbstractRelief):
     """
 
     kind: ClassVar[str] = "tip_relief"
+    deviations: ClassVar[tuple[str, ...]] = ("amount",)
 
     @staticmethod
     def from_end(place: ProfilePlace) -> Float[Array, " contact"]:
@@ -71,6 +72,7 @@ class RootRelief(AbstractRelief):
     """
 
     kind: ClassVar[str] = "root_relief"
+    deviations: ClassVar[tuple[str, ...]] = ("amount",)
 
     @staticmethod
     def from_end(place: ProfilePlace) -> Float[Array, " contact"]:
@@ -89,6 +91,7 @@ class ProfileSlope(AbstractError):
     """
 
     kind: ClassVar[str] = "profile_slope"
+    deviations: ClassVar[tuple[str, ...]] = ("slope",)
     on_rim: ClassVar[bool] = True
     on_flank: ClassVar[bool] = True
     body: str = name()
@@ -115,6 +118,7 @@ class ProfileForm(AbstractError):
     """
 
     kind: ClassVar[str] = "profile_form"
+    deviations: ClassVar[tuple[str, ...]] = ("amplitude",)
     on_rim: ClassVar[bool] = True
     on_flank: ClassVar[bool] = True
     body: str = name()

@@ -29,6 +29,7 @@ class Positions(AbstractError):
     """
 
     kind: ClassVar[str] = "positions"
+    deviations: ClassVar[tuple[str, ...]] = ("outward", "around")
     on_rim: ClassVar[bool] = True
     body: str = name()
     outward: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um"])
@@ -59,6 +60,7 @@ class Sizes(AbstractError):
     """
 
     kind: ClassVar[str] = "sizes"
+    deviations: ClassVar[tuple[str, ...]] = ("larger",)
     on_rim: ClassVar[bool] = True
     body: str = name()
     larger: Number = series(units.LENGTH, at_least=-1.0, at_most=1.0, example=["0 um"])
@@ -84,6 +86,7 @@ class CumulativePitch(AbstractError):
     """
 
     kind: ClassVar[str] = "cumulative_pitch"
+    deviations: ClassVar[tuple[str, ...]] = ("amplitude",)
     on_rim: ClassVar[bool] = True
     body: str = name()
     amplitude: Number = length(at_least=0.0, at_most=1.0, example="2 um")

@@ -166,7 +166,7 @@ def reassemble(
     turning = _Turning(found, paths, steps or {}, metric, torque)
     drawn = found.draws(draws, key)
     best = turning.best(drawn[:COARSE_DRAWS], drawn)
-    judged = found.draws(draws, key + 1)  # of those that the turns were made for, they make too good a picture
+    judged = found.draws(draws, key + 1)  # turns look too good on the draws for which they were chosen
     before, after = turning.values(judged, np.zeros((1, len(paths))))[0], turning.values(judged, best[None])[0]
     second, words = _with_second(found, turning, drawn, key)
     return Reassembly(
