@@ -108,6 +108,7 @@ from .geometry import BasicRack
 from .identification import (
     Combination,
     Comparison,
+    Drift,
     Gain,
     Identification,
     IdentifiedNumber,
@@ -235,6 +236,7 @@ __all__ = [
     "DampingRatio",
     "DiscProfile",
     "Discrete",
+    "Drift",
     "Eccentricity",
     "ElasticTeeth",
     "EllipticPair",

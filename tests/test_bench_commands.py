@@ -211,7 +211,7 @@ def test_a_synthetic_bench_has_encoders_ripple_and_directions():
         ({"output_counts": 0}, "at least 1"),
         ({"waves": {1.0: 3.0}}, "pair of amplitude and phase"),
         ({"waves": [1.0]}, "must be pairs"),
-        ({"turned": {"errors.x": 1.0}}, "no number of this scene"),
+        ({"turned": {"errors.x": 1.0}}, 'turned = "errors.x": is no eccentricity of this scene; .*errors.planet_1'),
         ({"torque": np.nan}, "must be finite"),
         ({"rows": 2}, "at least 3"),
     ],

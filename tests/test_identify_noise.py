@@ -156,3 +156,67 @@ def test_hidden_errors_are_drawn_as_large_as_the_others(scene):
         assumed.append(1 / found.held()[1][vectors][hidden].max())
     assert np.mean(plain) < 0.85 * np.mean(true)
     assert np.mean(assumed) == pytest.approx(np.mean(true), rel=0.12)
+
+
+def with_waves(record: gj.Measurement, size: float, order: float) -> gj.Measurement:
+    return noisier(record, size * np.cos(order * record.theta + 0.3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("per_turn", [1 / 3, 2.37, 61.5])
+def test_an_order_of_no_body_is_named_as_it_is(per_turn, scene):
+    """The belt or the gearbox of a rig: no whole number of cycles per turn of the output."""
+    records = [
+        with_waves(recorded(random_unit(5), torque, 250 + i, rows=ROWS, turns=4.0), 0.05, per_turn / 79)
+        for i, torque in enumerate(TORQUES)
+    ]
+    (found,) = gj.identify(scene, records, suggest=False).orders
+    assert found.order * 79 == pytest.approx(per_turn, abs=0.01)
+    assert found.amplitude == pytest.approx(0.05, rel=0.1)
+    assert found.phase == pytest.approx(0.3, abs=0.15)
+    assert "no body" in found.body
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [0.03, 0.3])
+@pytest.mark.parametrize("turns", [1.0, 4.0])
+def test_a_drift_is_named_and_then_free(change, turns, scene):
+    """As temperature has it, in one of three recordings: no order of the output, and no error that is off."""
+    off = []
+    for seed in range(3):
+        records = [
+            recorded(random_unit(5), torque, 250 + 7 * seed + i, rows=ROWS, turns=turns)
+            for i, torque in enumerate(TORQUES)
+        ]
+        far = records[1].theta / np.ptp(records[1].theta)
+        records[1] = noisier(records[1], change * far**1.5)
+        found = gj.identify(scene, records, suggest=False)
+        (drift,) = found.drifts
+        assert found.orders == ()
+        assert drift.record == 1
+        assert drift.name == "drift of 150 N m"
+        assert drift.change == pytest.approx(change, abs=0.015)
+        values, errors = estimates(found)
+        off.append(min((np.abs(values - one) / errors for one in truth(random_unit(5))), key=np.max))
+    assert np.max(off) < 4
+    assert found.names[-2:] == ("drift of 150 N m.line", "drift of 150 N m.parabola")
+
+
+@pytest.mark.slow
+def test_noise_alone_is_neither_order_nor_drift(scene):
+    """Among the thousands of orders that are looked at, the largest by chance does not count."""
+    for seed in range(6):
+        records = [recorded(random_unit(seed), torque, 9 * seed + i, rows=ROWS) for i, torque in enumerate(TORQUES)]
+        found = gj.identify(scene, records, suggest=False)
+        assert found.orders == ()
+        assert found.drifts == ()
+
+
+@pytest.mark.slow
+def test_coarse_encoders_are_named(scene):
+    """Rounding to steps of half an arcmin is no noise."""
+    records = [
+        gj.synthetic_measurement(scene, torque, rows=ROWS, noise=1e-7, output_counts=2**15) for torque in TORQUES
+    ]
+    notes = gj.identify(scene, records, suggest=False, orders=[]).notes
+    assert sum("steps of 0.659 arcmin" in each for each in notes) == 3

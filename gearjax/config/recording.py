@@ -66,6 +66,8 @@ def read_measurement(file: str | Path, *, torque: float | None = None) -> Measur
     beside = beside_of(path)
     header, lines = read_rows("file", path)
     columns, own = columns_of(key, header, beside), _Reader(key, beside)
+    if "output angle" in columns and columns.pop("te", None) is not None:
+        own.repairs["column te left out, as it follows from both angles"] = 1
     next(lines)  # refuses a file without rows, or whose first row has more or fewer cells than there are names
     _even(key, path, len(header))
     table, averaged = _table(key, path, columns, own)

@@ -102,15 +102,13 @@ def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str,
 
 
 def _require(key: str, found: dict[str, Column], header: list[str]) -> None:
-    """Refuse a table without the columns that are needed; drop ``te`` if both angles are given."""
+    """Refuse a table without the columns that are needed."""
     has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200]}"
     if "input angle" not in found:
         words = " (time cannot replace it: the speed is never constant)" if "time" in found else ""
         raise GearjaxError(f"{key}: line 1 must name a column input angle{words}; {has}")
     if "output angle" not in found and "te" not in found:
         raise GearjaxError(f"{key}: line 1 must name a column output angle, or te; {has}")
-    if "output angle" in found and "te" in found:
-        del found["te"]  # it follows from both angles
 
 
 def _plain(text: str) -> str:

@@ -5,7 +5,7 @@ from gearjax.identification.compare import Comparison, OrderBeside, RecordBeside
 from gearjax.identification.found import Identification, IdentifiedNumber
 from gearjax.identification.identify import identify
 from gearjax.identification.measurement import Measurement
-from gearjax.identification.orders import Order
+from gearjax.identification.orders import Drift, Order
 from gearjax.identification.posterior import Posterior, posterior
 from gearjax.identification.reassembly import Gain, Reassembly, reassemble
 from gearjax.identification.synthetic import synthetic_measurement
@@ -15,6 +15,7 @@ from gearjax.identification.visible import Combination, Visible
 __all__ = [
     "Combination",
     "Comparison",
+    "Drift",
     "Gain",
     "Identification",
     "IdentifiedNumber",

@@ -12,7 +12,7 @@ import numpy as np
 from gearjax.checks import GearjaxError
 from gearjax.identification.measurement import Measurement, binned
 from gearjax.identification.model import Model, Normal, Problem
-from gearjax.identification.rows import Rows, further
+from gearjax.identification.rows import Rows, Trend, Wave, further
 from gearjax.identification.search import Known, Sums, descend
 from gearjax.identification.valley import between
 from gearjax.identification.weights import noise_of, of_outliers, of_recordings, spread_of
@@ -68,7 +68,7 @@ class Fit:
         return self.problem.rows.te - self.problem.curve(self.values)[0]
 
 
-def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Sequence[float]) -> Rows:
+def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, free: Sequence[Wave | Trend]) -> Rows:
     """Means of the rows over even steps of the angle; the rows themselves if there are hardly more rows than steps."""
     turns = scene.system.orders
     per_input_turn = max(BINS * turns.get("output", 1.0), PER_TURN * scene.system.fastest_order)
@@ -84,7 +84,7 @@ def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, orders: Seq
             parts.append((angle, *values, number))
     record = np.concatenate([np.full(part[0].size, i) for i, part in enumerate(parts)])
     theta, torque, back, te, number = (np.concatenate(column) for column in zip(*parts, strict=True))
-    basis = further(theta, record, len(records), orders, rows.basis.shape[1] > 1 + 2 * len(orders))
+    basis = further(theta, record, len(records), free, rows.basis.shape[1] > 1 + 2 * len(free))
     return Rows(theta, torque, back > 0.5, te, number, basis, record)
 
 

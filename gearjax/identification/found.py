@@ -11,7 +11,7 @@ from gearjax.identification.advice import Suggestion
 from gearjax.identification.fit import Fit
 from gearjax.identification.measurement import Measurement
 from gearjax.identification.model import Model
-from gearjax.identification.orders import Order
+from gearjax.identification.orders import Drift, Order
 from gearjax.identification.unknowns import Unknowns
 from gearjax.identification.visible import Visible, hidden_in_words, strongest_correlations
 from gearjax.identification.weights import OUTLYING
@@ -57,7 +57,8 @@ class Identification:
         fit: the result of the fit.
         visible: what the fit determines and hides.
         orders: unexplained waves that were found and set free; orders that the user set free are among ``names``.
-        names: names of all numbers: unknowns of the scene, offsets, free orders.
+        drifts: drifts of the encoders' offset within recordings that were found and set free.
+        names: names of all numbers: unknowns of the scene, offsets, free orders and drifts.
         notes: remarks for the reader.
         suggestions: further recordings that would show more.
     """
@@ -69,6 +70,7 @@ class Identification:
     fit: Fit
     visible: Visible
     orders: tuple[Order, ...]
+    drifts: tuple[Drift, ...]
     names: tuple[str, ...]
     notes: tuple[str, ...]
     suggestions: tuple[Suggestion, ...]
@@ -90,7 +92,7 @@ class Identification:
 
     @property
     def estimates(self) -> tuple[IdentifiedNumber, ...]:
-        """Estimates of the unknowns of the scene, then of offsets and free orders [arcmin]."""
+        """Estimates of the unknowns of the scene, then of offsets, free orders and drifts [arcmin]."""
         size = len(self.unknowns.each)
         deviation = np.sqrt(np.maximum(np.diag(self.visible.covariance), 0.0))
         values = self.unknowns.shown(self.fit.values[:size])
@@ -141,7 +143,7 @@ class Identification:
         return words
 
     def curves(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Input angle [rad], measured and computed TE [rad] of each recording, offsets and free orders included."""
+        """Input angle [rad], measured and computed TE [rad] of each recording, with offsets, orders and drifts."""
         rows = self.fit.problem.rows
         curve = self.fit.problem.curve(self.fit.values)[0]
         own = [rows.record == i for i in range(len(self.records))]
@@ -266,6 +268,7 @@ class Identification:
             "condition": self.visible.condition,
             "outlying_rows": int((self.fit.share < OUTLYING).sum()),
             "orders": [dataclasses.asdict(each) for each in self.orders],
+            "drifts": [dataclasses.asdict(each) for each in self.drifts],
             "notes": list(self.notes),
             "suggestions": [dataclasses.asdict(each) for each in self.suggestions],
         }

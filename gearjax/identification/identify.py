@@ -14,8 +14,8 @@ from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
 from gearjax.identification.model import MOVING, Model, Problem
 from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error
-from gearjax.identification.orders import SIGNIFICANT, Order, unexplained
-from gearjax.identification.rows import names_of_further, rows_of
+from gearjax.identification.orders import Drift, Order, given_waves, unexplained
+from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.signs import check_signs
 from gearjax.identification.synthetic import turned_scene
@@ -32,11 +32,11 @@ MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion 
 USUAL = 10  # curves of all rows that a start needs: for the time left only
 FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
-SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
 SIGN_STARTS = 16  # starts with another sign
 WELL = 1.3  # times the noise from row to row: up to this, the residual counts as noise
 POOR = 2.0  # times the noise from row to row: above this, the residual is more than noise
 STAYS = 0.1  # variances of a row by which the cost may rise when hidden unknowns are moved
+COARSE = 3.0  # times its residual: steps of an encoder above this are rounding rather than noise (sqrt(12) without any)
 MOST_ROWS = 300_000  # of all recordings; more rows are averaged in groups, or thinned out in motion
 LOSSES = ("robust", "least_squares")
 
@@ -113,7 +113,7 @@ def identify(
     loaded = any(record.is_loaded for record in records)
     options = _Options(priors or {}, offset_spread, starts, loss == "robust", key)
     records = _thinned(records, notes, moves)
-    free = _free_orders(orders, records)
+    free = given_waves(orders, records)
     if priors is not None and not isinstance(priors, Mapping):
         raise ParameterError("priors", priors, 'must be by path: {"errors.planet_1": 5e-6}')
     progress(f"fitting {sum(record.theta.size for record in records)} rows of {len(records)} recordings")
@@ -125,7 +125,7 @@ def identify(
     fit = dataclasses.replace(fit, values=values, others=others.reshape(fit.others.shape))
     names = (
         *model.unknowns.names,
-        *names_of_further(records, free | {o.order: o.name for o in known}, _drifts(records)),
+        *names_of_further(records, free or [each.column for each in known], _drifts(records)),
     )
     _remark(fit, model, told, records, notes)
     further = suggestions(model, fit, told, records, progress) if suggest else []
@@ -134,28 +134,18 @@ def identify(
         for record in (each for each in records if each.is_loaded):
             notes += moving_error(turned_scene(finished, record.turned), record)[1]
     return Identification(
-        finished, tuple(records), model.unknowns, model, fit, told, tuple(known), names, tuple(notes), tuple(further)
+        finished,
+        tuple(records),
+        model.unknowns,
+        model,
+        fit,
+        told,
+        tuple(each for each in known if isinstance(each, Order)),
+        tuple(each for each in known if isinstance(each, Drift)),
+        names,
+        tuple(notes),
+        tuple(further),
     )
-
-
-def _free_orders(orders: Any, records: Sequence[Measurement]) -> dict[float, str]:
-    """Orders that the user sets free, with their names; none for ``"find"``."""
-    if isinstance(orders, str):
-        if orders != "find":
-            raise ParameterError("orders", orders, 'must be "find", or orders in cycles per turn of the input')
-        return {}
-    given = arguments.finite("orders", orders)
-    span = max(float(np.ptp(record.theta)) for record in records) / (2 * np.pi)
-    step = min(float(np.median(np.abs(np.diff(record.theta)))) for record in records)
-    free: dict[float, str] = {}
-    for order in [] if given is None else np.atleast_1d(given).tolist():
-        if not (order * span > SHORTEST_WAVE and order * step < np.pi):
-            words = f"from {SHORTEST_WAVE / span:.3g} (half a wave in a recording) to {np.pi / step:.3g}"
-            raise ParameterError("orders", order, f"must be {words} (two rows per wave), cycles per turn of the input")
-        if any(abs(order - other) * span < 0.3 for other in free):
-            raise ParameterError("orders", order, "is too close to another of the given orders")
-        free[order] = f"order {order:.6g}"
-    return free
 
 
 def _thinned(records: list[Measurement], notes: list[str], moves: bool) -> list[Measurement]:
@@ -207,13 +197,13 @@ class _Wanted:
     back: bool
     loaded: bool
     moves: bool
-    free: Mapping[float, str]
+    free: Sequence[Wave]
     look: bool
     options: _Options
     progress: Progress
 
 
-_Result = tuple[Model, Fit, list[Order]]
+_Result = tuple[Model, Fit, list[Order | Drift]]
 
 
 def _by_reference(scene: Scene, wanted: _Wanted, notes: list[str]) -> tuple[Scene, _Result]:
@@ -242,7 +232,7 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
     check_turned(records, list(unknowns.vectors))
     model = Model.of(unknowns, records, loaded=wanted.loaded)
     slow = Searching(wanted.progress, "curves computed, with derivatives", 2 * USUAL)
-    fit = _fit(model, scene, records, list(wanted.free), options, None, _uncounted if model.straight else slow)
+    fit = _fit(model, scene, records, wanted.free, options, None, _uncounted if model.straight else slow)
     if wanted.moves:
         model, fit = _in_motion(model, fit, scene, wanted)
     else:
@@ -268,7 +258,7 @@ def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[M
         if width == WIDE:
             starts[:, unseen] = unknowns.start[unseen]
             told = Searching(wanted.progress, "motions integrated, with derivatives", 2 * USUAL * len(starts))
-        fit = _fit(moving, scene, records, list(wanted.free), wanted.options, starts, told)
+        fit = _fit(moving, scene, records, wanted.free, wanted.options, starts, told)
     return moving, fit
 
 
@@ -281,15 +271,15 @@ def _fit(
     model: Model,
     scene: Scene,
     records: list[Measurement],
-    orders: Sequence[float],
+    free: Sequence[Wave | Trend],
     options: _Options,
     starts: np.ndarray | None,
     counted: Callable[[int], None] = _uncounted,
 ) -> Fit:
-    """The fit with some free orders; from the usual starts if ``starts`` is ``None``."""
-    rows = rows_of(records, scene, orders, _drifts(records))
+    """The fit with some free waves and drifts; from the usual starts if ``starts`` is ``None``."""
+    rows = rows_of(records, scene, free, _drifts(records))
     moves = isinstance(model, MovingModel)  # then no means over steps of the angle, which would damp the vibration
-    rough = None if moves else Problem(model, coarse(records, scene, rows, orders))
+    rough = None if moves else Problem(model, coarse(records, scene, rows, free))
     mean, own = priors_of(model.unknowns, options.priors)
     beside = np.zeros(rows.basis.shape[1])
     if _drifts(records):
@@ -319,30 +309,28 @@ def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
         if back and not (scene.has_back or scene.layout.sides_turn):
             return None
         unknowns = unknowns_of(scene, wanted.where, back=back, loaded=True)
-        return _fit(Model.of(unknowns, records, loaded=True), scene, records, list(wanted.free), options, None)
+        return _fit(Model.of(unknowns, records, loaded=True), scene, records, wanted.free, options, None)
 
     check_signs(fit, wanted.records, noisy, refit)
 
 
-def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order]]:
-    """The fit with unexplained orders set free one by one, until no significant order is left in the residual."""
-    known: list[Order] = []
+def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order | Drift]]:
+    """The fit with unexplained waves and drifts set free one by one, until the residual has no significant one left."""
+    known: list[Order | Drift] = []
     while len(known) < MOST_ORDERS:
         rows = fit.problem.rows
         _, jacobian = fit.problem.curve(fit.values)
-        left = unexplained(fit.residual, fit.weight, jacobian, rows, scene)
-        left = [order for order in left if order.order not in {each.order for each in known}]
-        if not left or left[0].significance < SIGNIFICANT:
+        names = [record.name for record in wanted.records]
+        left = unexplained(fit.residual, fit.weight, jacobian, rows, scene, names, [each.column for each in known])
+        if left is None:
             break
-        known.append(left[0])
-        wanted.progress(f"order added to the fit: {left[0].name} ({left[0].amplitude:.3g} arcmin)")
+        known.append(left)
+        wanted.progress(f"added to the fit: {left.in_words}")
         ends = np.concatenate([fit.values[None], fit.others])
         starts = np.concatenate([ends, np.zeros((len(ends), 2))], axis=1)
-        fit = _fit(model, scene, wanted.records, [each.order for each in known], wanted.options, starts)
+        fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
     parts = fit.values[fit.values.size - 2 * len(known) :].reshape(-1, 2)
-    sizes = zip(np.hypot(*parts.T), np.arctan2(-parts[:, 1], parts[:, 0]), strict=True)
-    final = zip(known, sizes, strict=True)
-    return fit, [dataclasses.replace(each, amplitude=float(a), phase=float(b)) for each, (a, b) in final]
+    return fit, [each.with_values(*map(float, own)) for each, own in zip(known, parts, strict=True)]
 
 
 def _hidden_at(fit: Fit, model: Model, values: np.ndarray) -> np.ndarray:
@@ -388,13 +376,21 @@ def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], n
             f"the residual ({fit.sigma:.3g} arcmin) is larger than the noise from row to row ({noise:.3g} arcmin): "
             f"an effect is not modelled; standard errors come from blocks of {told.blocks} rows"
         )
+    rows = fit.problem.rows
+    for i, record in enumerate(records):
+        step = (record.resolution or 0.0) / arcmin
+        if step > COARSE * float(np.std(fit.residual[rows.record == i])):
+            notes.append(
+                f"{record.name}: the encoder's steps of {step:.3g} arcmin are larger than its noise: their rounding is "
+                "no noise, and intervals may be too narrow"
+            )
     for unknown, value in zip(model.unknowns.each, fit.values[:size], strict=True):
         if unknown.kind == "reciprocal" and value < 0.02:
             notes.append(f"{unknown.name}: the recordings show no deflection under torque: is the torque right?")
         if unknown.path == "backlash.initial" and value < 0:
             notes.append(
-                "backlash.initial is below zero: flanks jam, or the offsets of the recordings differ by more "
-                "than the backlash"
+                "backlash.initial is below zero: flanks jam, the torque of a recording has the wrong sign, or the "
+                "offsets of the recordings differ by more than the backlash"
             )
     if len(fit.others):
         notes.append(

@@ -1,18 +1,29 @@
-"""Orders of a curve: which bodies have them, and which orders a model does not explain."""
+"""Orders of a curve: which bodies have them, and which waves and drifts a model does not explain."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from gearjax.identification.rows import Rows
+from gearjax import arguments
+from gearjax.checks import ParameterError
+from gearjax.identification.measurement import Measurement
+from gearjax.identification.rows import Rows, Trend, Wave
 from gearjax.scene import Scene
 
 SIGNIFICANT = 12.0  # Fisher's F ratio of a significant order, two degrees of freedom
 PER_OUTPUT_TURN = 60  # highest order that is tried, in cycles per turn of the output
 MULTIPLES = 3  # multiples of the bodies' orders that are tried
 NEIGHBOURS = np.arange(2, 10)  # waves more or less in a recording: orders whose squares tell the noise beside one
+LEAST_WAVES = 0.9  # of an order that is tried in a recording
 LEFT = 0.01  # share of a wave's square that the model's derivatives must leave: below, they can take its place
+FINER = 4  # times finer than the recordings can tell: steps of the orders at which any other wave is looked for
+SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
+SHARP = 1e-3  # of those steps: to which an order is determined
+MOST_STEPS = 1 << 18  # steps of the angle of that look
+NO_BODY = "no body of the gear set: the test rig, or a shift of its zero"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +46,55 @@ class Order:
     phase: float
     significance: float
 
+    @property
+    def column(self) -> Wave:
+        """The wave as further numbers of a fit."""
+        return Wave(self.order, self.name)
+
+    @property
+    def in_words(self) -> str:
+        """Name and size of the wave."""
+        return f"{self.name} ({self.amplitude:.3g} arcmin)"
+
+    def with_values(self, cosine: float, sine: float) -> "Order":
+        """The wave with other values of its numbers [arcmin]."""
+        return dataclasses.replace(
+            self, amplitude=float(np.hypot(cosine, sine)), phase=float(np.arctan2(-sine, cosine))
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Drift:
+    """A drift of the encoders' offset within a recording, which a model does not explain.
+
+    Args:
+        record: number of the recording, from 0.
+        name: name such as ``drift of forward_10``.
+        change: offset at the end of the recording minus that at its start [arcmin].
+        bend: mean of the offsets at both ends minus that in the middle of the recording [arcmin].
+        significance: Fisher's F ratio.
+    """
+
+    record: int
+    name: str
+    change: float
+    bend: float
+    significance: float
+
+    @property
+    def column(self) -> Trend:
+        """The drift as further numbers of a fit."""
+        return Trend(self.record, self.name)
+
+    @property
+    def in_words(self) -> str:
+        """Name and size of the drift."""
+        return f"{self.name} ({self.change:.3g} arcmin from its start to its end)"
+
+    def with_values(self, line: float, parabola: float) -> "Drift":
+        """The drift with other values of its numbers [arcmin]."""
+        return dataclasses.replace(self, change=2 * line, bend=1.5 * parabola)
+
 
 def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[float, tuple[str, str]]:
     """Orders that are tried, with their names and bodies.
@@ -43,12 +103,16 @@ def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[floa
     """
     orders = {name: order for name, order in scene.system.orders.items() if order > 0}
     output = orders.get("output", 1.0)
-    span = max(float(np.ptp(theta[record == i])) for i in np.unique(record)) / (2 * np.pi)
+    span = span_of(theta, record)
     step = float(np.median(np.abs(np.diff(theta))))
     found: dict[float, tuple[str, str]] = {}
 
     def add(order: float, name: str, body: str) -> None:
-        if order * step < np.pi and order * span > 0.9 and all(abs(order - other) * span > 0.3 for other in found):
+        if (
+            order * step < np.pi
+            and order * span > LEAST_WAVES
+            and all(abs(order - other) * span > 0.3 for other in found)
+        ):
             found[order] = name, body
 
     for times in range(1, MULTIPLES + 1):
@@ -60,18 +124,45 @@ def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[floa
         add(
             times * output,
             f"{times} per turn of the output",
-            "no body of the gear set: the test rig, or a shift of its zero",
+            NO_BODY,
         )
     return found
 
 
-def unexplained(
-    residual: np.ndarray, weight: np.ndarray, jacobian: np.ndarray, rows: Rows, scene: Scene
-) -> list[Order]:
-    """Orders in the residual of a model, the most significant one first.
+def given_waves(orders: Any, records: Sequence[Measurement]) -> list[Wave]:
+    """Waves that the user sets free; none for ``"find"``."""
+    if isinstance(orders, str):
+        if orders != "find":
+            raise ParameterError("orders", orders, 'must be "find", or orders in cycles per turn of the input')
+        return []
+    given = arguments.finite("orders", orders)
+    span = max(float(np.ptp(record.theta)) for record in records) / (2 * np.pi)
+    step = min(float(np.median(np.abs(np.diff(record.theta)))) for record in records)
+    free: list[Wave] = []
+    for order in [] if given is None else np.atleast_1d(given).tolist():
+        if not (order * span > SHORTEST_WAVE and order * step < np.pi):
+            words = f"from {SHORTEST_WAVE / span:.3g} (half a wave in a recording) to {np.pi / step:.3g}"
+            raise ParameterError("orders", order, f"must be {words} (two rows per wave), cycles per turn of the input")
+        if any(abs(order - other.order) * span < 0.3 for other in free):
+            raise ParameterError("orders", order, "is too close to another of the given orders")
+        free.append(Wave(order, f"order {order:.6g}"))
+    return free
 
-    Of each wave, only the part orthogonal to the model's derivatives counts: the model can represent the rest itself.
-    It must be larger than the noise of all rows, and than that of the orders beside it.
+
+def unexplained(
+    residual: np.ndarray,
+    weight: np.ndarray,
+    jacobian: np.ndarray,
+    rows: Rows,
+    scene: Scene,
+    names: Sequence[str],
+    known: Sequence[Wave | Trend] = (),
+) -> Order | Drift | None:
+    """The largest of the significant waves and drifts in the residual of a model, ``None`` if there is none.
+
+    Of each, only the part orthogonal to the model's derivatives counts: the model can represent the rest itself. It
+    must be larger than the noise of all rows, and than that of the waves beside it. Waves of the bodies and of whole
+    cycles per turn of the output are tried, and the largest wave of any other order.
 
     Args:
         residual: measured minus computed [arcmin].
@@ -79,31 +170,122 @@ def unexplained(
         jacobian: derivatives of the model.
         rows: the rows of the residual.
         scene: the scene whose bodies have the orders.
+        names: names of the recordings.
+        known: waves and drifts that the model has already.
     """
-    known = candidates(scene, rows.theta, rows.record)
     root = np.sqrt(weight)
     size = np.linalg.norm(jacobian * root[:, None], axis=0)
     base, values, _ = np.linalg.svd(jacobian * root[:, None] / np.where(size > 0, size, 1.0), full_matrices=False)
-    base = base[:, values > 1e-6 * values[0]]
-    left = root * residual
-    left = left - base @ (base.T @ left)
-    freedom = max(rows.theta.size - base.shape[1] - 2, 1)
-    span = max(float(np.ptp(rows.theta[rows.record == i])) for i in np.unique(rows.record)) / (2 * np.pi)
-    found = []
-    for order, (name, body) in known.items():
-        waves = np.stack([np.cos(order * rows.theta), np.sin(order * rows.theta)], axis=1) * root[:, None]
-        beside = waves - base @ (base.T @ waves)
-        if (beside**2).sum() < LEFT * (waves**2).sum():
-            continue
-        parts, *_ = np.linalg.lstsq(beside, left, rcond=None)
-        gained = float(((beside @ parts) ** 2).sum())
-        rest = max(float((left**2).sum()) - gained, 1e-300) / freedom
-        ratio = gained / 2 / rest
+    left = _Left(base[:, values > 1e-6 * values[0]], root * residual, root, rows)
+    ways: list[tuple[Wave | Trend, str, float]] = [
+        (Wave(order, name), body, SIGNIFICANT)
+        for order, (name, body) in candidates(scene, rows.theta, rows.record).items()
+    ]
+    ways += [(Trend(i, f"drift of {names[i]}"), "", SIGNIFICANT) for i in np.unique(rows.record).tolist()]
+    ways += left.other_wave([each.order for each, _, _ in ways if isinstance(each, Wave)], scene)
+    done = {each.name for each in known}
+    most, found = 0.0, None
+    for way, body, least in ways:
+        gained, ratio, parts = left.gain(way) if way.name not in done else (0.0, 0.0, ())
+        if ratio > least and gained > most:
+            most = gained
+            if isinstance(way, Wave):
+                found = Order(way.order, way.name, body, 0.0, 0.0, ratio).with_values(*parts)
+            else:
+                found = Drift(way.record, way.name, 0.0, 0.0, ratio).with_values(*parts)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class _Left:
+    """What a model leaves of its rows.
+
+    Args:
+        base: orthonormal base of the model's derivatives, shape (n, number).
+        scaled: residual times the square root of the weights [arcmin].
+        root: square root of the weights.
+        rows: the rows.
+    """
+
+    base: np.ndarray
+    scaled: np.ndarray
+    root: np.ndarray
+    rows: Rows
+
+    @functools.cached_property
+    def left(self) -> np.ndarray:
+        """The part of the residual that is orthogonal to the model's derivatives."""
+        return self.scaled - self.base @ (self.base.T @ self.scaled)
+
+    @property
+    def span(self) -> float:
+        """Turns of the input of the longest recording."""
+        return span_of(self.rows.theta, self.rows.record)
+
+    def gain(self, way: Wave | Trend) -> tuple[float, float, tuple[float, ...]]:
+        """Sum of squares that a wave or drift takes, Fisher's F ratio, and its two numbers [arcmin].
+
+        Both are zero if the model can take its place.
+        """
+        taken, parts = self._taken(way)
+        gained = float((taken**2).sum())
+        freedom = max(self.rows.theta.size - self.base.shape[1] - 2, 1)
+        ratio = gained / 2 / (max(float((self.left**2).sum()) - gained, 1e-300) / freedom)
         if ratio > SIGNIFICANT:
-            ratio = min(ratio, gained / 2 / max(_beside(order, span, root, rows.theta, left), 1e-300))
-        amplitude, phase = float(np.hypot(*parts)), float(np.arctan2(-parts[1], parts[0]))
-        found.append(Order(order, name, body, amplitude, phase, ratio))
-    return sorted(found, key=lambda each: -each.significance)
+            order = way.order if isinstance(way, Wave) else 0.0
+            own = slice(None) if isinstance(way, Wave) else self.rows.record == way.record
+            root, theta, left = self.root[own], self.rows.theta[own], (self.left - taken)[own]
+            span = self.span if isinstance(way, Wave) else float(np.ptp(theta)) / (2 * np.pi)
+            ratio = min(ratio, gained / 2 / max(_beside(order, span, root, theta, left), 1e-300))
+        return gained, ratio, parts
+
+    def _taken(self, way: Wave | Trend) -> tuple[np.ndarray, tuple[float, ...]]:
+        """What a wave or drift takes from the residual, shape (n,), and its two numbers [arcmin]."""
+        columns = np.stack(way.columns(self.rows.theta, self.rows.record), axis=1) * self.root[:, None]
+        beside = columns - self.base @ (self.base.T @ columns)
+        if (beside**2).sum() < LEFT * (columns**2).sum():
+            return np.zeros(self.left.shape), (0.0, 0.0)
+        parts, *_ = np.linalg.lstsq(beside, self.left, rcond=None)
+        return beside @ parts, tuple(map(float, parts))
+
+    def other_wave(self, orders: Sequence[float], scene: Scene) -> list[tuple[Wave, str, float]]:
+        """The largest wave of the residual, if its order is none of the given ones."""
+        theta, span = self.rows.theta, self.span
+        fine = max(float(np.median(np.abs(np.diff(theta)))), 1e-300)
+        steps = min(int(np.ceil(np.ptp(theta) / fine)) + 1, MOST_STEPS)
+        place = np.round((theta - theta.min()) / max(np.ptp(theta), 1e-300) * (steps - 1)).astype(int)
+        length = 1 << int(np.ceil(np.log2(FINER * steps)))
+        spectrum = np.abs(np.fft.rfft(np.bincount(place, self.root * self.left, steps), length))
+        every = np.arange(spectrum.size) * 2 * np.pi * (steps - 1) / max(np.ptp(theta), 1e-300) / length
+        fits = (every * span > LEAST_WAVES) & (every * fine < np.pi)
+        if not fits.any():
+            return []
+        order = float(every[fits][np.argmax(spectrum[fits])])
+        if any(abs(order - other) * span < 0.5 for other in orders):
+            return []
+        order = self._sharpened(order)
+        output = scene.system.orders.get("output", 1.0)
+        least = SIGNIFICANT + np.log(max(0.5 * np.ptp(theta) / fine, 1.0))  # the largest of so many independent waves
+        return [(Wave(order, f"{order / output:.4g} per turn of the output"), NO_BODY, least)]
+
+    def _sharpened(self, order: float) -> float:
+        """The order near another one whose wave takes most from the residual."""
+        from scipy import optimize  # this import takes a while, and few recordings need it
+
+        apart = 1 / (FINER * self.span)
+        within = max(order - apart, LEAST_WAVES / self.span), order + apart
+        best: Any = optimize.minimize_scalar(
+            lambda at: -float((self._taken(Wave(at, ""))[0] ** 2).sum()),
+            bounds=within,
+            method="bounded",
+            options={"xatol": SHARP * apart},
+        )
+        return float(best.x)
+
+
+def span_of(theta: np.ndarray, record: np.ndarray) -> float:
+    """Turns of the input of the longest of some recordings."""
+    return max(float(np.ptp(theta[record == i])) for i in np.unique(record)) / (2 * np.pi)
 
 
 def _beside(order: float, span: float, root: np.ndarray, theta: np.ndarray, left: np.ndarray) -> float:
@@ -113,7 +295,7 @@ def _beside(order: float, span: float, root: np.ndarray, theta: np.ndarray, left
     little.
     """
     near = order + np.concatenate([-NEIGHBOURS, NEIGHBOURS]) / span
-    near = near[near * span > 0.9]
+    near = near[near * span > LEAST_WAVES]
     parts = np.exp(1j * np.outer(near, theta)) @ (root * left)
     squares = np.abs(parts) ** 2 / max(float((root**2).sum()), 1e-300)
     return float(np.median(squares)) / np.log(2)  # squares of noise are exponentially distributed

@@ -124,7 +124,8 @@ def reassemble(
     """Find turns of bodies in their seats that make the expected transmission error small.
 
     Gear sets that the recordings leave possible are drawn (`Identification.draws`). The turns minimise the mean of the
-    metric over these draws; the gain is reported with its spread, and with the share of draws that get worse.
+    metric over these draws; the gain is reported with its spread, and with the share of draws that get worse. Curves
+    are those without load or under static load, also where the errors were identified in motion.
 
     Args:
         found: result of `identify`.
@@ -132,7 +133,7 @@ def reassemble(
         steps: number of positions per turn in which a body fits (teeth, splines, bolts), by error; a body that is not
             listed fits at any angle.
         metric: ``"std"`` or ``"peak_to_peak"`` of the transmission error over a cycle.
-        torque: load torque on the output; 0 for the no-load TE [N m].
+        torque: load torque on the output, for the static TE under it; 0 for the no-load TE [N m].
         draws: number of draws.
         key: seed of the draws.
         progress: called with a line of text now and then.

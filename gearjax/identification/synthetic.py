@@ -7,7 +7,7 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis import backlash, transmission_error
-from gearjax.checks import ParameterError, SceneError
+from gearjax.checks import ParameterError, SceneError, nearest
 from gearjax.identification.measurement import Measurement, ideal
 from gearjax.identification.moving import moving_error
 from gearjax.identification.running import an_analysis, check_running
@@ -143,9 +143,12 @@ def _in_motion(scene: Scene, time: np.ndarray, theta: np.ndarray, torque: float 
 
 def turned_scene(scene: Scene, turned: Mapping[str, float]) -> Scene:
     """The scene with bodies turned in their seats: each angle is added to the phase of an error."""
-    from gearjax.studies.select import pick
+    from gearjax.studies.select import numbers, pick
 
     for path, angle in turned.items():
+        valid = [each.removesuffix(".phase") for each in numbers(scene) if each.endswith(".phase")]
+        if path not in valid:
+            raise ParameterError("turned", path, f"is no eccentricity of this scene; {nearest(path, valid)}")
         free = pick(scene, f"{path}.phase")
         scene = free.set(scene, free.get(scene) + angle)
     return scene

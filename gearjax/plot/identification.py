@@ -13,7 +13,7 @@ from gearjax.units import arcmin
 
 MOST_DRAWN = 6  # largest number of recordings in a figure
 MEASURED, COMPUTED, LEFT = "0.55", "tab:blue", "tab:red"
-MOST_LABELS = 14
+LONGEST_NAME = 36
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
@@ -30,9 +30,16 @@ def comparison_figure(comparison: Comparison) -> Figure:
         above.plot(turns, (measured - centre) / arcmin, ".", color=MEASURED, markersize=1.5, label="measured")
         above.plot(turns, (computed - centre) / arcmin, color=COMPUTED, linewidth=0.8, label="computed")
         below.plot(turns, (measured - computed) / arcmin, ".", color=LEFT, markersize=1.2, label="difference")
-        finish(above, f"{record.name}: {100 * record.explained:.4g} % of the variance explained", "", "TE [arcmin]")
+        finish(
+            above, f"{_short(record.name)}: {100 * record.explained:.4g} % of the variance explained", "", "TE [arcmin]"
+        )
         finish(below, "", "turns of the input", "difference [arcmin]")
     return figure
+
+
+def _short(name: str) -> str:
+    """A name that fits into a title: the middle of a long one is left out."""
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME // 2]} … {name[-LONGEST_NAME // 2 :]}"
 
 
 def orders_figure(comparison: Comparison) -> Figure:
@@ -66,7 +73,7 @@ def _orders(record: RecordBeside, above, below) -> None:
         ax.set_xticks(place, [""] * len(orders) if ax is above else names)
     below.tick_params(axis="x", labelrotation=60, labelsize="x-small")
     below.set_yticks([-180, -90, 0, 90, 180])
-    finish(above, f"{record.name}: largest orders", "", "amplitude [arcmin]")
+    finish(above, f"{_short(record.name)}: largest orders", "", "amplitude [arcmin]")
     finish(below, "", "", "phase [deg]")
     for ax in (above, below):
         ax.set_xlim(-0.6, len(orders) - 0.4)
@@ -125,7 +132,7 @@ def residual_figure(found: Identification) -> Figure:
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(bottom=0.2 * noise)
-    finish(ax, f"{found.records[0].name}: orders", "cycles per turn of the output", "amplitude [arcmin]")
+    finish(ax, f"{_short(found.records[0].name)}: orders", "cycles per turn of the output", "amplitude [arcmin]")
     return figure
 
 
