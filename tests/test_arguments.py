@@ -130,6 +130,7 @@ def test_shapes_of_one_number(scene):
         ("shooting", {"steps": 8.5}, r"steps = 8\.5: must be a whole number"),
         ("shooting", {"guess": np.ones(3), "period": 15.8}, r"guess = \(3,\): is a shape"),
         ("harmonic_balance", {"harmonics": 0}, "harmonics = 0: must be at least 1"),
+        ("fourier_series", {"static": 3.0}, "static = 3.0: must be a scene"),
         ("speed_sweep", {"speeds": [-1.0]}, "speeds = -1: must be above 0"),
         ("speed_sweep", {"speeds": []}, r"speeds = \(0,\): is a shape"),
         ("speed_sweep", {"order": "crnk"}, 'order = "crnk": did you mean "crank"'),

@@ -278,6 +278,7 @@ OF_A_SCENE: dict[str, Callable[[Case], Any]] = {
     "export_joint": lambda case: len(gj.export_joint(case.moved, tempfile.mkdtemp(), torque=TORQUE)),
     "export_profile": lambda case: np.loadtxt(_written(gj.export_profile, case.moved), delimiter=",", skiprows=1),
     "growth_rate": lambda case: gj.growth_rate(case.moved, case.ts, TORQUE),
+    "fourier_series": lambda case: gj.fourier_series(case.still, TORQUE, case.period, harmonics=3).te,
     "harmonic_balance": lambda case: gj.harmonic_balance(case.still, TORQUE, case.period, harmonics=3).te,
     "lost_motion": lambda case: gj.lost_motion(case.moved, case.theta, TORQUE),
     "meshing_impact": lambda case: gj.meshing_impact(case.moved, TORQUE).force,
@@ -396,7 +397,16 @@ OF_NO_GEAR_SET = {
     "xla_options",
 }
 MOTION = (
-    *("chosen_steps", "growth_rate", "harmonic_balance", "natural_modes", "periodic_motion", "shooting", "simulate"),
+    *(
+        "chosen_steps",
+        "fourier_series",
+        "growth_rate",
+        "harmonic_balance",
+        "natural_modes",
+        "periodic_motion",
+        "shooting",
+        "simulate",
+    ),
     *("speed_sweep", "waterfall"),
 )
 REFUSED = {  # function, gear set and kind of number, or "" for all: what is missing

@@ -6,6 +6,7 @@ from gearjax.analysis.dynamics import chosen_steps, growth_rate, simulate
 from gearjax.analysis.face_load import FaceLoad, face_load
 from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.follow import QuasiStatic
+from gearjax.analysis.fourier_series import fourier_series
 from gearjax.analysis.harmonic_balance import harmonic_balance
 from gearjax.analysis.meshing_impact import MeshingImpacts, meshing_impact
 from gearjax.analysis.metrics import FewAngles
@@ -64,6 +65,7 @@ __all__ = [
     "chosen_steps",
     "contact_pressure",
     "face_load",
+    "fourier_series",
     "growth_rate",
     "harmonic_balance",
     "interference",

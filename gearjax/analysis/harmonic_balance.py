@@ -23,7 +23,7 @@ from gearjax.analysis.periodic import Periodic
 from gearjax.analysis.return_map import Problem
 from gearjax.checks import ParameterError, SceneError
 from gearjax.scene import Scene
-from gearjax.typing import Array, ArrayLike, Complex, Float, Scalar
+from gearjax.typing import Array, ArrayLike, Bool, Complex, Float, Scalar
 
 TOLERANCE = 1e-10  # of Newton's method, relative
 ROUNDED = 1e-6  # residual below which a step that does not make it smaller is the last: in float32 it is rounding
@@ -31,6 +31,7 @@ MATRIX = 2000  # unknowns up to which Newton's method has a matrix
 ROUGH = 1e-3  # relative error of its steps without a matrix; the next step corrects it
 KRYLOV = (12, 3), (40, 3)  # iterations of GMRES before it restarts and its starts, in easy and in hard equations
 SLOWEST = 0.5  # share of the residual that a step without a matrix may leave; more means that it leads nowhere
+BALANCED = 1e-6  # residual up to which a motion counts as a solution
 AT_ONCE = 256  # places whose excitation and static equilibrium are found together
 
 
@@ -61,9 +62,7 @@ def harmonic_balance(
         SceneError: the scene lacks a part, or there are too few samples.
         ParameterError: the guess has another shape.
     """
-    samples = 16 * harmonics if samples is None else samples
-    if harmonics < 1 or samples < 2 * harmonics + 1:
-        raise SceneError(f"harmonics = {harmonics}, samples = {samples}: needs at least 2 harmonics + 1 samples")
+    samples = check_samples(harmonics, samples)
     problem = Problem.of(scene, torque, period)
     if guess is not None:
         names, shape = problem.scene.coordinates, jnp.shape(guess)
@@ -75,6 +74,14 @@ def harmonic_balance(
             raise ParameterError("guess", shape, f"is a shape: give {words}")
         guess = jnp.asarray(guess, scene.dtype).reshape(shape[0], -1)
     return _harmonic_balance(problem, harmonics, samples, guess, max_steps)
+
+
+def check_samples(harmonics: int, samples: int | None) -> int:
+    """The number of samples per period, by default 16 per harmonic; refused if too few for the harmonics."""
+    samples = 16 * harmonics if samples is None else samples
+    if harmonics < 1 or samples < 2 * harmonics + 1:
+        raise SceneError(f"harmonics = {harmonics}, samples = {samples}: needs at least 2 harmonics + 1 samples")
+    return samples
 
 
 class Balance(eqx.Module):
@@ -92,6 +99,7 @@ class Balance(eqx.Module):
         period: the period [s].
         rest: coordinates of the static equilibrium at these places, shape (n, coordinate) [rad, m]; where there is
             none, those of the first place.
+        carries: whether each contact carries in that equilibrium, shape (n, contact).
     """
 
     lines: Lines
@@ -101,6 +109,7 @@ class Balance(eqx.Module):
     size: Float[Array, " line"]
     period: Scalar
     rest: Float[Array, "n coordinate"]
+    carries: Bool[Array, "n contact"]
 
     @classmethod
     def of(cls, problem: Problem, harmonics: int, samples: int) -> "Balance":
@@ -110,17 +119,18 @@ class Balance(eqx.Module):
         lines = Lines.of(equation, jnp.zeros_like(period))
         lengths = jnp.full(lines.seen.shape[:1], LENGTH_SCALE, equation.scale.dtype)
 
-        def at(time: Scalar) -> tuple[Driving, Array]:
+        def at(time: Scalar) -> tuple[Driving, Array, Array]:
             now = equation.excitation(time)
-            return lines.driving(time), equation.resting(now.jacobian, now.gap, now.stiffness, now.torque)[0]
+            return lines.driving(time), *equation.resting(now.jacobian, now.gap, now.stiffness, now.torque)
 
-        times = _places(samples, period.dtype) * period
-        table, rest = jax.lax.map(at, times, batch_size=min(AT_ONCE, samples))
-        rest = jax.lax.stop_gradient(jnp.where(jnp.isfinite(rest), rest, rest[:1]))
+        times = places(samples, period.dtype) * period
+        table, rest, forces = jax.lax.map(at, times, batch_size=min(AT_ONCE, samples))
+        rest = jnp.where(jnp.isfinite(rest), rest, rest[:1])
         answers = _answers(lines, 2 * jnp.pi / period * jnp.arange(harmonics + 1).astype(period.dtype))
         answers, known = jnp.split(answers, [len(lines.seen)], axis=2)
-        forced = jnp.einsum("hci,hi->hc", known, _amplitudes(jax.vmap(lines.known)(table), harmonics))
-        return cls(lines, table, answers, forced, lengths if lines.apart else equation.scale, period, rest)
+        forced = jnp.einsum("hci,hi->hc", known, amplitudes(jax.vmap(lines.known)(table), harmonics))
+        size = lengths if lines.apart else equation.scale
+        return cls(lines, table, answers, forced, size, period, rest, forces > 0)
 
     @property
     def samples(self) -> int:
@@ -143,7 +153,7 @@ class Balance(eqx.Module):
 
     def coefficients(self, curves: Float[Array, "n column"]) -> Float[Array, "function column"]:
         """Mean, cosines and sines of curves at the even places."""
-        waves = _amplitudes(curves, self.harmonics)
+        waves = amplitudes(curves, self.harmonics)
         return jnp.concatenate([waves.real, -waves[1:].imag])
 
     def waves(self, numbers: Float[Array, "function column"]) -> Complex[Array, "harmonic column"]:
@@ -160,16 +170,23 @@ class Balance(eqx.Module):
         order = 2 * jnp.pi / self.period * jnp.arange(self.harmonics + 1).astype(self.period.dtype)[:, None]
         return self.values(jax.lax.complex(-order * waves.imag, order * waves.real))
 
-    def answer(self, numbers: Float[Array, "function line"]) -> Complex[Array, "harmonic coordinate"]:
-        """Complex amplitudes of the coordinates that follow from the curves of the lines [rad, m]."""
+    def answer(
+        self, numbers: Float[Array, "function line"], carries: Bool[Array, "n contact"] | None = None
+    ) -> Complex[Array, "harmonic coordinate"]:
+        """Complex amplitudes of the coordinates that follow from the curves of the lines [rad, m].
+
+        Args:
+            numbers: coefficients of the curves, scaled.
+            carries: contacts that carry whatever the curves are; ``None`` for those that touch.
+        """
         lines, waves = self.lines, self.waves(numbers * self.size[None])
         seen = self.values(waves)
         rate = self.rates(waves) if lines.hears_speed else jnp.zeros_like(seen)
 
-        def at(now: Driving, seen: Array, rate: Array) -> Array:
-            return lines.inputs(now, lines.sight(seen, rate))
+        def at(now: Driving, seen: Array, rate: Array, carries: Array | None) -> Array:
+            return lines.inputs(now, lines.sight(seen, rate), carries)
 
-        inputs = _amplitudes(jax.vmap(at)(self.table, seen, rate), self.harmonics)
+        inputs = amplitudes(jax.vmap(at)(self.table, seen, rate, carries), self.harmonics)
         return jnp.einsum("hci,hi->hc", self.answers, inputs) + self.forced
 
     def lacking(self, numbers: Float[Array, "function line"]) -> Float[Array, "function line"]:
@@ -177,13 +194,30 @@ class Balance(eqx.Module):
         answer = self.answer(numbers) @ self.lines.seen.T.astype(self.answers.dtype)
         return jnp.concatenate([answer.real, -answer.imag[1:]]) / self.size[None] - numbers
 
+    def motion(self, waves: Complex[Array, "harmonic coordinate"], rest: Scalar, balanced: float) -> Periodic:
+        """The motion of some complex amplitudes of the coordinates, with what they lack in the equation of motion."""
+        scene, place, speed = self.lines.equation.scene, self.values(waves), self.rates(waves)
+        unknown = jnp.full((2 * place.shape[1],), jnp.nan, self.period.dtype)
+        state, supported = jnp.stack([place[0], speed[0]]), not scene.output_alone
+        return Periodic(
+            places(self.samples, self.period.dtype) * self.period,
+            place[:, 0],
+            speed[:, 0],
+            jax.lax.complex(unknown, unknown),
+            rest,
+            jnp.where((rest <= balanced) & jnp.isfinite(rest), 0, 1),
+            state if supported else state[:, 0],
+            place[:, 1:] if supported else None,
+            scene.coordinates,
+        )
 
-def _places(samples: int, dtype: jnp.dtype) -> Float[Array, " n"]:
+
+def places(samples: int, dtype: jnp.dtype) -> Float[Array, " n"]:
     """Even places of a period, as fractions of it."""
     return jnp.arange(samples).astype(dtype) / samples
 
 
-def _amplitudes(curves: Float[Array, "n column"], harmonics: int) -> Complex[Array, "harmonic column"]:
+def amplitudes(curves: Float[Array, "n column"], harmonics: int) -> Complex[Array, "harmonic column"]:
     """Complex amplitudes of the mean and each harmonic of curves at even places of a period."""
     waves = jnp.fft.rfft(curves, axis=0)[: harmonics + 1] / curves.shape[0]
     return waves.at[1:].multiply(2.0)
@@ -288,23 +322,9 @@ def _harmonic_balance(problem: Problem, harmonics: int, samples: int, guess: Arr
     period = problem.period
     balance = Balance.of(problem, harmonics, samples)
     if guess is None:
-        curve = balance.seen(balance.rest)
+        curve = balance.seen(jax.lax.stop_gradient(balance.rest))
     else:
-        begins, places = _places(guess.shape[0], period.dtype), _places(samples, period.dtype)
-        curve = balance.seen(jax.vmap(lambda one: jnp.interp(places, begins, one, period=1.0), 1, 1)(guess))
+        begins, ends = places(guess.shape[0], period.dtype), places(samples, period.dtype)
+        curve = balance.seen(jax.vmap(lambda one: jnp.interp(ends, begins, one, period=1.0), 1, 1)(guess))
     numbers, rest = _root(lambda numbers: balance.lacking(numbers), balance.coefficients(curve), max_steps)
-    waves = balance.answer(numbers)
-    place, speed = balance.values(waves), balance.rates(waves)
-    unknown = jnp.full((2 * place.shape[1],), jnp.nan, period.dtype)
-    state, supported = jnp.stack([place[0], speed[0]]), not problem.scene.output_alone
-    return Periodic(
-        _places(samples, period.dtype) * period,
-        place[:, 0],
-        speed[:, 0],
-        jax.lax.complex(unknown, unknown),
-        rest,
-        jnp.where((rest <= 1e-6) & jnp.isfinite(rest), 0, 1),
-        state if supported else state[:, 0],
-        place[:, 1:] if supported else None,
-        problem.scene.coordinates,
-    )
+    return balance.motion(balance.answer(numbers), rest, BALANCED)

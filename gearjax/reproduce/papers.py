@@ -28,6 +28,6 @@ PAPERS = {
     "two_kv": Paper(two_kv.PAPER, two_kv.rows),
     "rv_cycloidal": Paper(rv_cycloidal.PAPER, rv_cycloidal.rows),
     "involute_rv": Paper(involute_rv.PAPER, involute_rv.rows, save_loads_figure),
-    "helical": Paper(helical.PAPER, helical.rows),
+    "helical": Paper(helical.PAPER, helical.rows, helical.save_sidebands_figure),
     "elliptic": Paper(elliptic.PAPER, elliptic.rows, elliptic.save_elliptic_figures),
 }

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax.analysis.modes.equation import StructureEquation
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, Bool, Float, Scalar
 
 
 class Driving(NamedTuple):
@@ -156,16 +156,23 @@ class Lines(eqx.Module):
         pushed = (jnp.ones_like(now.torque),) if self.equation.pushed else ()
         return jnp.stack([now.torque, *pushed, *(() if now.struck is None else (now.struck,))])
 
-    def inputs(self, now: Driving, sight: Array) -> Float[Array, " line"]:
+    def inputs(
+        self, now: Driving, sight: Array, carries: Bool[Array, " contact"] | None = None
+    ) -> Float[Array, " line"]:
         """The inputs u of the lines [N, N m].
 
         Args:
             now: excitation at this time.
             sight: a vector as from `sights`.
+            carries: contacts that carry, whatever their overlap is; ``None`` for those that touch.
         """
         equation, seen = self.equation, sight[: len(self.seen)]
         overlap = self.overlap(now, sight)
-        force = now.stiffness * equation.scene.contact.penetration(overlap)
+        if carries is None:
+            force = now.stiffness * equation.scene.contact.penetration(overlap)
+        else:
+            force = jnp.where(carries, now.stiffness * overlap, 0.0)
+            overlap = jnp.where(carries, jnp.inf, -jnp.inf).astype(overlap.dtype)
         damping = equation.resistance(now.stiffness, overlap, self.approach(now, sight))
         if damping is not None:
             force = force + equation.springs.at_contacts(damping)
