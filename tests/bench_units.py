@@ -240,7 +240,13 @@ def pin_stage(clearance: str = "exact") -> gj.Scene:
 
 
 def pin_stage_runs(
-    unit: PinStageUnit, seed: int, torques=(60.0, 300.0, -60.0), noise=0.02 * arcmin, drift=0.0, per_turn=60
+    unit: PinStageUnit,
+    seed: int,
+    torques=(60.0, 300.0, -60.0),
+    noise=0.02 * arcmin,
+    drift=0.0,
+    per_turn=60,
+    counts=None,
 ) -> list[gj.Measurement]:
     """Recordings of one turn of the output, some rows a turn of the crank."""
     rng = np.random.default_rng(seed)
@@ -249,5 +255,7 @@ def pin_stage_runs(
     offsets = drift * rng.standard_normal(len(torques))
     for torque, offset in zip(torques, offsets, strict=True):
         output = theta / 23 + unit.te(theta, torque) + offset + noise * rng.standard_normal(theta.size)
+        if counts is not None:  # of the encoder at the output, per turn
+            output = np.floor(output / (2 * np.pi) * counts) * (2 * np.pi / counts)
         records.append(gj.Measurement(theta, output, None, torque, theta / 31.4, f"{torque:g} N m"))
     return records

@@ -135,6 +135,19 @@ def test_a_run_with_three_torques_shows_them_in_a_curve():
     assert against_torque(shorter, list(run_cases(shorter))) is None
 
 
+def test_a_record_after_which_run_outs_differ_warns():
+    """After one mesh a run-out leaves a jump, whose harmonics are not those of the mesh; a whole cycle closes."""
+    scene = relieved(8 * um)
+    scene = dataclasses.replace(scene, errors=scene.errors | {"run_out": gj.Eccentricity("wheel", 20 * um, 0.3)})
+    mesh = meshes_of(scene.system, 16)
+    with pytest.warns(gj.UnclosedRecord, match="gaps differ by .* um: the harmonics contain the jump"):
+        one = gj.torque_sweep(scene, mesh, TORQUES)
+    turn = np.linspace(0.0, scene.system.cycle, 50 * 16, endpoint=False)
+    whole, alone = gj.torque_sweep(scene, turn, TORQUES), gj.torque_sweep(relieved(8 * um), mesh, TORQUES)
+    np.testing.assert_allclose(whole.harmonics[:, 0], alone.harmonics[:, 0], rtol=2e-2)
+    assert (np.abs(one.harmonics[:, 0] / alone.harmonics[:, 0] - 1) > 0.1).any()
+
+
 def test_without_an_equilibrium_there_are_no_harmonics():
     """A torque that pulls the teeth apart: nan, as its mean is."""
     pulled = relieved(8 * um)

@@ -28,7 +28,7 @@ from gearjax.analysis.resting import Interference
 from gearjax.analysis.solvers import AdaptiveStep, FixedStep, RungeKutta4, Windows
 from gearjax.analysis.spectrum import Spectrum, order_spectrum
 from gearjax.analysis.stiffness import MeshStiffness, mesh_stiffness
-from gearjax.analysis.torque_sweep import TorqueSweep, torque_sweep
+from gearjax.analysis.torque_sweep import TorqueSweep, UnclosedRecord, torque_sweep
 from gearjax.analysis.torsion import LostMotion, Torsion, contact_pressure, lost_motion, torsion
 from gearjax.analysis.waterfall import Waterfall, waterfall
 
@@ -58,6 +58,7 @@ __all__ = [
     "TorqueSweep",
     "Torsion",
     "TransmissionError",
+    "UnclosedRecord",
     "Waterfall",
     "Windows",
     "backlash",

@@ -23,8 +23,18 @@ def check_repeats(scene: Scene, angle: float) -> None:
     Raises:
         SceneError: tells what differs, and after which angle errors repeat.
     """
+    words = what_differs(scene, angle)
+    if words is not None:
+        cycle = f"errors repeat after scene.system.cycle = {scene.system.cycle:.6g} rad of the input"
+        raise SceneError(
+            f"the excitation does not repeat after a period of {angle:.6g} rad of the input: {words}; {cycle}"
+        )
+
+
+def what_differs(scene: Scene, angle: float) -> str | None:
+    """What differs after an input angle [rad], in words; ``None`` if nothing does or not all numbers are known."""
     if not is_concrete(scene):
-        return
+        return None
     places = angle * np.modf(np.arange(1, ANGLES + 1) * (np.sqrt(5) - 1) / 2)[0]
     with jax.ensure_compile_time_eval():  # also inside the trace of something else
         physics = scene.physics("backlash", "compliance", "load")
@@ -32,25 +42,25 @@ def check_repeats(scene: Scene, angle: float) -> None:
     (gap, after), (stiffness, stiffer), (load, other) = ([np.asarray(part) for part in each] for each in both)
     rounding = 1e3 * float(jnp.finfo(scene.dtype).eps)
     off = float(np.abs(after - gap).max(initial=0.0))
-    cycle = f"errors repeat after scene.system.cycle = {scene.system.cycle:.6g} rad of the input"
-    whole = f"the excitation does not repeat after a period of {angle:.6g} rad of the input"
     if off > NOTHING + rounding * np.abs(gap).max(initial=0.0):
-        raise SceneError(f"{whole}: gaps differ by {off * 1e6:.3g} um; {cycle}")
+        return f"gaps differ by {off * 1e6:.3g} um"
     for name, before, then in (("stiffness", stiffness, stiffer), ("load", load, other)):
         if np.abs(then - before).max(initial=0.0) > (NOTHING + rounding) * np.abs(before).max(initial=0.0):
-            raise SceneError(f"{whole}: its {name} differs; {cycle}")
+            return f"its {name} differs"
+    return None
 
 
 def _compared(scene: Scene, before: Array, after: Array) -> tuple[tuple[Array, Array], ...]:
     """Gaps, stiffness and shape of the load at input angles and a period later; contacts may have changed places."""
-    assert scene.load is not None
-    shape = scene.load.shape
 
     def at(theta: Scalar) -> tuple[Array, Array, Array]:
         contacts = scene.contacts(theta, "varying")
-        assert contacts.linear is not None  # motion needs linear springs
-        load = shape(theta / (2 * jnp.pi), theta / scene.system.input_speed, scene.system.orders)
-        return jnp.sort(contacts.gap), jnp.sort(contacts.linear), jnp.broadcast_to(load, theta.shape)
+        stiffness = jnp.zeros_like(contacts.gap) if contacts.linear is None else contacts.linear
+        load = jnp.ones_like(theta)
+        if scene.load is not None:
+            turns, time = theta / (2 * jnp.pi), theta / scene.system.input_speed
+            load = jnp.broadcast_to(scene.load.shape(turns, time, scene.system.orders), theta.shape)
+        return jnp.sort(contacts.gap), jnp.sort(stiffness), load
 
     angles = (jnp.asarray(part, scene.dtype) for part in (before, after))
     return tuple(zip(*(jax.vmap(at)(part) for part in angles), strict=True))

@@ -6,14 +6,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
+from gearjax.analysis.period import what_differs
 from gearjax.analysis.quasi_static import EXTREMES, angles_of, transmission_error
-from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
+from gearjax.checks import ParameterError, SceneError, is_concrete, nearest, warn_the_caller
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 AT_ONCE = 16  # torques that are computed side by side; more of them take turns, so that memory is bounded
 WHOLE = 1e-5  # share of its span by which a record may miss a whole number of periods
+
+
+class UnclosedRecord(UserWarning):
+    """The harmonics of a curve that does not repeat after its record contain the jump at its end."""
 
 
 class TorqueSweep(eqx.Module):
@@ -62,6 +67,7 @@ def torque_sweep(
 
     Raises:
         SceneError: the scene lacks a compliance, or theta is uneven or no whole number of periods.
+        UnclosedRecord: as a warning, if errors differ after the record, as run-outs do after one mesh.
         ParameterError: there is no such order, or an argument has the wrong shape.
 
     Example:
@@ -82,6 +88,13 @@ def torque_sweep(
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
     turns = scene.system.orders[order]
     _check_periods(theta, turns, order, harmonics)
+    if is_concrete(theta):
+        angle = float(theta[-1] + theta[1] - 2 * theta[0])
+        words = what_differs(scene.physics("backlash", "compliance"), angle)
+        if words is not None:
+            again = f"after theta's {angle:.6g} rad {words}: the harmonics contain the jump at the end of the record"
+            right = f"theta over scene.system.cycle = {scene.system.cycle:.6g} rad has none"
+            warn_the_caller(f"{again}; {right}", UnclosedRecord)
     return _torque_sweep(scene, theta, torques, harmonics, order, extremes)
 
 

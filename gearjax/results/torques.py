@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 
 FEWEST = 3  # torques that make a curve
 HARMONICS = 3
+CLOSED = 1e-3  # share of its swing by which the TE may differ at both ends of a record that repeats
 
 
 def against_torque(scene: Scene, cases: "list[Case]") -> TorqueSweep | None:
     """Static TE of a run against the torque, with harmonics of the mesh.
 
-    ``None`` if the run has fewer than three static torques, or if its record is no whole number of meshes.
+    ``None`` if the run has fewer than three static torques, or if its record is no whole number of meshes or the TE
+    does not repeat after it.
     """
     found = {
         case.torque: case.result
@@ -33,6 +35,9 @@ def against_torque(scene: Scene, cases: "list[Case]") -> TorqueSweep | None:
     theta = each[0].theta[:-1]  # records have both ends
     if not whole_periods(np.asarray(theta, float), order):
         return None
+    ends, swing = (np.array([value(np.asarray(result.te)) for result in each]) for value in (_jump, np.ptp))
+    if (ends > CLOSED * swing).any():
+        return None
     te = jnp.stack([result.te[:-1] for result in each])
     return TorqueSweep(
         jnp.asarray(sorted(found), te.dtype),
@@ -42,3 +47,7 @@ def against_torque(scene: Scene, cases: "list[Case]") -> TorqueSweep | None:
         jnp.stack([result.result.max() for result in each]),
         "mesh",
     )
+
+
+def _jump(te: np.ndarray) -> float:
+    return float(abs(te[-1] - te[0]))
