@@ -87,6 +87,26 @@ def test_outliers_are_told(tmp_path):
         gj.read_flank(written(tmp_path, rows), "driving")
 
 
+def test_a_tooth_far_from_its_neighbours_is_told(tmp_path):
+    """Also the first and the last tooth, which are neighbours; scatter of every size is no outlier."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        waves = 15 * np.sin(2 * np.pi * np.arange(47) / 47 + seed) + rng.uniform(0.5, 3) * rng.standard_normal(47)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gj.read_pitch(_pitch(tmp_path, waves))
+        tooth = (0, 20, 46)[seed % 3]
+        waves[tooth] += 120
+        with pytest.warns(gj.RepairedData, match=f"tooth {tooth} is 1[0-9][0-9] um beside its neighbours"):
+            assert gj.read_pitch(_pitch(tmp_path, waves))["deviation"][tooth] == pytest.approx(1e-6 * waves[tooth])
+
+
+def _pitch(folder, waves):
+    return written(
+        folder, [[str(tooth), repr(float(each))] for tooth, each in enumerate(waves)], "tooth,cumulative [um]"
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

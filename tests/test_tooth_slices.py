@@ -164,6 +164,22 @@ def test_foundation_keeps_to_the_printed_bounds():
 
 
 @pytest.mark.slow
+def test_a_fillet_larger_than_the_tip_of_the_rack_is_refused():
+    """At the largest one the roundings of both flanks meet in the middle of the tip."""
+    pair = pair_of(**GUO_2)
+    gear = pair.gears[0]
+    largest = RootFillet(gear, RootFillet(gear, jnp.asarray(0.0)).most_rounding)
+    assert float(largest.place) == pytest.approx(math.pi * float(gear.module) / 2, rel=1e-12)
+    assert float(largest.rounding) > 0.38 * GUO_2["normal_module"]
+    wide = scene_of(
+        GUO_1 | {"rack": gj.BasicRack(1.0, 1.4, 0.45)}, compliance=dataclasses.replace(TEETH, root="fillet")
+    )
+    with pytest.raises(gj.ParameterError, match=r"fillet_radius = 0.45: is more than the tip .* 0.3\d+ normal modules"):
+        gj.transmission_error(wide, [0.0, 0.01], 100.0)
+    straight = dataclasses.replace(wide, compliance=TEETH)
+    assert np.isfinite(gj.transmission_error(straight, [0.0, 0.01], 100.0).te).all()
+
+
 def test_fillets_make_teeth_stiffer():
     """The foundation comes near that of an elastic layer on rigid ground, which elements hold, for few teeth too; the
     mean stiffness of the mesh changes smoothly with the radius of the rack's tip, and all is differentiable."""

@@ -115,6 +115,11 @@ class ToothSlices(AbstractSliceCompliance):
             if bore is not None and not gear.internal and float(bore) > 0.95 * root:
                 words = f"must be below the root diameter, {root / units.mm:.6g} mm, by 5 % or more"
                 raise ParameterError(f"compliance.{key}", f"{float(bore) / units.mm:.6g} mm", words)
+        for fillet, rack in zip(self._fillets(slices), slices.pair.racks, strict=True):
+            room = math.inf if fillet is None else float(fillet.most_rounding / slices.pair.normal_module)
+            if float(rack.fillet_radius) > room * (1 + 1e-9):
+                words = f'is more than the tip of the rack has room for, {room:.4g} normal modules (root = "fillet")'
+                raise ParameterError("fillet_radius", float(rack.fillet_radius), words)
 
     @property
     def precomputes(self) -> bool:

@@ -18,6 +18,7 @@ from gearjax.errors.measured import FLANKS
 
 MOST_MISSING = 0.1  # largest share of the points of a grid that may be missing and are filled in
 FAR = 10.0  # times the usual distance from the neighbours: an outlier is farther away
+FEWEST_TEETH = 8  # of a gear whose outlying teeth can be told from the others
 STANDS_OUT = 0.2  # share of the spread of the grid: an outlier is also farther away than this
 LONGEST, MOST_TEETH = 10.0, 100_000  # largest length [m], and largest number of a tooth, in a file
 PLACES = 1e-9  # resolution with which points of a grid are distinguished [m]
@@ -117,6 +118,8 @@ def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
         file: path of the file.
         flank: flank whose rows are read, if the file has a column ``flank``.
 
+    Teeth far from both neighbours are told as a warning (`RepairedData`), but not changed.
+
     Returns:
         ``deviation`` and ``flank``, the arguments of `MeasuredPitch`.
 
@@ -142,7 +145,21 @@ def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
             words = f"the single deviations add up to {values.sum() / units.um:.3g} um around the gear, not to 0"
             warnings.warn(f"file: {file}: {words}: their mean is subtracted", RepairedData, stacklevel=2)
         values = np.concatenate([np.zeros(1), np.cumsum(values - values.mean())[:-1]])
+    _warn_of_far_teeth(f"file: {file}", values)
     return {"deviation": values, "flank": flank}
+
+
+def _warn_of_far_teeth(key: str, values: np.ndarray) -> None:
+    """Warn of teeth whose cumulative deviation is far from those of both neighbours, around the gear."""
+    if values.size < FEWEST_TEETH:
+        return
+    away = np.abs(values - 0.5 * (np.roll(values, 1) + np.roll(values, -1)))
+    spread = np.percentile(values, 95) - np.percentile(values, 5)
+    far = away > max(FAR * float(np.median(away)), STANDS_OUT * float(spread))
+    if far.any():
+        tooth = int(np.argmax(away))
+        words = f"tooth {tooth} is {away[tooth] / units.um:.3g} um beside its neighbours: it is taken as it is"
+        warnings.warn(f"{key}: {words}", RepairedData, stacklevel=3)
 
 
 READERS: Mapping[str, Callable[[str | Path, str], dict[str, Any]]] = {

@@ -37,6 +37,13 @@ class RootFillet(eqx.Module):
         self.place = 0.25 * jnp.pi * gear.module + flank + rounding / jnp.cos(gear.pressure_angle)
 
     @property
+    def most_rounding(self) -> Scalar:
+        """Radius at which the roundings at both flanks of the rack's tip meet [m]."""
+        gear = self.gear
+        half = 0.25 * jnp.pi * gear.module - gear.module * gear.dedendum * jnp.tan(gear.pressure_angle)
+        return half * jnp.cos(gear.pressure_angle) / (1 - jnp.sin(gear.pressure_angle))
+
+    @property
     def root_angle(self) -> Scalar:
         """Half of the angle of the tooth where the fillet meets the root circle [rad]."""
         return self.place / self.gear.reference_radius

