@@ -224,3 +224,11 @@ def test_smooth_contacts_run(capsys, fast):
     code, out, _ = command(capsys, "run", fast, "--json")
     assert code == 0
     assert json.loads(out)["cases"][0]["metrics"]["mean_arcmin"] < 0
+
+
+@pytest.mark.slow
+def test_the_record_that_is_told_has_all_errors_in_it(capsys, tmp_path, fast):
+    """A motion whose start is left out needs so much longer a record."""
+    told = command(capsys, "run", fast)[1]
+    cycle, whole = (float(told.partition(words)[2].split(" s")[0]) for words in ("s of the ", 'duration = "'))
+    assert whole == pytest.approx(cycle + 0.05, rel=1e-5)  # settle of the example

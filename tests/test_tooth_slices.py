@@ -166,7 +166,7 @@ def test_foundation_keeps_to_the_printed_bounds():
 @pytest.mark.slow
 def test_a_fillet_larger_than_the_tip_of_the_rack_is_refused():
     """At the largest one the roundings of both flanks meet in the middle of the tip."""
-    pair = pair_of(**GUO_2)
+    pair = system_of(GUO_2).pair
     gear = pair.gears[0]
     largest = RootFillet(gear, RootFillet(gear, jnp.asarray(0.0)).most_rounding)
     assert float(largest.place) == pytest.approx(math.pi * float(gear.module) / 2, rel=1e-12)

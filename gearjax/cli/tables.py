@@ -189,7 +189,8 @@ def print_cases(cases: list[Case], ratio: float, told: str | None = None) -> Non
     part = next((case for case in cases if " of " in case.span), None)
     if part is not None:
         words = f"the record has {part.window:g} s of the {part.cycle:g} s after which all errors repeat"
-        words += f': extremes may lie outside the record; [run] duration = "{part.cycle:g} s" has all of it'
+        whole = max(case.cycle + case.settle for case in cases)
+        words += f': extremes may lie outside the record; [run] duration = "{whole:g} s" has all of it'
         console.print(f"{part.span}: {words}", style="dim", soft_wrap=True)
     console.print("amplitude: largest absolute value", style="dim", soft_wrap=True)
     for note in dict.fromkeys(case.published.note for case in cases if case.published and case.published.note):

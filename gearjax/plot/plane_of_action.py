@@ -99,10 +99,9 @@ def _draw_mean(axes: Axes, face: FaceLoad, width: float) -> None:
     """
     mean = np.asarray(face.mean) * PER_MM
     axes.barh(np.asarray(face.across) / mm, mean, height=width / mm, color="0.75")
-    axes.axvline(mean.mean(), color="C3", linewidth=1.0, label="mean of the face")
-    axes.set_title(f"K_Hbeta {float(face.factor):.3g}", fontsize="medium")
-    axes.set_xlabel("mean load per width of face [N/mm]")
-    axes.legend(fontsize="small", loc="lower left")
+    axes.axvline(mean.mean(), color="C3", linewidth=1.0)
+    axes.set_title(f"K_Hbeta {float(face.factor):.3g}, line: mean", fontsize="medium")
+    axes.set_xlabel("mean load per width [N/mm]")
 
 
 def _filled(row: np.ndarray) -> np.ndarray:
@@ -143,11 +142,17 @@ def _slices(stage: HelicalMesh, turned: Array, back: bool) -> tuple[Array, Array
 def _draw_lines(
     axes: Axes, stage: HelicalMesh, at: tuple[np.ndarray, np.ndarray, np.ndarray], scale: Normalize
 ) -> None:
-    """The slices that carry, each over its whole width, even if only a part of it is on the path of contact."""
+    """The slices that carry, as far as they are on the path of contact."""
     roll, across, load = at
     half = 0.5 * float(stage.pair.face_width) / mm / stage.slices
     lean = float(np.tan(stage.pair.base_helix_angle))
-    ends = [[(x - half * lean, z - half), (x + half * lean, z + half)] for x, z in zip(roll, across, strict=True)]
+    path = stage.pair.contact_path
+    low, high = float(path.begin) / mm, float(path.end) / mm
+    ends = []
+    for x, z in zip(roll, across, strict=True):
+        reach = (-half, half) if abs(lean) < 1e-9 else sorted(((low - x) / lean, (high - x) / lean))
+        part = max(-half, reach[0]), min(half, reach[1])
+        ends.append([(x + each * lean, z + each) for each in part])
     carrying = load > 0
     shown = [end for end, carries in zip(ends, carrying, strict=True) if carries]
     axes.add_collection(LineCollection(shown, array=load[carrying], norm=scale, cmap="viridis", linewidths=4))

@@ -53,6 +53,7 @@ class Case:
         analysis: ``no_load``, ``backlash``, ``static`` or ``dynamic``.
         torque: size of the load torque [N m], 0 without load.
         window: length of the part of the record that the metrics use [s].
+        settle: time at the start of the record that the metrics leave out [s].
         cycle: time after which the errors repeat [s]; a shorter window is a part of it.
         result: result of the analysis.
         metrics: metrics by name [rad].
@@ -62,6 +63,7 @@ class Case:
     analysis: str
     torque: float
     window: float
+    settle: float
     cycle: float
     result: TransmissionError | Backlash | Motion
     metrics: dict[str, float]
@@ -232,14 +234,16 @@ def _case(scene: Scene, run: Run, analysis: str, torque: float, result: Transmis
     metrics = {name: float(value) for name, value in _metrics_of(result).items()}
     if not np.isfinite(list(metrics.values())).all():
         raise SceneError(f"{analysis} at {torque:g} N*m: the result is not finite, a value of the scene is too extreme")
-    window = run.duration - (run.settle if analysis == "dynamic" else 0.0)
+    settle = run.settle if analysis == "dynamic" else 0.0
     published = [
         entry
         for entry in run.published
         if entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
     ]
     cycle = _cycle(scene) / float(scene.system.input_speed)
-    return Case(analysis, torque, window, cycle, result, metrics, published[0] if published else None)
+    return Case(
+        analysis, torque, run.duration - settle, settle, cycle, result, metrics, published[0] if published else None
+    )
 
 
 def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
