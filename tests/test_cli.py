@@ -227,7 +227,7 @@ def test_smooth_contacts_run(capsys, fast):
 
 
 @pytest.mark.slow
-def test_the_record_that_is_told_has_all_errors_in_it(capsys, tmp_path, fast):
+def test_the_record_that_is_told_has_all_errors_in_it(capsys, fast):
     """A motion whose start is left out needs so much longer a record."""
     told = command(capsys, "run", fast)[1]
     cycle, whole = (float(told.partition(words)[2].split(" s")[0]) for words in ("s of the ", 'duration = "'))
