@@ -171,7 +171,7 @@ def test_a_fillet_larger_than_the_tip_of_the_rack_is_refused():
     assert float(largest.place) == pytest.approx(math.pi * float(gear.module) / 2, rel=1e-12)
     assert float(largest.rounding) > 0.38 * GUO_2["normal_module"]
     wide = scene_of(GUO_1, dedendum=1.4, fillet_radius=0.45, compliance=TEETH)
-    assert np.isfinite(gj.transmission_error(wide, [0.0, 0.01], 100.0).te).all()
+    assert np.isfinite(gj.transmission_error(wide, np.array([0.0, 0.01]), 100.0).te).all()
     with pytest.raises(gj.ParameterError, match=r"fillet_radius = 0.45: is more than the tip .* 0.40\d normal modules"):
         dataclasses.replace(wide, compliance=dataclasses.replace(TEETH, root="fillet"))
 
