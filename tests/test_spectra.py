@@ -19,6 +19,7 @@ import tomli_w
 import gearjax as gj
 from gearjax import results
 from gearjax.cli import main
+from gearjax.results import spectra
 from gearjax.results.store import NAME
 from gearjax.units import arcmin
 from tests.conftest import ROOT
@@ -111,6 +112,17 @@ def test_a_motion_is_continued_to_a_whole_cycle_after_it_has_settled(scene):
     assert found.amplitude[1300] / arcmin == pytest.approx(0.2139, abs=1e-3)
     between = np.delete(found.amplitude, [*range(5), *range(26 - 3, 26 + 4), *range(1300 - 60, 1300 + 61)])[:1150]
     assert between.max() < 1e-5 * found.amplitude[1300]
+
+
+@pytest.mark.slow
+def test_pieces_of_a_motion_are_the_motion(scene):
+    """Where damping makes a motion forget its start; where it does not, there are no pieces."""
+    run, times = gj.Run(0.1, 101, ("dynamic",), (100.0,), settle=0.0), np.arange(1000) * 0.99e-3
+    whole = np.asarray(gj.simulate(scene, times, 100.0).te)
+    pieces = spectra._moved(scene, run, times, 100.0)
+    assert 0 < np.abs(pieces - whole).max() < 1e-5 * np.ptp(whole)
+    free = dataclasses.replace(scene, damping=gj.DampingRatio(1e-3))
+    np.testing.assert_array_equal(spectra._moved(free, run, times, 100.0), gj.simulate(free, times, 100.0).te)
 
 
 def test_a_part_of_a_cycle_is_told_in_the_table(scene):

@@ -99,6 +99,12 @@ def suitable_step(scene: Scene, duration: float) -> FixedStep:
     return _suitable_step(scene, duration, evaluated(limits_of, scene.precomputed(*MODELLED)))
 
 
+def memory_of(scene: Scene) -> float | None:
+    """Time after which a motion has forgotten how it began [s]; ``None`` if that is not known."""
+    decay = float(evaluated(limits_of, scene.precomputed(*MODELLED)).decay)
+    return FORGOTTEN / decay if decay > 0 else None
+
+
 def _suitable_step(scene: Scene, duration: float, limits: Limits) -> FixedStep:
     step = STEP * LONGEST_STEP / float(limits.fastest)
     if duration / step > MOST_STEPS:

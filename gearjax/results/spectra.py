@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import order_spectrum, simulate
+from gearjax.analysis.choice import memory_of
 from gearjax.analysis.quasi_static import no_load, static
 from gearjax.parameters import Named
 from gearjax.results.cases import Case, required_run, torque_history
+from gearjax.run import Run
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float
 
@@ -66,14 +68,32 @@ def _whole_cycles(scene: Scene, case: Case) -> tuple[np.ndarray, np.ndarray] | N
         return case.record[-cycles * number :], run.times[-cycles * number :] * speed
     if number > MOST_SAMPLES:
         return None
+    number = math.ceil(cycle / spacing * (1 - WHOLE))  # no longer steps than the record has: the same program
     first = math.ceil(settled / cycle * number)
     ts = np.arange(first + number) * (cycle / number)
     if case.analysis == "dynamic":
-        values = simulate(scene, ts, case.torque, start=run.start).te
+        values = _moved(scene, run, ts, case.torque)
     else:
         torque = torque_history(scene, jnp.asarray(ts), case.torque) if case.analysis == "static" else None
         values = _curve(scene.precomputed("backlash", "compliance"), jnp.asarray(ts * speed, scene.dtype), torque)
     return np.asarray(values)[first:], ts[first:] * speed
+
+
+def _moved(scene: Scene, run: Run, ts: np.ndarray, torque: float) -> np.ndarray:
+    """Dynamic TE at even times, in pieces as long as the record if a motion forgets how it began.
+
+    The pieces have the program of the record, where one of another length would take seconds to trace and compile.
+    """
+    memory, size, spacing = memory_of(scene), run.samples, ts[1] - ts[0]
+    over = size if memory is None or run.start != "equilibrium" else math.ceil(memory / spacing)
+    if 2 * over > size or len(ts) <= size:
+        return np.asarray(simulate(scene, ts, torque, start=run.start).te)
+    values = np.empty(0)
+    while len(values) < len(ts):
+        begin = max(len(values) - over, 0)
+        piece = np.asarray(simulate(scene, (begin + np.arange(size)) * spacing, torque).te)
+        values = np.concatenate([values, piece[len(values) - begin :]])
+    return values[: len(ts)]
 
 
 def _repeats(scene: Scene) -> bool:
