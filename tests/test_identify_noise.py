@@ -203,6 +203,20 @@ def test_a_drift_is_named_and_then_free(change, turns, scene):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("turns", [1.5, 4.0])
+def test_waves_beside_a_drift_are_each_named_once(turns, scene):
+    """Found one after the other, each moves the others a little: their orders are determined again."""
+    records = [recorded(random_unit(6), torque, 250 + i, rows=2500, turns=turns) for i, torque in enumerate(TORQUES)]
+    records = [with_waves(with_waves(each, 0.3, 2.37 / 79), 0.2, 17.6 / 79) for each in records]
+    records[1] = noisier(records[1], 0.5 * records[1].theta / np.ptp(records[1].theta))
+    found = gj.identify(scene, records, suggest=False)
+    assert [each.name for each in found.drifts] == ["drift of 150 N m"]
+    orders = sorted(found.orders, key=lambda each: each.order)
+    np.testing.assert_allclose([each.order * 79 for each in orders], [2.37, 17.6], atol=0.006)
+    np.testing.assert_allclose([each.amplitude for each in orders], [0.3, 0.2], atol=0.01)
+
+
+@pytest.mark.slow
 def test_noise_alone_is_neither_order_nor_drift(scene):
     """Among the thousands of orders that are looked at, the largest by chance does not count."""
     for seed in range(6):

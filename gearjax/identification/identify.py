@@ -14,7 +14,7 @@ from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
 from gearjax.identification.model import MOVING, Model, Problem
 from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error
-from gearjax.identification.orders import Drift, Order, given_waves, unexplained
+from gearjax.identification.orders import Drift, Order, given_waves, sharpened, unexplained
 from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.signs import check_signs
@@ -109,8 +109,7 @@ def identify(
     moves = analysis == "dynamic"
     notes += check_running(scene, records) if moves else []
     _check_suited(scene, records, notes)
-    back = bool(np.any(np.concatenate([record.back for record in records])))
-    loaded = any(record.is_loaded for record in records)
+    back, loaded = any(record.back.any() for record in records), any(record.is_loaded for record in records)
     options = _Options(priors or {}, offset_spread, starts, loss == "robust", key)
     records = _thinned(records, notes, moves)
     free = given_waves(orders, records)
@@ -317,11 +316,9 @@ def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
 def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order | Drift]]:
     """The fit with unexplained waves and drifts set free one by one, until the residual has no significant one left."""
     known: list[Order | Drift] = []
+    names = [record.name for record in wanted.records]
     while len(known) < MOST_ORDERS:
-        rows = fit.problem.rows
-        _, jacobian = fit.problem.curve(fit.values)
-        names = [record.name for record in wanted.records]
-        left = unexplained(fit.residual, fit.weight, jacobian, rows, scene, names, [each.column for each in known])
+        left = unexplained(fit, scene, names, [each.column for each in known])
         if left is None:
             break
         known.append(left)
@@ -329,6 +326,10 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
         ends = np.concatenate([fit.values[None], fit.others])
         starts = np.concatenate([ends, np.zeros((len(ends), 2))], axis=1)
         fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
+        sharper = sharpened(known, fit, scene)
+        if sharper != known:
+            known, starts = sharper, np.concatenate([fit.values[None], fit.others])
+            fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
     parts = fit.values[fit.values.size - 2 * len(known) :].reshape(-1, 2)
     return fit, [each.with_values(*map(float, own)) for each, own in zip(known, parts, strict=True)]
 
@@ -376,10 +377,9 @@ def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], n
             f"the residual ({fit.sigma:.3g} arcmin) is larger than the noise from row to row ({noise:.3g} arcmin): "
             f"an effect is not modelled; standard errors come from blocks of {told.blocks} rows"
         )
-    rows = fit.problem.rows
     for i, record in enumerate(records):
         step = (record.resolution or 0.0) / arcmin
-        if step > COARSE * float(np.std(fit.residual[rows.record == i])):
+        if step > COARSE * float(np.std(fit.residual[fit.problem.rows.record == i])):
             notes.append(
                 f"{record.name}: the encoder's steps of {step:.3g} arcmin are larger than its noise: their rounding is "
                 "no noise, and intervals may be too narrow"

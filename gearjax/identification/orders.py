@@ -9,6 +9,7 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import ParameterError
+from gearjax.identification.fit import Fit
 from gearjax.identification.measurement import Measurement
 from gearjax.identification.rows import Rows, Trend, Wave
 from gearjax.scene import Scene
@@ -22,6 +23,7 @@ LEFT = 0.01  # share of a wave's square that the model's derivatives must leave:
 FINER = 4  # times finer than the recordings can tell: steps of the orders at which any other wave is looked for
 SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
 SHARP = 1e-3  # of those steps: to which an order is determined
+ENOUGH = 2e-3  # waves in a recording by which an order may be off beside others
 MOST_STEPS = 1 << 18  # steps of the angle of that look
 NO_BODY = "no body of the gear set: the test rig, or a shift of its zero"
 
@@ -150,13 +152,7 @@ def given_waves(orders: Any, records: Sequence[Measurement]) -> list[Wave]:
 
 
 def unexplained(
-    residual: np.ndarray,
-    weight: np.ndarray,
-    jacobian: np.ndarray,
-    rows: Rows,
-    scene: Scene,
-    names: Sequence[str],
-    known: Sequence[Wave | Trend] = (),
+    fit: Fit, scene: Scene, names: Sequence[str], known: Sequence[Wave | Trend] = ()
 ) -> Order | Drift | None:
     """The largest of the significant waves and drifts in the residual of a model, ``None`` if there is none.
 
@@ -165,18 +161,13 @@ def unexplained(
     cycles per turn of the output are tried, and the largest wave of any other order.
 
     Args:
-        residual: measured minus computed [arcmin].
-        weight: weights of the rows.
-        jacobian: derivatives of the model.
-        rows: the rows of the residual.
+        fit: the fit of the model.
         scene: the scene whose bodies have the orders.
         names: names of the recordings.
         known: waves and drifts that the model has already.
     """
-    root = np.sqrt(weight)
-    size = np.linalg.norm(jacobian * root[:, None], axis=0)
-    base, values, _ = np.linalg.svd(jacobian * root[:, None] / np.where(size > 0, size, 1.0), full_matrices=False)
-    left = _Left(base[:, values > 1e-6 * values[0]], root * residual, root, rows)
+    rows = fit.problem.rows
+    left = _Left.of(fit.problem.curve(fit.values)[1], fit.residual, fit)
     ways: list[tuple[Wave | Trend, str, float]] = [
         (Wave(order, name), body, SIGNIFICANT)
         for order, (name, body) in candidates(scene, rows.theta, rows.record).items()
@@ -196,6 +187,29 @@ def unexplained(
     return found
 
 
+def sharpened(known: Sequence[Order | Drift], fit: Fit, scene: Scene) -> list[Order | Drift]:
+    """Waves and drifts of a fit, the orders of no body determined again beside all others.
+
+    Args:
+        known: the waves and drifts, whose numbers are the last of the fit.
+        fit: the fit.
+        scene: the scene whose bodies have the other orders.
+    """
+    rows, values, jacobian = fit.problem.rows, fit.values, fit.problem.curve(fit.values)[1]
+    named, output = candidates(scene, rows.theta, rows.record), scene.system.orders.get("output", 1.0)
+    found = list(known)
+    for i, each in enumerate(known):
+        if isinstance(each, Order) and each.order not in named:
+            place = [values.size - 2 * (len(known) - i) + part for part in (0, 1)]
+            without = fit.residual + jacobian[:, place] @ values[place]
+            left = _Left.of(np.delete(jacobian, place, axis=1), without, fit)
+            order = left.sharpened(each.order)
+            if abs(order - each.order) < ENOUGH / left.span:
+                continue
+            found[i] = dataclasses.replace(each, order=order, name=f"{order / output:.4g} per turn of the output")
+    return found
+
+
 @dataclasses.dataclass(frozen=True)
 class _Left:
     """What a model leaves of its rows.
@@ -211,6 +225,15 @@ class _Left:
     scaled: np.ndarray
     root: np.ndarray
     rows: Rows
+
+    @classmethod
+    def of(cls, jacobian: np.ndarray, residual: np.ndarray, fit: Fit) -> "_Left":
+        """What a model with some derivatives leaves of a residual."""
+        root = np.sqrt(fit.weight)
+        scaled = jacobian * root[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        base, values, _ = np.linalg.svd(scaled / np.where(size > 0, size, 1.0), full_matrices=False)
+        return cls(base[:, values > 1e-6 * values[0]], root * residual, root, fit.problem.rows)
 
     @functools.cached_property
     def left(self) -> np.ndarray:
@@ -263,12 +286,12 @@ class _Left:
         order = float(every[fits][np.argmax(spectrum[fits])])
         if any(abs(order - other) * span < 0.5 for other in orders):
             return []
-        order = self._sharpened(order)
+        order = self.sharpened(order)
         output = scene.system.orders.get("output", 1.0)
         least = SIGNIFICANT + np.log(max(0.5 * np.ptp(theta) / fine, 1.0))  # the largest of so many independent waves
         return [(Wave(order, f"{order / output:.4g} per turn of the output"), NO_BODY, least)]
 
-    def _sharpened(self, order: float) -> float:
+    def sharpened(self, order: float) -> float:
         """The order near another one whose wave takes most from the residual."""
         from scipy import optimize  # this import takes a while, and few recordings need it
 

@@ -121,7 +121,7 @@ def residual_figure(found: Identification) -> Figure:
     figure, (ax,) = new_figure(height=3.4)
     theta, measured, computed = found.curves()[0]
     known = candidates(found.scene, theta, np.zeros(theta.size, int))
-    orders = np.array(sorted(known))
+    orders = np.array(sorted({*known, *(each.order for each in found.orders)}))
     output = found.scene.system.orders.get("output", 1.0)
     for curve, label, colour in ((measured, "measured", MEASURED), (measured - computed, "residual", LEFT)):
         amplitude, _ = waves(theta, curve, list(orders))
