@@ -117,5 +117,7 @@ def test_other_contacts_are_refused():
     scene = pair(0.08)
     with pytest.raises(gj.SceneError, match="static must have the contacts"):
         gj.fourier_series(scene, TORQUE, period_of(scene), static=dataclasses.replace(scene, backlash=None))
+    with pytest.raises(gj.SceneError, match="no static equilibrium under this torque"):
+        gj.fourier_series(dataclasses.replace(scene, backlash=None), -TORQUE, period_of(scene))
     with pytest.raises(gj.SceneError, match="needs at least 2 harmonics"):
         gj.fourier_series(scene, TORQUE, period_of(scene), harmonics=8, samples=9)

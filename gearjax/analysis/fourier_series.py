@@ -2,12 +2,13 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.harmonic_balance import BALANCED, Balance, check_samples
 from gearjax.analysis.periodic import Periodic
 from gearjax.analysis.return_map import Problem
-from gearjax.checks import SceneError
+from gearjax.checks import SceneError, is_concrete
 from gearjax.scene import Scene
 from gearjax.typing import ArrayLike
 
@@ -69,14 +70,17 @@ def fourier_series(
     if not same:
         words = "must have the contacts and coordinates of the scene: leave out errors only"
         raise SceneError(f"fourier_series: static {words}")
-    return _fourier_series(problem, None if static is None else still, harmonics, samples)
+    found = _fourier_series(problem, None if static is None else still, harmonics, samples)
+    if is_concrete(found.residual) and not np.isfinite(float(found.residual)):
+        raise SceneError("fourier_series: there is no static equilibrium under this torque")
+    return found
 
 
 @eqx.filter_jit
 def _fourier_series(problem: Problem, static: Problem | None, harmonics: int, samples: int) -> Periodic:
     balance = Balance.of(problem, harmonics, samples)
-    place = balance.rest if static is None else Balance.of(static, harmonics, samples).rest
-    waves = balance.answer(balance.coefficients(balance.seen(place)), balance.carries)
+    other = balance if static is None else Balance.of(static, harmonics, samples)
+    waves = balance.answer(balance.coefficients(balance.seen(other.rest)), balance.carries)
     numbers = balance.coefficients(balance.seen(balance.values(waves)))
     rest = jnp.abs(balance.lacking(numbers)).max() / jnp.abs(numbers).max()
-    return balance.motion(waves, rest, BALANCED)
+    return balance.motion(waves, jnp.where(balance.rests & other.rests, rest, jnp.nan), BALANCED)

@@ -100,6 +100,7 @@ class Balance(eqx.Module):
         rest: coordinates of the static equilibrium at these places, shape (n, coordinate) [rad, m]; where there is
             none, those of the first place.
         carries: whether each contact carries in that equilibrium, shape (n, contact).
+        rests: whether there is an equilibrium at all of these places.
     """
 
     lines: Lines
@@ -110,6 +111,7 @@ class Balance(eqx.Module):
     period: Scalar
     rest: Float[Array, "n coordinate"]
     carries: Bool[Array, "n contact"]
+    rests: Bool[Array, ""]
 
     @classmethod
     def of(cls, problem: Problem, harmonics: int, samples: int) -> "Balance":
@@ -125,12 +127,13 @@ class Balance(eqx.Module):
 
         times = places(samples, period.dtype) * period
         table, rest, forces = jax.lax.map(at, times, batch_size=min(AT_ONCE, samples))
+        rests = jnp.isfinite(rest).all()
         rest = jnp.where(jnp.isfinite(rest), rest, rest[:1])
         answers = _answers(lines, 2 * jnp.pi / period * jnp.arange(harmonics + 1).astype(period.dtype))
         answers, known = jnp.split(answers, [len(lines.seen)], axis=2)
         forced = jnp.einsum("hci,hi->hc", known, amplitudes(jax.vmap(lines.known)(table), harmonics))
         size = lengths if lines.apart else equation.scale
-        return cls(lines, table, answers, forced, size, period, rest, forces > 0)
+        return cls(lines, table, answers, forced, size, period, rest, forces > 0, rests)
 
     @property
     def samples(self) -> int:

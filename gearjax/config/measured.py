@@ -112,13 +112,12 @@ def read_pitch(file: str | Path, flank: str = "both") -> dict[str, Any]:
     """Read the numbers of a `MeasuredPitch` from a CSV file with one tooth in each row.
 
     The first line names the columns: ``tooth``, counted from 0; either ``cumulative [um]`` or, for the deviation of the
-    pitch from each tooth to the next, ``single [um]``; and ``flank`` if the file holds both flanks.
+    pitch from each tooth to the next, ``single [um]``; and ``flank`` if the file holds both flanks. A tooth far from
+    both of its neighbours is told as a warning (`RepairedData`), but not changed.
 
     Args:
         file: path of the file.
         flank: flank whose rows are read, if the file has a column ``flank``.
-
-    Teeth far from both neighbours are told as a warning (`RepairedData`), but not changed.
 
     Returns:
         ``deviation`` and ``flank``, the arguments of `MeasuredPitch`.

@@ -19,6 +19,7 @@ from gearjax.typing import Array, Float
 
 MOST_SAMPLES = 100_000  # largest number of samples of a cycle that is computed only for its spectrum
 FEWEST_SAMPLES = 8
+MEET = 1e-4  # share of its swing by which pieces of a motion may differ where they meet
 WHOLE = 1e-6  # deviation up to which a number of cycles, samples or turns counts as whole
 
 
@@ -83,17 +84,18 @@ def _moved(scene: Scene, run: Run, ts: np.ndarray, torque: float) -> np.ndarray:
     """Dynamic TE at even times, in pieces as long as the record if a motion forgets how it began.
 
     The pieces have the program of the record, where one of another length would take seconds to trace and compile.
+    Where they meet they must agree, as a motion that separates may have several forms.
     """
     memory, size, spacing = memory_of(scene), run.samples, ts[1] - ts[0]
     over = size if memory is None or run.start != "equilibrium" else math.ceil(memory / spacing)
-    if 2 * over > size or len(ts) <= size:
-        return np.asarray(simulate(scene, ts, torque, start=run.start).te)
-    values = np.empty(0)
-    while len(values) < len(ts):
+    agree, values = 2 * over <= size < len(ts), np.empty(0)
+    while agree and len(values) < len(ts):
         begin = max(len(values) - over, 0)
         piece = np.asarray(simulate(scene, (begin + np.arange(size)) * spacing, torque).te)
-        values = np.concatenate([values, piece[len(values) - begin :]])
-    return values[: len(ts)]
+        known = len(values) - begin
+        agree = not known or abs(piece[known - 1] - values[-1]) <= MEET * np.ptp(piece)
+        values = np.concatenate([values, piece[known:]])
+    return values[: len(ts)] if agree else np.asarray(simulate(scene, ts, torque, start=run.start).te)
 
 
 def _repeats(scene: Scene) -> bool:
