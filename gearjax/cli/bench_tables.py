@@ -66,7 +66,7 @@ def print_found(result) -> None:
         words = f"{order.name}, {order.amplitude:.4g} arcmin, {np.degrees(order.phase):.1f} deg: {order.body}"
         console.print(f"order that the gear set does not explain: {words}", soft_wrap=True)
     for drift in found.drifts:
-        words = f"{drift.change:.3g} arcmin from its start to its end, {drift.bend:.3g} arcmin between them"
+        words = f"{drift.change:.3g} arcmin from its start to its end, its middle off by {-drift.bend:.3g} arcmin"
         console.print(f"{drift.name} (temperature, or a slipping coupling): {words}", soft_wrap=True)
     for one, other, value in found.correlations[:8]:
         console.print(f"correlated: {one} and {other} ({value:+.3f})", soft_wrap=True)

@@ -20,11 +20,11 @@ MULTIPLES = 3  # multiples of the bodies' orders that are tried
 NEIGHBOURS = np.arange(2, 10)  # waves more or less in a recording: orders whose squares tell the noise beside one
 LEAST_WAVES = 0.9  # of an order that is tried in a recording
 LEFT = 0.01  # share of a wave's square that the model's derivatives must leave: below, they can take its place
-FINER = 4  # times finer than the recordings can tell: steps of the orders at which any other wave is looked for
 SHORTEST_WAVE = 0.5  # part of a wave of a free order that the longest recording must contain
-SHARP = 1e-3  # of those steps: to which an order is determined
-ENOUGH = 2e-3  # waves in a recording by which an order may be off beside others
-MOST_STEPS = 1 << 18  # steps of the angle of that look
+MOST_STEPS = 1 << 18  # even steps of the angle, at most, for the spectrum in which any other wave is looked for
+FINER = 4  # orders of that spectrum for each one that the recordings can tell from its neighbours
+SHARP = 1e-3  # error with which the order of a wave is then determined, over the step of that spectrum
+ENOUGH = 2e-3  # waves in a recording by which an order must move before the fit is repeated
 NO_BODY = "no body of the gear set: the test rig, or a shift of its zero"
 
 
@@ -123,11 +123,7 @@ def candidates(scene: Scene, theta: np.ndarray, record: np.ndarray) -> dict[floa
             body = body if name != "input" else "the input, or its encoder"
             add(times * order, name if times == 1 else f"{times} x {name}", body)
     for times in range(1, PER_OUTPUT_TURN + 1):
-        add(
-            times * output,
-            f"{times} per turn of the output",
-            NO_BODY,
-        )
+        add(times * output, f"{times} per turn of the output", NO_BODY)
     return found
 
 
@@ -200,7 +196,8 @@ def sharpened(known: Sequence[Order | Drift], fit: Fit, scene: Scene) -> list[Or
     found = list(known)
     for i, each in enumerate(known):
         if isinstance(each, Order) and each.order not in named:
-            place = [values.size - 2 * (len(known) - i) + part for part in (0, 1)]
+            first = values.size - 2 * (len(known) - i)
+            place = [first, first + 1]
             without = fit.residual + jacobian[:, place] @ values[place]
             left = _Left.of(np.delete(jacobian, place, axis=1), without, fit)
             order = left.sharpened(each.order)

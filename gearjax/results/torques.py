@@ -35,10 +35,10 @@ def against_torque(scene: Scene, cases: "list[Case]") -> TorqueSweep | None:
     theta = each[0].theta[:-1]  # records have both ends
     if not whole_periods(np.asarray(theta, float), order):
         return None
-    ends, swing = (np.array([value(np.asarray(result.te)) for result in each]) for value in (_jump, np.ptp))
-    if (ends > CLOSED * swing).any():
+    te = jnp.stack([result.te for result in each])
+    if (np.abs(te[:, -1] - te[:, 0]) > CLOSED * np.ptp(te, axis=1)).any():
         return None
-    te = jnp.stack([result.te[:-1] for result in each])
+    te = te[:, :-1]
     return TorqueSweep(
         jnp.asarray(sorted(found), te.dtype),
         te.mean(axis=-1),
@@ -47,7 +47,3 @@ def against_torque(scene: Scene, cases: "list[Case]") -> TorqueSweep | None:
         jnp.stack([result.result.max() for result in each]),
         "mesh",
     )
-
-
-def _jump(te: np.ndarray) -> float:
-    return float(abs(te[-1] - te[0]))
