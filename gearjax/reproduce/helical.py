@@ -205,13 +205,11 @@ def save_sidebands_figure(rows: list[Row], folder: Path) -> list[Path]:
 
     by_item = {row.item: row.computed for row in rows}
     figure, (ax,) = new_figure(1)
-    for place, (way, label) in enumerate(
-        (("series of the paper", "series of the paper (artefact)"), ("static", "equilibrium with the run-outs"))
-    ):
+    for place, (way, label) in enumerate((("series of the paper", "paper's series"), ("static", "equilibrium"))):
         heights = [by_item[f"Table 5, {way}, height of f_m {name}"] for name in ASIDE]
-        told = f"{label}, at most {max(heights):.2g} um"
+        told = f"{label}, up to {max(heights):.1g} um"
         ax.bar(np.arange(len(ASIDE)) + 0.36 * (place - 0.5), heights, width=0.34, label=told, color=f"C{place}")
     ax.set_xticks(np.arange(len(ASIDE)), [f"f_m {name}" for name in ASIDE])
-    title = "Guo, Fang (2018), 50.8 rpm: sidebands of run-outs of 15 and 20 um"
+    title = "Guo, Fang (2018), 50.8 rpm: sidebands of run-outs"
     finish(ax, title, x="frequency", y="amplitude of the TE [um]")
     return [save_figure(figure, folder / "helical_sidebands.png")]
