@@ -3,6 +3,7 @@
 import json
 import math
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -50,6 +51,14 @@ def test_the_sidebands_of_the_paper_are_those_of_its_series(rows):
     for name, amplitude in (("- f_p", 15.0), ("- f_g", 20.0), ("+ f_g", 20.0), ("+ f_p", 15.0)):
         height = rows[f"Table 5, series of the paper, height of f_m {name}"].computed
         assert height == pytest.approx(share * amplitude, rel=5e-3)
+
+
+@pytest.mark.slow
+def test_the_sidebands_are_drawn(rows, tmp_path):
+    """One group of bars for each sideband, those of the series beside those that are there."""
+    (written,) = helical.save_sidebands_figure(list(rows.values()), tmp_path)
+    assert written.name == "helical_sidebands.png"
+    assert plt.imread(written).std() > 0.05
 
 
 @pytest.mark.slow
