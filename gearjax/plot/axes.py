@@ -20,6 +20,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 STYLES = ("-", "--", ":", "-.")
 MOST_DEGREES = 3600.0  # longer records show turns of the input
 MOST_POINTS = 20_000  # largest number of points drawn per curve
+DPI = 130  # of figures as pixels
 _kept: ContextVar[dict[str, Figure] | None] = ContextVar("_kept", default=None)
 
 
@@ -105,5 +106,24 @@ def save_figure(figure: Figure, path: Path) -> Path:
     if kept is not None:
         kept[path.name] = figure
     drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=130, format=path.suffix.removeprefix(".") or "png")
+    kind = path.suffix.removeprefix(".") or "png"
+    with _laid_out(figure) if kind == "png" else contextlib.nullcontext():
+        figure.savefig(drawn, dpi=DPI, format=kind)
     return write_file(path, drawn.getvalue())
+
+
+@contextlib.contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Place everything once; matplotlib alone would draw the whole figure a second time to do so."""
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    if engine is None:
+        yield
+        return
+    figure.set_dpi(DPI)
+    engine.execute(figure)
+    figure.set_layout_engine(None)  # "none" would leave a placeholder, for which it is drawn twice too
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(engine)
+        figure.set_dpi(dpi)

@@ -21,8 +21,9 @@ from gearjax.checks import ParameterError, nearest
 from gearjax.progress import Left, Progress, silent
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measure import Measure
-from gearjax.tolerance.monte_carlo import Work, over_rows
+from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import Tolerances, a_population
+from gearjax.tolerance.rows import RowProgram
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, Scalar
@@ -243,7 +244,7 @@ def _smooth_yield(
         allowed = (jnp.isfinite(moved) & (moved >= low) & (moved <= high)).all()
         return jnp.where(jnp.isfinite(value) & allowed, share, 0.0)
 
-    each = over_rows(jax.value_and_grad(good, argnums=1), work.devices, work.together)
+    each = RowProgram(jax.value_and_grad(good, argnums=1), work.devices, work.together, number)
     known: dict[bytes, tuple[float, np.ndarray]] = {}
 
     def evaluate(factors: np.ndarray) -> tuple[float, np.ndarray]:

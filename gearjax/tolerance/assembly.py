@@ -19,8 +19,9 @@ from gearjax.timing import Stopwatch
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.measures import Measures
-from gearjax.tolerance.monte_carlo import Work, over_rows
+from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import Tolerances, a_population
+from gearjax.tolerance.rows import RowProgram
 from gearjax.tolerance.sampling import points
 from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, Float, Scalar
@@ -136,7 +137,9 @@ def matched_assembly(
         if path not in phases or where.count(path) > 1:
             raise ParameterError("where", path, f"must be phases, each once; {nearest(path, phases)}")
     added = {path: UniformPhase() for path in where if path not in tolerances.distributions}
-    population = Tolerances(tolerances.scene, {**tolerances.distributions, **added}, tolerances.correlations)
+    population = tolerances
+    if added:
+        population = Tolerances(tolerances.scene, {**tolerances.distributions, **added}, tolerances.correlations)
     with Stopwatch() as watch:
         work = Work(population, measure, number=units, seed=key, **options)
         chosen = work.measures[0]
@@ -192,17 +195,17 @@ class _Search:
         if self.measures.curves is None:
             require_output_alone(population.scene, "matched assembly")
             raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
-        self._program = over_rows(self, work.devices, TOGETHER)
+        self.devices = work.devices
 
     def of_all(self, inputs: np.ndarray, starts: np.ndarray, progress: Progress) -> np.ndarray:
         """Ends of the descents of gear sets, shape (unit, free), from starts; both of shape (unit, start, where)."""
         units, number, size = starts.shape
-        ends = np.empty_like(starts)
+        ends, program = np.empty_like(starts), RowProgram(self, self.devices, TOGETHER, min(units, BLOCK) * number)
         left = Left(units)
         for first in range(0, units, BLOCK):
             part = slice(first, first + BLOCK)
             rows = np.repeat(inputs[part], number, axis=0), starts[part].reshape(-1, size)
-            reached = self._program(*(row.astype(self.measures.theta.dtype) for row in rows))
+            reached = program(*(row.astype(self.measures.theta.dtype) for row in rows))
             ends[part] = reached.reshape(-1, number, size)
             rest = left.after(len(reached) // number)
             progress(f"matched assembly: {left.done:.0f} of {units} units searched{self.way.words}{rest}")

@@ -13,8 +13,9 @@ samples, and the curve is computed again at closer angles.
 Each contact is one array over the input angles, because this form vectorises.
 """
 
+import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -26,15 +27,14 @@ from gearjax.analysis.metrics import top
 from gearjax.contact import HardContact, Pose
 from gearjax.contact.equilibrium import hard_edges, hard_rest
 from gearjax.scene import Scene, Stiffness
+from gearjax.tolerance.refined import highest
 from gearjax.typing import Array, Float, Int, Scalar
 
 CHECKS = 3  # angles at which every gear set is compared with the interpolation from the few angles
 ACCURACY = 1e-12  # of the interpolation, relative to the largest deviation from the ideal position
 MOST = 0.1  # share of the angles above which interpolation is not worthwhile
-GROUPS = 32  # groups of samples; the curve is refined around the highest sample of each
 TERMS = 6  # of the polynomials, which are valid from the sample before to the sample after
 FINE = 8  # steps between two samples to which the polynomials are fitted
-OFFSETS = np.linspace(-1.0, 1.0, 49)  # places near a sample at which the curve is refined, in spacings of samples
 
 
 class Curves(eqx.Module):
@@ -69,7 +69,8 @@ class Curves(eqx.Module):
             stiffness: ``"mean"`` for curves under torque.
             fixed_system: whether no number of the system varies.
         """
-        first = jax.tree.map(lambda leaf: leaf[0], examples)
+        # through numpy: JAX would compile a program for each shape
+        first = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), examples)
         side = first.layout.side
         everywhere = cls(_poses(first, theta), None, None, 0.0, None, side, stiffness)
         if not fixed_system or not isinstance(first.contact, HardContact) or len(theta) < 3:
@@ -95,7 +96,7 @@ class Curves(eqx.Module):
             return everywhere
         weights, series = (jnp.asarray(part, theta.dtype) for part in (weights, _series(fine, len(theta))))
         besides = np.linspace(0, len(theta) - 1, CHECKS + 2).round().astype(int)[1:-1]
-        poses = _poses(first, theta[np.concatenate([chosen, besides])])
+        poses = _poses(first, jnp.asarray(np.asarray(theta)[np.concatenate([chosen, besides])]))
         allowed = 100 * accuracy * largest
         return cls(poses, weights, weights[besides], allowed, series, side, stiffness)
 
@@ -154,30 +155,28 @@ class Touches(eqx.Module):
     closer: tuple[Array, Sequence[Array]] | None = None
     alike: Array | None = None
 
-    def near(self, samples: Int[Array, " m"]) -> "Touches":
-        """The touching positions near some samples, at `OFFSETS` from each."""
+    def near(self, samples: Int[Array, " m"], places: Float[Array, "k #m"]) -> "Touches":
+        """The touching positions near some samples, at places in spacings of samples, shape (k, m)."""
         assert self.closer is not None
         series, columns = self.closer
-        # matrix products, because XLA would fuse elementwise sums with their uses and compute them for every place
-        terms = jnp.einsum("mta,ca->cmt", series[samples], jnp.stack(columns))
-        powers = jnp.asarray(np.vander(OFFSETS, TERMS, increasing=True).T, series.dtype)
-        spread = jnp.matmul(terms, powers).reshape(len(columns), -1)
+        # a matrix product, because XLA would fuse elementwise sums with their uses and compute them for every place
+        terms = jnp.einsum("mta,ca->tcm", series[samples], jnp.stack(columns))[:, :, None]
+        spread = functools.reduce(lambda sum_, term: sum_ * places + term, terms[::-1])
         return Touches(list(spread), self.strength, self.side)
 
-    def highest(self, curve: Callable[["Touches"], Float[Array, " n"]], values: Float[Array, " n"]) -> Scalar:
-        """Highest value of a curve, also between its samples if polynomials are known.
-
-        Args:
-            curve: function from touching positions, of these samples or of closer places, to the curve.
-            values: the curve at these samples, shape (n,).
-        """
+    def ends(self, analysis: str, torque: float | None, signs: Sequence[float]) -> Float[Array, " end"]:
+        """Highest value of a curve times each sign, also between the samples if polynomials are known [rad]."""
+        sign = jnp.asarray(signs, self.position[0].dtype)
+        values = sign[:, None] * self.curve(analysis, torque)
         if self.closer is None:
             return top(values)
-        size = -(-values.shape[0] // GROUPS)
-        filled = jnp.concatenate([values, jnp.full((GROUPS * size - values.shape[0],), -jnp.inf, values.dtype)])
-        places = jnp.argmax(jax.lax.stop_gradient(filled).reshape(GROUPS, size), axis=1)
-        samples = jnp.minimum(jnp.arange(GROUPS) * size + places, values.shape[0] - 1)
-        return top(curve(self.near(samples)))
+
+        def near(numbers: tuple[Touches, Scalar], samples: Array, places: Array) -> Array:
+            touches, sign = numbers
+            return sign * touches.near(samples, places).curve(analysis, torque)
+
+        alone = dataclasses.replace(self, position=[], alike=None)
+        return jax.vmap(lambda sign, values: highest(near, (alone, sign), values))(sign, values)
 
     def curve(self, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis, shape (n,) [rad]."""

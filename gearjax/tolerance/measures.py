@@ -47,6 +47,10 @@ TOGETHER = {
 }  # gear sets side by side on one device
 
 
+ENDS = {"maximum": (1.0,), "minimum": (-1.0,), "peak_to_peak": (-1.0, 1.0), "amplitude": (-1.0, 1.0)}
+"""Which ends of a curve metrics need, as signs of the values whose highest is sought."""
+
+
 class Record(NamedTuple):
     """The metrics of one analysis of one gear set."""
 
@@ -157,7 +161,8 @@ class Measures:
                 return self._of_samples(self.pressed.curve(scene, torque))
             if touches is None:
                 return _analysed(scene, self.theta, self.extremes, analysis, torque)
-            return _quick(touches, analysis, torque)
+            metrics = [m.metric for m in self.measures if (m.analysis, m.torque) == (analysis, torque)]
+            return _quick(touches, analysis, torque, metrics)
 
         return _told(self.measures, self.motion, scene, record)
 
@@ -276,15 +281,18 @@ def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
     return jnp.asarray(np.linspace(0.0, scene.system.cycle, SAMPLES), scene.dtype)
 
 
-def _quick(touches: Touches, analysis: str, torque: float | None) -> Record:
-    """Metrics of a quasi-static curve with hard contacts."""
+def _quick(touches: Touches, analysis: str, torque: float | None, metrics: Sequence[str]) -> Record:
+    """Metrics of a quasi-static curve with hard contacts; extremes are computed for the given metrics alone."""
+    values = touches.curve(analysis, torque)
+    signs = sorted({sign for metric in metrics for sign in ENDS.get(metric, ())})
+    ends = functools.cache(lambda: touches.ends(analysis, torque, signs))
 
-    def curve(touches: Touches) -> Float[Array, " n"]:
-        return touches.curve(analysis, torque)
+    def high() -> Scalar:
+        return ends()[signs.index(1.0)]
 
-    values = curve(touches)
-    high = functools.cache(lambda: touches.highest(curve, values))
-    low = functools.cache(lambda: -touches.highest(lambda near: -curve(near), -values))
+    def low() -> Scalar:
+        return -ends()[signs.index(-1.0)]
+
     code = jnp.where(_lost(values, analysis), 3, 0)
     if touches.alike is not None:
         code = jnp.where(touches.alike, code, 4)

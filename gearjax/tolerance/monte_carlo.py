@@ -8,7 +8,6 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
@@ -19,6 +18,7 @@ from gearjax.tolerance import statistics
 from gearjax.tolerance.measure import Measure, listed
 from gearjax.tolerance.measures import CODES, Measures, SceneMeasures
 from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.rows import RowProgram, Started
 from gearjax.tolerance.sampling import SAMPLERS, points, replicate_sizes
 from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, ArrayLike
@@ -159,21 +159,24 @@ class Work:
         seed = int(seed) if isinstance(seed, int | np.integer) else seed
         self.seed = seed if isinstance(seed, int) else int.from_bytes(np.asarray(jax.random.key_data(seed)).tobytes())
         self.measures: tuple[Measure, ...] = ()
-        self.sample, together = sample, 16
+        self.sample, self.together = sample, 16
         if isinstance(sample, Tolerances):
-            one, together = self._of_tolerances(sample, measure, theta, extremes)
+            self.one, self.together = self._of_tolerances(sample, measure, theta, extremes)
             self.sizes = replicate_sizes(sampler, self.number)
         else:
-            one = self._of_functions(sample, measure, seed, theta, extremes)
+            self.one = self._of_functions(sample, measure, seed, theta, extremes)
             self.sizes = np.array([self.number])
         self.devices = tuple(jax.local_devices() if devices is None else devices)
         if self.devices[0].platform != "cpu":
-            together = max(together, ACCELERATED)
-        whole = together * len(self.devices)
+            self.together = max(self.together, ACCELERATED)
         self.chunk = min(_whole("chunk", chunk), self.number)  # the same on every machine
-        self._rows = -(-self.chunk // whole) * whole  # padded, so that the devices share the rows evenly
-        self.one, self.together = one, together
-        self._program, self._sharding = sharded(one, self.devices, together)
+        room = min(chunk, max(CHUNK, self.number))  # more than a small study needs, so that it shares its program
+
+        def program() -> RowProgram:
+            return RowProgram(self.one, self.devices, self.together, room)
+
+        shared = isinstance(self.one, Measures)
+        self._program = sample.once(("program", self.one, self.devices, room), program) if shared else program()
 
     def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: str):
         if callable(measure) and not isinstance(measure, Measure):
@@ -184,7 +187,11 @@ class Work:
                 return _coded(measure(free.set(scene, values)))
 
             return one, 16
-        measures = Measures(listed(measure), tolerances, theta, extremes)
+        given = tuple(listed(measure))
+        places = None if theta is None else (np.asarray(theta).dtype, np.asarray(theta).tobytes())
+        measures = tolerances.once(
+            ("measures", given, places, extremes), lambda: Measures(given, tolerances, theta, extremes)
+        )
         self.measures, self.names = measures.measures, measures.names
         return measures, measures.together
 
@@ -228,7 +235,8 @@ class Work:
 
     def evaluate(self, inputs: np.ndarray) -> Evaluated:
         """Measures and result codes of given inputs, any number of rows."""
-        parts = [self._finish(*self._begin(inputs[i : i + self.chunk])) for i in range(0, len(inputs), self.chunk)]
+        room = self._program.room
+        parts = [self._finish(self._begin(inputs[i : i + room])) for i in range(0, len(inputs), room)]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
     def each(self, chunks: Sequence[tuple[int, int]]) -> Iterator[tuple[tuple[int, int], Evaluated]]:
@@ -237,18 +245,18 @@ class Work:
         for chunk in chunks:
             begun = self._begin(self.inputs(*chunk))
             if waiting is not None:
-                yield waiting[0], self._finish(*waiting[1])
+                yield waiting[0], self._finish(waiting[1])
             waiting = chunk, begun
         if waiting is not None:
-            yield waiting[0], self._finish(*waiting[1])
+            yield waiting[0], self._finish(waiting[1])
 
-    def _begin(self, inputs: np.ndarray) -> tuple[Any, np.ndarray]:
-        rows = np.minimum(np.arange(self._rows), len(inputs) - 1)
+    def _begin(self, inputs: np.ndarray) -> tuple[Started, np.ndarray]:
         dtype = self.sample.scene.dtype if isinstance(self.sample, Tolerances) else inputs.dtype
-        return self._program(jax.device_put(inputs[rows].astype(dtype), self._sharding)), inputs
+        return self._program.begin(inputs.astype(dtype)), inputs
 
-    def _finish(self, begun: Any, inputs: np.ndarray) -> Evaluated:
-        values, codes = (np.array(part)[: len(inputs)] for part in begun)
+    def _finish(self, begun: tuple[Started, np.ndarray]) -> Evaluated:
+        started, inputs = begun
+        values, codes = self._program.finish(started)
         if isinstance(self.sample, Tolerances):
             outside = ~self.sample.allowed(inputs)
             values[outside], codes[outside] = np.nan, 1
@@ -360,39 +368,3 @@ def _coded(measured: Any) -> tuple[Array, Array]:
     if values.ndim != 1:
         raise ParameterError("measure", values.shape[1:], "must return numbers, not arrays")
     return values, jnp.where(jnp.isfinite(values).all(), 0, 2)
-
-
-def sharded(one: Callable, devices: Sequence[Any], together: int) -> tuple[Callable, NamedSharding]:
-    """A program for the rows of arrays, each device with its own part of the rows, and the sharding of the rows.
-
-    Args:
-        one: function of one row of each array; if it has a method ``rows``, a function of several rows, that is used.
-        devices: devices that share the rows evenly.
-        together: number of rows that are computed side by side on one device.
-    """
-    mesh = Mesh(np.array(devices), ("sample",))
-    spec = PartitionSpec("sample")
-
-    several = getattr(one, "rows", None) or jax.vmap(one)
-
-    def part(*rows: Array) -> Any:
-        blocks = jax.tree.map(lambda row: row.reshape(len(row) // together, together, *row.shape[1:]), rows)
-        results = jax.lax.map(lambda block: several(*block), blocks)
-        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
-
-    spread = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-    return cast(Callable, jax.jit(spread)), NamedSharding(mesh, spec)
-
-
-def over_rows(one: Callable, devices: Sequence[Any], together: int) -> Callable[..., Any]:
-    """A function from numpy arrays of any number of rows to a tree of numpy arrays; arguments as for `sharded`."""
-    program, sharding = sharded(one, devices, together)
-    whole = together * len(devices)
-
-    def evaluate(*arrays: np.ndarray) -> Any:
-        number = len(arrays[0])
-        rows = np.minimum(np.arange(-(-number // whole) * whole), number - 1)
-        results = program(*jax.device_put(tuple(array[rows] for array in arrays), sharding))
-        return jax.tree.map(lambda part: np.array(part)[:number], results)
-
-    return evaluate

@@ -1,8 +1,8 @@
 """A population of gear sets: one scene, and the distributions of its toleranced numbers."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +16,7 @@ from gearjax.tolerance.distributions import AbstractDistribution
 from gearjax.tolerance.sampling import points
 from gearjax.typing import Array, Float
 
+Made = TypeVar("Made")
 EXAMPLES = 64
 _EXAMPLE_SEED = 0x6561
 
@@ -100,6 +101,13 @@ class Tolerances:
         self.free: Free = pick(scene, list(self.distributions))
         self._check_ranges()
         self._mixing = self._factor()
+        self._shared: dict[Hashable, Any] = {}
+
+    def once(self, key: Hashable, made: Callable[[], Made]) -> Made:
+        """What several studies of this population use, worked out by the first of them."""
+        if key not in self._shared:
+            self._shared[key] = made()
+        return self._shared[key]
 
     @property
     def paths(self) -> tuple[str, ...]:

@@ -36,8 +36,12 @@ class PrecisionShift:
 
 def in_float32(tolerances: Tolerances) -> Tolerances:
     """The same population with every number of its scene in float32."""
-    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), tolerances.scene)
-    return Tolerances(single, tolerances.distributions, tolerances.correlations)
+
+    def made() -> Tolerances:
+        single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), tolerances.scene)
+        return Tolerances(single, tolerances.distributions, tolerances.correlations)
+
+    return tolerances.once("float32", made)
 
 
 def precision_shifts(

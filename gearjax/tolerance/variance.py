@@ -17,8 +17,9 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import GearjaxError
 from gearjax.progress import Left, Progress, silent
-from gearjax.tolerance.monte_carlo import Work, over_rows
+from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import Tolerances, a_population
+from gearjax.tolerance.rows import RowProgram
 from gearjax.tolerance.statistics import Estimate, share
 from gearjax.typing import Array, Float
 
@@ -91,7 +92,8 @@ def sensitivities(
     Raises:
         GearjaxError: too many gear sets failed.
     """
-    independent = Tolerances(tolerances.scene, tolerances.distributions)
+    correlated = bool(tolerances.correlations)
+    independent = Tolerances(tolerances.scene, tolerances.distributions) if correlated else tolerances
     work = Work(independent, measure, number=max(n, 2), seed=key, **options)
     slopes, spread = _linear(work, min(n, DERIVATIVES))
     ranges = _one_at_a_time(work)
@@ -123,7 +125,7 @@ def sensitivities(
                 one_at_a_time=squares / max(squares.sum(), 1e-300),
                 samples=good.size,
                 failed=int((~good).sum()),
-                correlated=bool(tolerances.correlations),
+                correlated=correlated,
             )
         )
     return results
@@ -147,11 +149,17 @@ def _linear(work: Work, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Means of the squared derivatives, shape (measure, free), and variances of the measures, shape (measure,)."""
     inputs = work.inputs(0, min(number, work.number))
 
+    def twice(values: Float[Array, " free"]) -> tuple[Array, Array]:
+        measured = work.one(values)[0]
+        return measured, measured
+
     def both(values: Float[Array, " free"]) -> tuple[Array, Array]:
-        return work.one(values)[0], jax.jacrev(lambda v: work.one(v)[0])(values)
+        slopes, measured = jax.jacrev(twice, has_aux=True)(values)
+        return measured, slopes
 
     rows = inputs.astype(work.sample.scene.dtype)
-    measured, slopes = (part.astype(float) for part in over_rows(both, work.devices, work.together)(rows))
+    program = RowProgram(both, work.devices, work.together, len(rows))
+    measured, slopes = (part.astype(float) for part in program(rows))
     good = np.isfinite(measured).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
     return (slopes[good] ** 2).mean(axis=0), measured[good].var(axis=0, ddof=1)
 
