@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -182,7 +183,7 @@ def _in_precision(section: ToleranceSection) -> tuple[Tolerances, dict[str, Any]
     tolerances = section.tolerances
     if section.precision == "float32":
         tolerances = in_float32(tolerances)
-    return tolerances, {"extremes": section.extremes, "chunk": section.chunk}
+    return tolerances, {"extremes": section.extremes, "chunk": section.chunk, "workers": os.cpu_count() or 1}
 
 
 def finished(
@@ -236,8 +237,8 @@ def _sensitivities(section: ToleranceSection, progress: Progress) -> list[Sensit
 
 
 def _tightened(section: ToleranceSection, progress: Progress) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
-    measures = _without_motion(section)
-    if not section.sensitivity or not any(measure.is_limited for measure in measures):
+    measures = [measure for measure in _without_motion(section) if measure.is_limited]
+    if not section.sensitivity or not measures:
         return {}
     tolerances, options = _in_precision(section)
     progress("each tolerance halved")

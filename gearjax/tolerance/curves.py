@@ -72,28 +72,25 @@ class Curves(eqx.Module):
         # through numpy: JAX would compile a program for each shape
         first = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), examples)
         side = first.layout.side
-        everywhere = cls(_poses(first, theta), None, None, 0.0, None, side, stiffness)
+
+        def everywhere() -> Curves:
+            return cls(_poses(first, theta), None, None, 0.0, None, side, stiffness)
+
         if not fixed_system or not isinstance(first.contact, HardContact) or len(theta) < 3:
-            return everywhere
+            return everywhere()
         between = np.interp(np.arange(FINE * (len(theta) - 1) + 1) / FINE, np.arange(len(theta)), np.asarray(theta))
-        chosen: np.ndarray | None = None
-        weights = fine = np.empty(0)
-        accuracy, largest = max(ACCURACY, 16 * float(np.finfo(theta.dtype).eps)), 0.0
-        for part in (np.asarray(theta), between):
-            touch, lever = _sampled(examples, _poses(first, jnp.asarray(part, theta.dtype)))
-            if np.ptp(np.asarray(lever), axis=1).any():
-                return everywhere
-            curves = np.asarray(touch, dtype=float)
-            largest = max(largest, float(np.abs(curves).max()))
-            if chosen is None:
-                chosen = _chosen(curves, accuracy)
-                if chosen is None:
-                    return everywhere
-                weights = _weights(curves, chosen, accuracy)
-            else:
-                fine = _weights(curves, FINE * chosen, accuracy)
-        if weights is None or fine is None or chosen is None:
-            return everywhere
+        accuracy = max(ACCURACY, 16 * float(np.finfo(theta.dtype).eps))
+        touch, lever = _sampled(examples, _poses(first, jnp.asarray(between, theta.dtype)))
+        if np.ptp(np.asarray(lever), axis=1).any():
+            return everywhere()
+        curves = np.asarray(touch, dtype=float)
+        largest, samples = float(np.abs(curves).max()), curves[:, ::FINE]
+        chosen = _chosen(samples, accuracy)
+        if chosen is None:
+            return everywhere()
+        weights, fine = _weights(samples, chosen, accuracy), _weights(curves, FINE * chosen, accuracy)
+        if weights is None or fine is None:
+            return everywhere()
         weights, series = (jnp.asarray(part, theta.dtype) for part in (weights, _series(fine, len(theta))))
         besides = np.linspace(0, len(theta) - 1, CHECKS + 2).round().astype(int)[1:-1]
         poses = _poses(first, jnp.asarray(np.asarray(theta)[np.concatenate([chosen, besides])]))
@@ -118,7 +115,7 @@ class Curves(eqx.Module):
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis of one gear set, at the samples [rad]."""
-        return self.touches(scene).curve(analysis, torque)
+        return self.touches(scene).curve(analysis, None if torque is None else jnp.asarray(torque, scene.dtype))
 
     def _looked_at(self, scene: Scene) -> tuple[Array, Array | None]:
         anchored = scene.anchored()
@@ -161,27 +158,27 @@ class Touches(eqx.Module):
         series, columns = self.closer
         # a matrix product, because XLA would fuse elementwise sums with their uses and compute them for every place
         terms = jnp.einsum("mta,ca->tcm", series[samples], jnp.stack(columns))[:, :, None]
-        spread = functools.reduce(lambda sum_, term: sum_ * places + term, terms[::-1])
+        spread = functools.reduce(lambda sum_, term: sum_ * places[None] + term, terms[::-1])
         return Touches(list(spread), self.strength, self.side)
 
-    def ends(self, analysis: str, torque: float | None, signs: Sequence[float]) -> Float[Array, " end"]:
+    def ends(self, analysis: str, torque: Scalar | None, signs: Sequence[float]) -> Float[Array, " end"]:
         """Highest value of a curve times each sign, also between the samples if polynomials are known [rad]."""
         sign = jnp.asarray(signs, self.position[0].dtype)
-        values = sign[:, None] * self.curve(analysis, torque)
+        values = sign[:, None] * self.curve(analysis, torque)[None]
         if self.closer is None:
             return top(values)
 
-        def near(numbers: tuple[Touches, Scalar], samples: Array, places: Array) -> Array:
-            touches, sign = numbers
+        def near(numbers: tuple[Touches, Scalar | None, Scalar], samples: Array, places: Array) -> Array:
+            touches, torque, sign = numbers
             return sign * touches.near(samples, places).curve(analysis, torque)
 
         alone = dataclasses.replace(self, position=[], alike=None)
-        return jax.vmap(lambda sign, values: highest(near, (alone, sign), values))(sign, values)
+        return jax.vmap(lambda sign, values: highest(near, (alone, torque, sign), values))(sign, values)
 
-    def curve(self, analysis: str, torque: float | None) -> Float[Array, " n"]:
-        """The curve of an analysis, shape (n,) [rad]."""
+    def curve(self, analysis: str, torque: Scalar | None) -> Float[Array, "..."]:
+        """The curve of an analysis, of the shape of the positions [rad]."""
         if torque is not None:
-            return self.static(jnp.asarray(torque, self.position[0].dtype))
+            return self.static(torque)
         return self.no_load() if analysis == "no_load" else self.backlash()
 
     def no_load(self) -> Float[Array, " n"]:

@@ -12,7 +12,7 @@ import numpy as np
 from gearjax.analysis import Backlash, FixedStep, backlash, simulate, transmission_error
 from gearjax.analysis.choice import suitable_step
 from gearjax.analysis.dynamics import FAULTS
-from gearjax.analysis.metrics import deviation, top
+from gearjax.analysis.metrics import top
 from gearjax.checks import ParameterError, nearest
 from gearjax.contact import HardContact
 from gearjax.run import METRICS, NEEDS
@@ -21,10 +21,12 @@ from gearjax.scene_checks import require
 from gearjax.studies.terms import SLOTS
 from gearjax.tolerance.balances import Balances
 from gearjax.tolerance.closer import closer, places_between
-from gearjax.tolerance.curves import Curves, Touches
+from gearjax.tolerance.curves import Curves
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.population import Tolerances
 from gearjax.tolerance.pressed import Pressed
+from gearjax.tolerance.quick import Part, QuickMeasures, parts, recorded
+from gearjax.tolerance.record import Record, coded, lost, of_curve
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
 
 EXTREMES = ("samples", "between")
@@ -45,17 +47,6 @@ TOGETHER = {
     "other": 64,
     "dynamic": 64,
 }  # gear sets side by side on one device
-
-
-ENDS = {"maximum": (1.0,), "minimum": (-1.0,), "peak_to_peak": (-1.0, 1.0), "amplitude": (-1.0, 1.0)}
-"""Which ends of a curve metrics need, as signs of the values whose highest is sought."""
-
-
-class Record(NamedTuple):
-    """The metrics of one analysis of one gear set."""
-
-    metrics: dict[str, Callable[[], Scalar]]
-    code: Int[Array, ""]
 
 
 class Measures:
@@ -83,35 +74,54 @@ class Measures:
         extremes: str,
     ):
         scene = self.scene = tolerances.scene
+        self.tolerances = tolerances
         self.places = 1  # steps of the curves from one sample to the next
         self.measures, self.extremes = tuple(measures), extremes
         _check(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
         self.free = tolerances.free
-        self.physics = scene.physics(*_slots(self.measures), *(path.split(".")[0] for path in self.free.paths))
+        self.physics = self._physics(*_slots(self.measures))
         analyses = {measure.analysis for measure in self.measures}
         self.curves: Curves | Balances | None = None
         if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
-            examples = jnp.asarray(tolerances.examples, scene.dtype)
-            population = jax.vmap(lambda row: self.free.set(self.physics, row))(examples)
-            quick = self._balances if scene.layout.sides_turn else self._touches
-            self.curves = quick(population, analyses)
+            self.curves = self._balances(analyses) if scene.layout.sides_turn else self._touches(analyses)
         errors_alone = all(path.split(".")[0] in ("errors", "backlash") for path in self.free.paths)
         self.pressed = Pressed.of(self.physics, self.theta, errors_alone) if "static" in analyses else None
         self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 
-    def _touches(self, population: Scene, analyses: set[str]) -> Curves | None:
-        """Curves of contacts that keep their sides, by the fast method; ``None`` if it does not apply."""
-        if population.is_train or population.system.exact or ("static" in analyses and not population.springs_apart):
+    def _physics(self, *slots: str) -> Scene:
+        """The scene reduced to some of its parts, and to those whose numbers vary."""
+        return self.scene.physics(*slots, *(path.split(".")[0] for path in self.free.paths))
+
+    def _population(self, physics: Scene) -> Scene:
+        """Example gear sets, every number with a leading axis."""
+        examples = jnp.asarray(self.tolerances.examples, physics.dtype)
+        return jax.vmap(lambda row: self.free.set(physics, row))(examples)
+
+    def _touches(self, analyses: set[str]) -> Curves | None:
+        """Curves of contacts that keep their sides, by the fast method; ``None`` if it does not apply.
+
+        All studies of the population over the same input angles share them.
+        """
+        loaded = self._physics("backlash", "compliance")
+        physics = loaded if loaded.springs_apart else self._physics("backlash")
+        if self.physics.is_train or self.physics.system.exact or ("static" in analyses and physics is not loaded):
             return None
-        stiffness = "mean" if "static" in analyses else "rigid"
-        curves = Curves.of(population, self.theta, stiffness, not self._system_varies)
+
+        def made() -> tuple[Scene, Curves]:
+            stiffness = "mean" if physics is loaded else "rigid"
+            curves = Curves.of(self._population(physics), self.theta, stiffness, not self._system_varies)
+            return physics, curves
+
+        key = "curves", str(self.theta.dtype), np.asarray(self.theta).tobytes()
+        self.physics, curves = self.tolerances.once(key, made)
         if self.extremes == "between":
             return None if curves.series is None else curves
         return dataclasses.replace(curves, series=None)
 
-    def _balances(self, population: Scene, analyses: set[str]) -> Balances | None:
+    def _balances(self, analyses: set[str]) -> Balances | None:
         """Curves of contacts that change sides, by the fast method; ``None`` if it does not apply."""
+        population = self._population(self.physics)
         linear = "static" not in analyses or population.springs_apart
         if self._system_varies or not linear or population.system.exact:
             return None
@@ -145,6 +155,20 @@ class Measures:
             return TOGETHER["pressed"]
         return TOGETHER["other" if self.curves is None else "quick"]
 
+    @property
+    def parts(self) -> list[Part]:
+        """The measures in parts, each of which a program of its own computes."""
+        curves = self.curves
+        if not isinstance(curves, Curves) or self.motion is not None or self.pressed is not None:
+            return [Part(self, None, (tuple(range(len(self.measures))),))]
+        theta = np.asarray(self.theta)
+
+        def one(analysis: str, metrics: tuple[str, ...]) -> QuickMeasures:
+            key = "part", analysis, metrics, self.extremes, str(theta.dtype), theta.tobytes()
+            return self.tolerances.once(key, lambda: QuickMeasures(self.free, self.physics, curves, analysis, metrics))
+
+        return parts(self.measures, one)
+
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan if it failed, and its result code."""
         if isinstance(self.curves, Balances) and self.extremes == "between":
@@ -162,7 +186,8 @@ class Measures:
             if touches is None:
                 return _analysed(scene, self.theta, self.extremes, analysis, torque)
             metrics = [m.metric for m in self.measures if (m.analysis, m.torque) == (analysis, torque)]
-            return _quick(touches, analysis, torque, metrics)
+            load = None if torque is None else jnp.asarray(torque, self.theta.dtype)
+            return recorded(touches, analysis, load, metrics)
 
         return _told(self.measures, self.motion, scene, record)
 
@@ -203,7 +228,7 @@ class Measures:
         high, low = (
             (lambda: top(samples), lambda: -top(-samples)) if ends is None else (lambda: ends[0], lambda: ends[1])
         )
-        return Record(_of_curve(samples, high, low), jnp.where(jnp.isnan(values).any(), 3, 0))
+        return Record(of_curve(samples, high, low), jnp.where(jnp.isnan(values).any(), 3, 0))
 
 
 class SceneMeasures:
@@ -266,10 +291,8 @@ def _told(
             moving = motion if measure.analysis == "dynamic" else None
             records[key] = record(*key) if moving is None else moving.record(scene, measure.torque)
     own = [records[measure.analysis, measure.torque] for measure in measures]
-    measured = jnp.stack([record.metrics[m.metric]() for record, m in zip(own, measures, strict=True)])
-    codes = jnp.stack([record.code for record in own])
-    codes = jnp.where((codes == 0) & ~jnp.isfinite(measured), 2, codes)
-    return jnp.where(codes == 0, measured, jnp.nan), codes.max()
+    measured = [record.metrics[m.metric]() for record, m in zip(own, measures, strict=True)]
+    return coded(measured, [record.code for record in own])
 
 
 def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
@@ -281,51 +304,15 @@ def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
     return jnp.asarray(np.linspace(0.0, scene.system.cycle, SAMPLES), scene.dtype)
 
 
-def _quick(touches: Touches, analysis: str, torque: float | None, metrics: Sequence[str]) -> Record:
-    """Metrics of a quasi-static curve with hard contacts; extremes are computed for the given metrics alone."""
-    values = touches.curve(analysis, torque)
-    signs = sorted({sign for metric in metrics for sign in ENDS.get(metric, ())})
-    ends = functools.cache(lambda: touches.ends(analysis, torque, signs))
-
-    def high() -> Scalar:
-        return ends()[signs.index(1.0)]
-
-    def low() -> Scalar:
-        return -ends()[signs.index(-1.0)]
-
-    code = jnp.where(_lost(values, analysis), 3, 0)
-    if touches.alike is not None:
-        code = jnp.where(touches.alike, code, 4)
-    return Record(_of_curve(values, high, low), code)
-
-
-def _lost(values: Float[Array, " n"], analysis: str) -> Array:
-    return jnp.isnan(values[0]) if analysis == "static" else jnp.zeros((), bool)
-
-
-def _of_curve(
-    values: Float[Array, " n"], high: Callable[[], Scalar], low: Callable[[], Scalar]
-) -> dict[str, Callable[[], Scalar]]:
-    """Metrics from the samples of a curve, and its extremes."""
-    return {
-        "maximum": high,
-        "minimum": low,
-        "peak_to_peak": lambda: high() - low(),
-        "amplitude": lambda: jnp.maximum(high(), -low()),
-        "mean": lambda: values.mean(),
-        "std": lambda: deviation(values),
-    }
-
-
 def _analysed(scene: Scene, theta: Float[Array, " n"], extremes: str, analysis: str, torque: float | None) -> Record:
     """Metrics of a quasi-static analysis."""
     result = backlash(scene, theta) if analysis == "backlash" else transmission_error(scene, theta, torque)
     values = result.backlash if isinstance(result, Backlash) else result.te
     if extremes == "samples":
-        metrics = _of_curve(values, lambda: top(values), lambda: -top(-values))
+        metrics = of_curve(values, lambda: top(values), lambda: -top(-values))
     else:
-        metrics = _of_curve(values, lambda: result.extremes.maximum, lambda: result.extremes.minimum)
-    return Record(metrics, jnp.where(_lost(values, analysis), 3, 0))
+        metrics = of_curve(values, lambda: result.extremes.maximum, lambda: result.extremes.minimum)
+    return Record(metrics, jnp.where(lost(values, analysis), 3, 0))
 
 
 def _metrics(motion: Any) -> dict[str, Callable[[], Scalar]]:

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import jax
@@ -18,6 +19,7 @@ from gearjax.tolerance import statistics
 from gearjax.tolerance.measure import Measure, listed
 from gearjax.tolerance.measures import CODES, Measures, SceneMeasures
 from gearjax.tolerance.population import Tolerances
+from gearjax.tolerance.quick import Part
 from gearjax.tolerance.rows import RowProgram, Started
 from gearjax.tolerance.sampling import SAMPLERS, points, replicate_sizes
 from gearjax.tolerance.statistics import Estimate
@@ -138,6 +140,8 @@ class Work:
 
     Args:
         sample, measure, number, seed, sampler, theta, extremes, chunk, devices: as for `monte_carlo`.
+        workers: number of programs that are compiled in parallel, in threads. A thread uses the settings of the whole
+            process, but not settings of the calling thread alone.
     """
 
     def __init__(
@@ -152,8 +156,9 @@ class Work:
         extremes: str = "between",
         chunk: int = CHUNK,
         devices: Sequence[Any] | None = None,
+        workers: int = 1,
     ):
-        self.number, self.sampler = _whole("n", number), sampler
+        self.number, self.sampler, self.workers = _whole("n", number), sampler, workers
         if sampler not in SAMPLERS:
             raise ParameterError("sampler", sampler, nearest(sampler, SAMPLERS))
         seed = int(seed) if isinstance(seed, int | np.integer) else seed
@@ -170,13 +175,10 @@ class Work:
         if self.devices[0].platform != "cpu":
             self.together = max(self.together, ACCELERATED)
         self.chunk = min(_whole("chunk", chunk), self.number)  # the same on every machine
-        room = min(chunk, max(CHUNK, self.number))  # more than a small study needs, so that it shares its program
-
-        def program() -> RowProgram:
-            return RowProgram(self.one, self.devices, self.together, room)
-
-        shared = isinstance(self.one, Measures)
-        self._program = sample.once(("program", self.one, self.devices, room), program) if shared else program()
+        self._room = min(chunk, max(CHUNK, self.number))  # more than a small study needs, so that it shares programs
+        whole = Part(self.one, None, (tuple(range(len(self.names))),))
+        self.parts = self.one.parts if isinstance(self.one, Measures) else [whole]
+        self._programs = [self._program(part) for part in self.parts]
 
     def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: str):
         if callable(measure) and not isinstance(measure, Measure):
@@ -221,6 +223,14 @@ class Work:
 
         return one
 
+    def _program(self, part: Part) -> RowProgram:
+        def made() -> RowProgram:
+            return RowProgram(part.one, self.devices, self.together, self._room)
+
+        if not isinstance(self.one, Measures):
+            return made()
+        return self.sample.once(("program", part.one, self.devices, self.together, self._room), made)
+
     @property
     def chunks(self) -> list[tuple[int, int]]:
         """First index of each chunk, and the one after its last."""
@@ -235,8 +245,8 @@ class Work:
 
     def evaluate(self, inputs: np.ndarray) -> Evaluated:
         """Measures and result codes of given inputs, any number of rows."""
-        room = self._program.room
-        parts = [self._finish(self._begin(inputs[i : i + room])) for i in range(0, len(inputs), room)]
+        starts = range(0, len(inputs), self._room)
+        parts = [self._finish(self._begin(inputs[i : i + self._room])) for i in starts]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
     def each(self, chunks: Sequence[tuple[int, int]]) -> Iterator[tuple[tuple[int, int], Evaluated]]:
@@ -250,17 +260,34 @@ class Work:
         if waiting is not None:
             yield waiting[0], self._finish(waiting[1])
 
-    def _begin(self, inputs: np.ndarray) -> tuple[Started, np.ndarray]:
+    def _begin(self, inputs: np.ndarray) -> tuple[list[list[Started]], np.ndarray]:
         dtype = self.sample.scene.dtype if isinstance(self.sample, Tolerances) else inputs.dtype
-        return self._program.begin(inputs.astype(dtype)), inputs
+        rows = inputs.astype(dtype)
 
-    def _finish(self, begun: tuple[Started, np.ndarray]) -> Evaluated:
+        def begun(place: int) -> list[Started]:
+            return [self._programs[place].begin(*given) for given, _ in self.parts[place].given(rows)]
+
+        return self.over_parts(begun), inputs
+
+    def over_parts(self, function: Callable[[int], Any]) -> list[Any]:
+        """The results of a function of the place of each part."""
+        places = range(len(self.parts))
+        if self.workers == 1 or len(places) == 1:
+            return [function(place) for place in places]
+        with ThreadPoolExecutor(self.workers) as pool:
+            return list(pool.map(function, places))
+
+    def _finish(self, begun: tuple[list[list[Started]], np.ndarray]) -> Evaluated:
         started, inputs = begun
-        values, codes = self._program.finish(started)
+        values, codes = np.empty((len(inputs), len(self.names))), np.zeros(len(inputs), np.int32)
+        for program, part, waiting in zip(self._programs, self.parts, started, strict=True):
+            for columns, one in zip(part.columns, waiting, strict=True):
+                values[:, columns], code = program.finish(one)
+                codes = np.maximum(codes, code)
         if isinstance(self.sample, Tolerances):
             outside = ~self.sample.allowed(inputs)
             values[outside], codes[outside] = np.nan, 1
-        return values.astype(float), codes.astype(np.int32)
+        return values, codes
 
     def study(self, values: np.ndarray, result: np.ndarray, watch: Stopwatch | None = None) -> Study:
         """The study from the results of all samples."""

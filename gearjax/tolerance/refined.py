@@ -54,7 +54,7 @@ def _searched(near: Near, numbers: Any, values: Float[Array, " n"]) -> tuple[Sca
     first, closer = (jnp.asarray(places, values.dtype)[:, None] for places in (FIRST, CLOSER))
     tried = _stored(near(numbers, samples, jnp.broadcast_to(first, (len(FIRST), len(samples)))))
     best = first[jax.lax.argmax(tried, 0, jnp.int32), 0]
-    places = jnp.clip(best + closer, -1.0, 1.0)
+    places = jnp.clip(best[None] + closer, -1.0, 1.0)
     found = near(numbers, samples, places)
     which = jax.lax.argmax(found.ravel(), 0, jnp.int32)
     return _top(found), samples[which % len(samples)], places.ravel()[which]

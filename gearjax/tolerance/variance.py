@@ -9,6 +9,7 @@
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -21,7 +22,7 @@ from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import Tolerances, a_population
 from gearjax.tolerance.rows import RowProgram
 from gearjax.tolerance.statistics import Estimate, share
-from gearjax.typing import Array, Float
+from gearjax.typing import Array
 
 DERIVATIVES = 1024  # samples over which the linear shares are averaged, at most
 LEVELS = np.linspace(0.025, 0.975, 39)
@@ -147,21 +148,29 @@ def _saltelli(work: Work, number: int, seed: int) -> tuple[np.ndarray, dict]:
 
 def _linear(work: Work, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Means of the squared derivatives, shape (measure, free), and variances of the measures, shape (measure,)."""
-    inputs = work.inputs(0, min(number, work.number))
+    rows = work.inputs(0, min(number, work.number)).astype(work.sample.scene.dtype)
+    measured = np.empty((len(rows), len(work.names)))
+    slopes = np.empty((*measured.shape, rows.shape[1]))
 
-    def twice(values: Float[Array, " free"]) -> tuple[Array, Array]:
-        measured = work.one(values)[0]
-        return measured, measured
+    def fill(place: int) -> None:
+        part = work.parts[place]
+        program = RowProgram(_with_slopes(part.one), work.devices, work.together, len(rows))
+        for given, columns in part.given(rows):
+            slopes[:, columns], measured[:, columns] = program(*given)
 
-    def both(values: Float[Array, " free"]) -> tuple[Array, Array]:
-        slopes, measured = jax.jacrev(twice, has_aux=True)(values)
-        return measured, slopes
-
-    rows = inputs.astype(work.sample.scene.dtype)
-    program = RowProgram(both, work.devices, work.together, len(rows))
-    measured, slopes = (part.astype(float) for part in program(rows))
+    work.over_parts(fill)
     good = np.isfinite(measured).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
     return (slopes[good] ** 2).mean(axis=0), measured[good].var(axis=0, ddof=1)
+
+
+def _with_slopes(one: Callable) -> Callable:
+    """A function that returns the derivatives of measures by the numbers of a gear set, and the measures."""
+
+    def twice(*given: Array) -> tuple[Array, Array]:
+        measured = one(*given)[0]
+        return measured, measured
+
+    return jax.jacrev(twice, has_aux=True)
 
 
 def _one_at_a_time(work: Work) -> np.ndarray:
