@@ -137,7 +137,7 @@ class Touches(eqx.Module):
     """The positions at which the contacts of a gear set touch, over input angles, one array for each contact.
 
     Args:
-        position: position of the output at which each contact touches, shape (n,) each [rad].
+        position: position of the output at which each contact touches, shape (n,) or (place, group) each [rad].
         strength: stiffness of each contact on the output, shape (n,) or () each [N m/rad].
         side: side of each contact, 1 for driving flanks and -1 for back flanks.
         closer: weights near each sample as polynomials, and each contact's values at the angles that they weight;
@@ -146,7 +146,7 @@ class Touches(eqx.Module):
             evaluated.
     """
 
-    position: Sequence[Float[Array, " n"]]
+    position: Sequence[Float[Array, "..."]]
     strength: Sequence[Array] | None
     side: tuple[int, ...] = eqx.field(static=True)
     closer: tuple[Array, Sequence[Array]] | None = None
@@ -181,18 +181,18 @@ class Touches(eqx.Module):
             return self.static(torque)
         return self.no_load() if analysis == "no_load" else self.backlash()
 
-    def no_load(self) -> Float[Array, " n"]:
-        """No-load TE, shape (n,) [rad]."""
+    def no_load(self) -> Float[Array, "..."]:
+        """No-load TE [rad]."""
         return hard_edges(self.position, self.side)[0]
 
-    def backlash(self) -> Float[Array, " n"]:
-        """Backlash, shape (n,) [rad]."""
+    def backlash(self) -> Float[Array, "..."]:
+        """Backlash [rad]."""
         lower, upper = hard_edges(self.position, self.side)
         assert upper is not None  # the measure requires a backlash
         return upper - lower
 
-    def static(self, torque: Scalar) -> Float[Array, " n"]:
-        """Static TE under a torque [N m], shape (n,) [rad]; nan if no flank can carry the torque."""
+    def static(self, torque: Scalar) -> Float[Array, "..."]:
+        """Static TE [rad] under a torque [N m]; nan if no flank can carry the torque."""
         assert self.strength is not None  # the measure requires a compliance
         return hard_rest(self.position, self.strength, self.side, -torque)
 
