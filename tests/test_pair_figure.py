@@ -1,13 +1,16 @@
 """The picture of the involute pair: what it shows is where the gears are."""
 
 import dataclasses
+import io
 import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import gearjax as gj
 from gearjax.plot import pair_figure, save_figures, save_pair_figure
+from gearjax.plot.axes import DPI, draw_curve, finish, new_figure, save_figure
 from gearjax.plot.involute import _factor, _zones
 from gearjax.results import run_cases
 from gearjax.units import mm, um
@@ -90,3 +93,24 @@ def test_a_run_writes_it(loaded, tmp_path, monkeypatch):
     written = save_figures(few, list(run_cases(few)), tmp_path / "run")
     assert {"pair.png", "contact_forces.png"} < {path.name for path in written}
     assert "stage.png" not in {path.name for path in written}
+
+
+def four_panels() -> Figure:
+    figure, axes = new_figure(2, 2, width=7.0)
+    for place, ax in enumerate(axes):
+        draw_curve(ax, np.linspace(0.0, 1.0, 50), np.linspace(0.0, 1e-3, 50) ** (place + 1), f"case {place}")
+        finish(ax, "a title\nof two lines")
+    return figure
+
+
+def test_a_figure_is_drawn_once_and_looks_as_matplotlib_lays_it_out(tmp_path, monkeypatch):
+    plain = io.BytesIO()
+    four_panels().savefig(plain, dpi=DPI)
+    figure = four_panels()
+    engine, dpi, drawn = figure.get_layout_engine(), figure.dpi, []
+    draw = Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda self, renderer: drawn.append(draw(self, renderer)))
+    assert save_figure(figure, tmp_path / "one.png").read_bytes() == plain.getvalue()
+    assert len(drawn) == 1
+    assert (figure.get_layout_engine(), figure.dpi) == (engine, dpi)
+    assert save_figure(figure, tmp_path / "one.svg").read_text(encoding="utf-8").startswith("<?xml")
