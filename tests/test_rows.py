@@ -1,12 +1,12 @@
 """Programs for many rows: they compute what one row after the other gives, and no more rows than there are."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import gearjax as gj
 from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.population import SHARED
 from gearjax.tolerance.rows import RowProgram
 
 NAMES = [
@@ -74,9 +74,9 @@ def test_programs_in_threads_find_the_same(population, angles):
     np.testing.assert_array_equal(one, two)
 
 
-def test_what_studies_share_is_worked_out_once(population):
+def test_what_studies_share_is_worked_out_once_and_forgotten_at_last(population):
     made = []
-    for _ in range(2):
-        population.once("a test", lambda: made.append(1))
-    assert made == [1]
-    assert jnp.asarray(population.once("another", lambda: 3.0)) == 3.0
+    for key in (0, 1, 0, *range(1, SHARED + 5), 0, 1):
+        assert population.once(("a test", key), lambda key=key: made.append(key) or key) == key
+    assert made == [*range(SHARED + 5), 0, 1]
+    assert len(population._shared) == SHARED

@@ -40,7 +40,7 @@ STEPS = 8  # numbers for each step and gear set of a motion
 BLOCK = 4096  # bytes: smallest size of a file on disk
 SECONDS = {"quick": 0.6e-9, "balances": 3e-9, "other": 40e-9, "dynamic": 3e-9}  # two cores, see `_work`
 DRAWN = 4e-7  # seconds for each number drawn, on the host
-BETWEEN = 7.0  # times as long if extremes are searched between the samples
+BETWEEN = {"quick": 4.0, "other": 7.0}  # times as long if extremes are searched between the samples
 SLOWER = 2.5  # the same for each angle of two-sided contacts, which then need more angles too
 SEARCHED = 1.5e-3  # seconds for each contact of a curve whose extremes are searched in full
 
@@ -229,7 +229,7 @@ def _work(section: ToleranceSection, kind: str, contacts: int) -> float:
     if kind == "balances":
         seconds *= SLOWER * (_places(section) or 1) if section.extremes == "between" else 1.0
     elif section.extremes == "between":
-        seconds = BETWEEN * seconds + (SEARCHED if kind == "other" else 0.0)
+        seconds = BETWEEN[kind] * seconds + (SEARCHED if kind == "other" else 0.0)
     return _numbers_of(section, False) * contacts * seconds
 
 

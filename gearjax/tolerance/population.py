@@ -17,6 +17,7 @@ from gearjax.tolerance.sampling import points
 from gearjax.typing import Array, Float
 
 Made = TypeVar("Made")
+SHARED = 64  # programs and tables that studies of one population share, at most
 EXAMPLES = 64
 _EXAMPLE_SEED = 0x6561
 
@@ -104,10 +105,16 @@ class Tolerances:
         self._shared: dict[Hashable, Any] = {}
 
     def once(self, key: Hashable, made: Callable[[], Made]) -> Made:
-        """What several studies of this population use, worked out by the first of them."""
-        if key not in self._shared:
-            self._shared[key] = made()
-        return self._shared[key]
+        """What several studies of this population use, worked out by the first of them.
+
+        What was not asked for longest is forgotten, so that studies of ever other angles or measures do not fill the
+        memory.
+        """
+        value = self._shared.pop(key) if key in self._shared else made()
+        self._shared[key] = value
+        if len(self._shared) > SHARED:
+            del self._shared[next(iter(self._shared))]
+        return value
 
     @property
     def paths(self) -> tuple[str, ...]:
