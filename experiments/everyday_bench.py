@@ -96,7 +96,11 @@ def commands(folders: dict[str, Path], only: str) -> None:
         for version, folder in folders.items():
             if not (folder / "configs" / name).exists():
                 continue
-            cold, warm = command(folder, word, name).values()
+            try:
+                cold, warm = command(folder, word, name).values()
+            except SystemExit as fault:  # tradeoff refuses scenes of coupled springs and trains
+                print(f"| {word} {name} | {version} | {str(fault).splitlines()[-1]} | | | | |", flush=True)
+                continue
             cells = [f"{cold.first:.1f}", f"{cold.whole:.1f}", f"{cold.processor:.1f}", f"{warm.whole:.1f}"]
             print(f"| {word} {name} | {version} | {' | '.join(cells)} | {cold.memory:.2f} |", flush=True)
 
