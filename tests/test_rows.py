@@ -51,11 +51,10 @@ def test_studies_share_the_programs_of_their_analyses(scene, population, angles)
     """Other torques, other measures beside them and other sizes need no other program."""
     measures = [gj.Measure.named(name) for name in NAMES]
     work = Work(population, measures, number=64, theta=angles)
-    assert [(part.one.analysis, len(part.torques)) for part in work.parts] == [
-        ("no_load", 1),
-        ("backlash", 1),
-        ("static", 2),
-    ]
+    parts = [(part.one.metrics[0][0], len(part.torques)) for part in work.parts]
+    assert parts == [("no_load", 1), ("backlash", 1), ("static", 2)]
+    quick = Work(population, measures, number=64, theta=angles, extremes="samples")
+    assert [len(part.one.metrics) for part in quick.parts] == [3, 1]
     found, codes = work.evaluate(work.inputs(0, 64))
     other = Work(population, "static.peak_to_peak@100Nm", number=200, seed=1, theta=angles)
     assert other._programs[0] is work._programs[2]

@@ -161,19 +161,20 @@ class Touches(eqx.Module):
         spread = functools.reduce(lambda sum_, term: sum_ * places[None] + term, terms[::-1])
         return Touches(list(spread), self.strength, self.side)
 
-    def ends(self, analysis: str, torque: Scalar | None, signs: Sequence[float]) -> Float[Array, " end"]:
+    def ends(self, analysis: str, torque: Scalar | None, signs: Sequence[float]) -> Sequence[Scalar]:
         """Highest value of a curve times each sign, also between the samples if polynomials are known [rad]."""
-        sign = jnp.asarray(signs, self.position[0].dtype)
-        values = sign[:, None] * self.curve(analysis, torque)[None]
+        curve = self.curve(analysis, torque)
         if self.closer is None:
-            return top(values)
+            return [top(curve if sign > 0 else -curve) for sign in signs]
+        sign = jnp.asarray(signs, curve.dtype)
+        values = sign[:, None] * curve[None]
 
         def near(numbers: tuple[Touches, Scalar | None, Scalar], samples: Array, places: Array) -> Array:
             touches, torque, sign = numbers
             return sign * touches.near(samples, places).curve(analysis, torque)
 
         alone = dataclasses.replace(self, position=[], alike=None)
-        return jax.vmap(lambda sign, values: highest(near, (alone, torque, sign), values))(sign, values)
+        return [*jax.vmap(lambda sign, values: highest(near, (alone, torque, sign), values))(sign, values)]
 
     def curve(self, analysis: str, torque: Scalar | None) -> Float[Array, "..."]:
         """The curve of an analysis, of the shape of the positions [rad]."""

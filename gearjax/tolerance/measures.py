@@ -41,7 +41,7 @@ CODES = {
 """Meaning of each result code."""
 SAMPLES = 1581  # default number of input angles of one cycle
 TOGETHER = {
-    "quick": 16,
+    "quick": 32,
     "balances": 64,
     "pressed": 128,
     "other": 64,
@@ -163,11 +163,11 @@ class Measures:
             return [Part(self, None, (tuple(range(len(self.measures))),))]
         theta = np.asarray(self.theta)
 
-        def one(analysis: str, metrics: tuple[str, ...]) -> QuickMeasures:
-            key = "part", analysis, metrics, self.extremes, str(theta.dtype), theta.tobytes()
-            return self.tolerances.once(key, lambda: QuickMeasures(self.free, self.physics, curves, analysis, metrics))
+        def one(metrics: tuple) -> QuickMeasures:
+            key = "part", metrics, self.extremes, str(theta.dtype), theta.tobytes()
+            return self.tolerances.once(key, lambda: QuickMeasures(self.free, self.physics, curves, metrics))
 
-        return parts(self.measures, one)
+        return parts(self.measures, one, unloaded=self.extremes == "samples")
 
     def __call__(self, values: Float[Array, " free"]) -> tuple[Float[Array, " measure"], Int[Array, ""]]:
         """Measures of a gear set with the given numbers, nan if it failed, and its result code."""

@@ -24,27 +24,29 @@ ENDS = {"maximum": (1.0,), "minimum": (-1.0,), "peak_to_peak": (-1.0, 1.0), "amp
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class QuickMeasures:
-    """Metrics of one analysis under one torque, as a function of the numbers of a gear set and of the torque.
+    """Metrics of analyses under one torque, as a function of the numbers of a gear set and of the torque.
 
     Args:
         free: which numbers of the scene vary.
         physics: the scene, reduced to what quasi-static analyses depend on.
         curves: what the curves of all gear sets have in common.
-        analysis: the analysis.
-        metrics: its metrics.
+        metrics: analysis and metric of each measure.
     """
 
     free: Free
     physics: Scene
     curves: Curves
-    analysis: str
-    metrics: tuple[str, ...]
+    metrics: tuple[tuple[str, str], ...]
 
     def __call__(self, values: Float[Array, " free"], torque: Scalar) -> tuple[Float[Array, " metric"], Int[Array, ""]]:
         """The metrics of a gear set, nan if it failed, and its result code; without load the torque has no effect."""
         touches = self.curves.touches(self.free.set(self.physics, values))
-        record = recorded(touches, self.analysis, torque if self.analysis == "static" else None, self.metrics)
-        return coded([record.metrics[metric]() for metric in self.metrics], [record.code] * len(self.metrics))
+        records = {}
+        for analysis in dict.fromkeys(analysis for analysis, _ in self.metrics):
+            metrics = [metric for one, metric in self.metrics if one == analysis]
+            records[analysis] = recorded(touches, analysis, torque if analysis == "static" else None, metrics)
+        own = [(records[analysis], metric) for analysis, metric in self.metrics]
+        return coded([record.metrics[metric]() for record, metric in own], [record.code for record, _ in own])
 
 
 class Part(NamedTuple):
@@ -68,21 +70,24 @@ class Part(NamedTuple):
         return [((rows, load), places) for load, places in zip(loads, self.columns, strict=True)]
 
 
-def parts(measures: Sequence[Measure], one: Callable[[str, tuple[str, ...]], QuickMeasures]) -> list[Part]:
-    """Quasi-static measures, those of the same analysis and metrics together.
+def parts(measures: Sequence[Measure], one: Callable[[tuple], QuickMeasures], *, unloaded: bool) -> list[Part]:
+    """Quasi-static measures, those of the same analyses and metrics together.
 
     Args:
         measures: the measures.
-        one: function that returns the function of an analysis and its metrics.
+        one: function that returns the function of the analysis and metric of each measure.
+        unloaded: whether all analyses without load are one part: quicker by a quarter where samples alone are looked
+            at, which compiles soon, but shared with studies of the same measures only.
     """
     columns: dict[tuple, list[int]] = {}
     for place, measure in enumerate(measures):
-        columns.setdefault((measure.analysis, measure.torque), []).append(place)
+        together = unloaded and measure.torque is None
+        columns.setdefault(("" if together else measure.analysis, measure.torque), []).append(place)
     alike: dict[tuple, list[tuple]] = {}
-    for (analysis, torque), places in columns.items():
-        metrics = tuple(measures[place].metric for place in places)
-        alike.setdefault((analysis, metrics), []).append((torque or 0.0, tuple(places)))
-    return [Part(one(*key), *(tuple(each) for each in zip(*rows, strict=True))) for key, rows in alike.items()]
+    for (_, torque), places in columns.items():
+        metrics = tuple((measures[place].analysis, measures[place].metric) for place in places)
+        alike.setdefault(metrics, []).append((torque or 0.0, tuple(places)))
+    return [Part(one(key), *(tuple(each) for each in zip(*rows, strict=True))) for key, rows in alike.items()]
 
 
 def recorded(touches: Touches, analysis: str, torque: Scalar | None, metrics: Sequence[str]) -> Record:
