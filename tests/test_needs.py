@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tracemalloc
 
+import jax
 import pytest
 
 import gearjax as gj
@@ -69,7 +70,7 @@ def test_too_many_angles_are_refused_with_how_many_fit(tmp_path, capsys):
     assert shown.count("\n") == 1
     assert "run.samples = 10000000: needs about" in shown
     fits = int(shown.split("at most ")[1].split()[0])
-    affordable(loads_tolerance(wide(fits))[2], 2, None)
+    affordable(loads_tolerance(wide(fits))[2], len(jax.local_devices()), None)  # those of the command
     with pytest.raises(GearjaxError, match=r"run.samples = 10000000"):
         shifts(loads_tolerance(wide(10_000_000))[2])  # of gearjax tradeoff
 
