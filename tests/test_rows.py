@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.timing import Stopwatch
 from gearjax.tolerance.monte_carlo import Work
 from gearjax.tolerance.population import SHARED
 from gearjax.tolerance.rows import RowProgram
@@ -67,10 +68,16 @@ def test_studies_share_the_programs_of_their_analyses(scene, population, angles)
 
 
 @pytest.mark.slow
-def test_programs_in_threads_find_the_same(population, angles):
-    works = [Work(population, NAMES, number=32, theta=angles, workers=workers) for workers in (1, 2)]
-    one, two = (work.evaluate(work.inputs(0, 32))[0] for work in works)
-    np.testing.assert_array_equal(one, two)
+def test_programs_in_threads_find_the_same_and_their_compilation_is_told_apart(scene, population, angles):
+    found, events = [], []
+    for workers in (1, 2):
+        own = gj.Tolerances(scene, population.distributions)
+        work = Work(own, NAMES, number=32, theta=angles, workers=workers)
+        with Stopwatch() as watch:
+            found.append(work.evaluate(work.inputs(0, 32))[0])
+        events.append(len(watch.intervals))
+    np.testing.assert_array_equal(*found)
+    assert min(events) >= 3 * len(work.parts) - 3
 
 
 def test_what_studies_share_is_worked_out_once_and_forgotten_at_last(population):

@@ -114,10 +114,11 @@ class Measures:
             return physics, curves
 
         key = "curves", str(self.theta.dtype), np.asarray(self.theta).tobytes()
-        self.physics, curves = self.tolerances.once(key, made)
-        if self.extremes == "between":
-            return None if curves.series is None else curves
-        return dataclasses.replace(curves, series=None)
+        physics, curves = self.tolerances.once(key, made)
+        if self.extremes == "between" and curves.series is None:
+            return None
+        self.physics = physics
+        return curves if self.extremes == "between" else dataclasses.replace(curves, series=None)
 
     def _balances(self, analyses: set[str]) -> Balances | None:
         """Curves of contacts that change sides, by the fast method; ``None`` if it does not apply."""

@@ -14,7 +14,7 @@ from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
 from gearjax.memory import fitting, free_memory, size_words
 from gearjax.scene import Scene
-from gearjax.timing import Stopwatch
+from gearjax.timing import Stopwatch, counting
 from gearjax.tolerance import statistics
 from gearjax.tolerance.measure import Measure, listed
 from gearjax.tolerance.measures import CODES, Measures, SceneMeasures
@@ -274,7 +274,7 @@ class Work:
         places = range(len(self.parts))
         if self.workers == 1 or len(places) == 1:
             return [function(place) for place in places]
-        with ThreadPoolExecutor(self.workers) as pool:
+        with ThreadPoolExecutor(self.workers, initializer=counting()) as pool:
             return list(pool.map(function, places))
 
     def _finish(self, begun: tuple[list[list[Started]], np.ndarray]) -> Evaluated:
