@@ -35,6 +35,7 @@ def test_a_roof_between_two_samples(rng, number):
     assert 1.0 - 0.3 / STEPS < float(found) <= 1.0 + 1e-14
 
 
+@pytest.mark.slow
 def test_waves_of_random_orders(rng):
     """The highest of places everywhere, within what their distance allows."""
     places = np.arange(-STEPS, STEPS + 1) / STEPS
@@ -49,6 +50,7 @@ def test_waves_of_random_orders(rng):
         assert found > float(everywhere.max()) - 2e-3
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_place(rng):
     """Differences, in batches and compiled; exact where the place of the highest value moves smoothly or not at all."""
     numbers = jnp.asarray(rng.uniform([0.1, 0.05, 0.0], [1.0, 0.3, 6.3], size=(5, 4, 3)))
@@ -79,6 +81,7 @@ def at_samples_in(dtype, numbers, number=2 * GROUPS + 5):
     return waves(numbers, jnp.arange(number, dtype=jnp.int32), jnp.zeros((1, number), dtype))[0]
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_loop(rng):
     numbers = jnp.asarray(rng.uniform([0.1, 0.05, 0.0], [1.0, 0.3, 6.3], size=(6, 3, 3)))
     one = functools.partial(highest, waves)
