@@ -231,6 +231,22 @@ def test_motions_of_a_population(scene):
     assert study.values[7, 0] == pytest.approx(float(motion.peak_to_peak), rel=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("extremes", ["samples", "between"])
+def test_motions_beside_quasi_static_measures_are_those_alone(scene, extremes):
+    """Masses and loads of the motion that the curves do not need, and one that varies."""
+    spreads = {AMPLITUDES[0]: gj.Rayleigh(6 * um), "inertia.mass": gj.Normal(3.0, 0.1)}
+    theta = float(scene.system.input_speed) * np.linspace(0.0, 0.2, 201)
+    names = ["no_load.peak_to_peak", "static.minimum@100Nm", "dynamic.peak_to_peak@100Nm", "backlash.std"]
+
+    def values(names):
+        return gj.monte_carlo(gj.Tolerances(scene, spreads), names, n=6, theta=theta, extremes=extremes).values
+
+    alone = np.concatenate([values(name) for name in names], axis=1)
+    assert np.isfinite(alone).all()
+    np.testing.assert_allclose(values(names), alone, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gearjax.tolerance.refined import GROUPS, STEPS, highest
+from gearjax.tolerance.refined import GROUPS, STEPS, highest_between
 
 
 def lines(slopes, samples, places):
@@ -31,7 +31,7 @@ def test_a_roof_between_two_samples(rng, number):
     """Two lines that cross at the ridge."""
     ridge = rng.uniform(1.0, number - 2.0)
     slopes = jnp.asarray([[1.0 - 0.3 * ridge, 0.3], [1.0 + 0.2 * ridge, -0.2]])
-    found = highest(lines, slopes, at_samples(lines, slopes, number))
+    found = highest_between(lines, slopes, at_samples(lines, slopes, number))
     assert 1.0 - 0.3 / STEPS < float(found) <= 1.0 + 1e-14
 
 
@@ -45,7 +45,7 @@ def test_waves_of_random_orders(rng):
             numbers, jnp.arange(200, dtype=jnp.int32), jnp.broadcast_to(places[:, None], (len(places), 200))
         )
         values = at_samples(waves, numbers, 200)
-        found = float(highest(waves, numbers, values))
+        found = float(highest_between(waves, numbers, values))
         assert float(values.max()) <= found <= float(everywhere.max()) + 1e-14
         assert found > float(everywhere.max()) - 2e-3
 
@@ -56,7 +56,7 @@ def test_derivatives_are_those_of_the_place(rng):
     numbers = jnp.asarray(rng.uniform([0.1, 0.05, 0.0], [1.0, 0.3, 6.3], size=(5, 4, 3)))
 
     def value(numbers):
-        return highest(waves, numbers, at_samples(waves, numbers, 150))
+        return highest_between(waves, numbers, at_samples(waves, numbers, 150))
 
     slopes = jax.jit(jax.vmap(jax.grad(value)))(numbers)
     forward = jax.vmap(jax.jacfwd(value))(numbers)
@@ -70,10 +70,10 @@ def test_derivatives_are_those_of_the_place(rng):
 
 def test_single_precision_and_values_that_are_no_numbers():
     numbers = jnp.asarray([[1.0, 0.3, 0.2]], jnp.float32)
-    found = highest(waves, numbers, at_samples_in(jnp.float32, numbers))
+    found = highest_between(waves, numbers, at_samples_in(jnp.float32, numbers))
     assert found.dtype == jnp.float32
     assert float(found) == pytest.approx(1.0, abs=1e-3)
-    lost = highest(waves, numbers * jnp.nan, at_samples_in(jnp.float32, numbers * jnp.nan))
+    lost = highest_between(waves, numbers * jnp.nan, at_samples_in(jnp.float32, numbers * jnp.nan))
     assert np.isnan(float(lost))
 
 
@@ -84,7 +84,7 @@ def at_samples_in(dtype, numbers, number=2 * GROUPS + 5):
 @pytest.mark.slow
 def test_a_batch_is_a_loop(rng):
     numbers = jnp.asarray(rng.uniform([0.1, 0.05, 0.0], [1.0, 0.3, 6.3], size=(6, 3, 3)))
-    one = functools.partial(highest, waves)
+    one = functools.partial(highest_between, waves)
     values = jnp.stack([at_samples(waves, row, 90) for row in numbers])
     together = jax.vmap(one)(numbers, values)
     np.testing.assert_allclose(together, [one(*each) for each in zip(numbers, values, strict=True)], rtol=1e-14)

@@ -120,9 +120,9 @@ def _laid_out(figure: Figure) -> Iterator[None]:
         yield
         return
     figure.set_dpi(DPI)
-    engine.execute(figure)
-    figure.set_layout_engine(None)  # "none" would leave a placeholder, for which it is drawn twice too
     try:
+        engine.execute(figure)
+        figure.set_layout_engine(None)  # "none" would leave a placeholder, for which it is drawn twice too
         yield
     finally:
         figure.set_layout_engine(engine)

@@ -27,7 +27,7 @@ from gearjax.analysis.metrics import top
 from gearjax.contact import HardContact, Pose
 from gearjax.contact.equilibrium import hard_edges, hard_rest
 from gearjax.scene import Scene, Stiffness
-from gearjax.tolerance.refined import highest
+from gearjax.tolerance.refined import highest_between
 from gearjax.typing import Array, Float, Int, Scalar
 
 CHECKS = 3  # angles at which every gear set is compared with the interpolation from the few angles
@@ -161,9 +161,10 @@ class Touches(eqx.Module):
         spread = functools.reduce(lambda sum_, term: sum_ * places[None] + term, terms[::-1])
         return Touches(list(spread), self.strength, self.side)
 
-    def ends(self, analysis: str, torque: Scalar | None, signs: Sequence[float]) -> Sequence[Scalar]:
+    def ends(
+        self, analysis: str, torque: Scalar | None, curve: Float[Array, " n"], signs: Sequence[float]
+    ) -> Sequence[Scalar]:
         """Highest value of a curve times each sign, also between the samples if polynomials are known [rad]."""
-        curve = self.curve(analysis, torque)
         if self.closer is None:
             return [top(curve if sign > 0 else -curve) for sign in signs]
         sign = jnp.asarray(signs, curve.dtype)
@@ -174,7 +175,7 @@ class Touches(eqx.Module):
             return sign * touches.near(samples, places).curve(analysis, torque)
 
         alone = dataclasses.replace(self, position=[], alike=None)
-        return [*jax.vmap(lambda sign, values: highest(near, (alone, torque, sign), values))(sign, values)]
+        return [*jax.vmap(lambda sign, values: highest_between(near, (alone, torque, sign), values))(sign, values)]
 
     def curve(self, analysis: str, torque: Scalar | None) -> Float[Array, "..."]:
         """The curve of an analysis, of the shape of the positions [rad]."""

@@ -79,9 +79,11 @@ class Measures:
         self.measures, self.extremes = tuple(measures), extremes
         _check(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
+        self._angles = str(self.theta.dtype), np.asarray(self.theta).tobytes()
         self.free = tolerances.free
         self.physics = self._physics(*_slots(self.measures))
         analyses = {measure.analysis for measure in self.measures}
+        self.still = self.physics  # what curves without motion are computed from
         self.curves: Curves | Balances | None = None
         if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
             self.curves = self._balances(analyses) if scene.layout.sides_turn else self._touches(analyses)
@@ -113,11 +115,10 @@ class Measures:
             curves = Curves.of(self._population(physics), self.theta, stiffness, not self._system_varies)
             return physics, curves
 
-        key = "curves", str(self.theta.dtype), np.asarray(self.theta).tobytes()
-        physics, curves = self.tolerances.once(key, made)
+        physics, curves = self.tolerances.once(("curves", self._angles), made)
         if self.extremes == "between" and curves.series is None:
             return None
-        self.physics = physics
+        self.still = physics
         return curves if self.extremes == "between" else dataclasses.replace(curves, series=None)
 
     def _balances(self, analyses: set[str]) -> Balances | None:
@@ -162,11 +163,10 @@ class Measures:
         curves = self.curves
         if not isinstance(curves, Curves) or self.motion is not None or self.pressed is not None:
             return [Part(self, None, (tuple(range(len(self.measures))),))]
-        theta = np.asarray(self.theta)
 
         def one(metrics: tuple) -> QuickMeasures:
-            key = "part", metrics, self.extremes, str(theta.dtype), theta.tobytes()
-            return self.tolerances.once(key, lambda: QuickMeasures(self.free, self.physics, curves, metrics))
+            key = "part", metrics, self.extremes, self._angles
+            return self.tolerances.once(key, lambda: QuickMeasures(self.free, self.still, curves, metrics))
 
         return parts(self.measures, one, unloaded=self.extremes == "samples")
 
@@ -177,7 +177,7 @@ class Measures:
             return measured[0], codes[0]
         scene = self.free.set(self.physics, values)
         curves = self.curves
-        touches = curves.touches(scene) if isinstance(curves, Curves) else None
+        touches = curves.touches(self.free.set(self.still, values)) if isinstance(curves, Curves) else None
 
         def record(analysis: str, torque: float | None) -> Record:
             if isinstance(curves, Balances):
@@ -195,7 +195,7 @@ class Measures:
     def curve_rows(self, values: Float[Array, "row free"], measure: Measure) -> Float[Array, "row n"]:
         """Quasi-static curves of a measure at the samples [rad], for gear sets with the given numbers."""
         key, curves = (measure.analysis, measure.torque), self.curves
-        scenes = jax.vmap(lambda row: self.free.set(self.physics, row))(values)
+        scenes = jax.vmap(lambda row: self.free.set(self.still, row))(values)
         if isinstance(curves, Balances):
             return curves.curves(scenes, [key])[0].T
         assert curves is not None

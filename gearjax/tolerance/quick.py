@@ -94,7 +94,7 @@ def recorded(touches: Touches, analysis: str, torque: Scalar | None, metrics: Se
     """The record of a quasi-static curve with hard contacts; extremes are computed for the given metrics alone."""
     values = touches.curve(analysis, torque)
     signs = sorted({sign for metric in metrics for sign in ENDS.get(metric, ())})
-    ends = functools.cache(lambda: touches.ends(analysis, torque, signs))
+    ends = functools.cache(lambda: touches.ends(analysis, torque, values, signs))
 
     def high() -> Scalar:
         return ends()[signs.index(1.0)]

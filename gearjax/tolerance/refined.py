@@ -26,7 +26,7 @@ Near = Callable[[Any, Int[Array, " group"], Float[Array, "place group"]], Float[
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def highest(near: Near, numbers: Any, values: Float[Array, " n"]) -> Scalar:
+def highest_between(near: Near, numbers: Any, values: Float[Array, " n"]) -> Scalar:
     """Highest value of a curve at its samples and between them, with the derivative at the place of that value.
 
     Args:
@@ -38,8 +38,8 @@ def highest(near: Near, numbers: Any, values: Float[Array, " n"]) -> Scalar:
     return _searched(near, numbers, values)[0]
 
 
-@highest.defjvp
-def _highest_jvp(near: Near, primals: tuple, tangents: tuple) -> tuple[Scalar, Scalar]:
+@highest_between.defjvp
+def _highest_between_jvp(near: Near, primals: tuple, tangents: tuple) -> tuple[Scalar, Scalar]:
     value, sample, place = _searched(near, *primals)
 
     def there(numbers: Any) -> Scalar:
@@ -88,7 +88,7 @@ def _stored(values: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.jit
 def _top(values: Float[Array, "place group"]) -> Scalar:
-    """The highest number."""
+    """The highest number, by pieces that are compared as a whole."""
     for _ in range(2):  # over the places, and then over the groups
         while (length := values.shape[0]) > 1:
             part = -(-length // PIECES)
