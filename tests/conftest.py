@@ -36,6 +36,7 @@ PHASES = [f"errors.{body}.phase" for body in BODIES]
 FOUND = "GEARJAX_TESTS_COMPILER"  # what the process that starts the workers found out, for them
 PROGRAMS = "GEARJAX_TESTS_PROGRAMS"  # the folder of compiled programs that the workers share
 ONE_PIECE = "--xla_cpu_parallel_codegen_split_count=1"  # the workers share the cores: pieces cost a tenth of the time
+WORTH_KEEPING = 0.02  # s that a program takes to compile
 FEWER_COLLECTIONS = 100_000, 50, 100  # traces make many objects: looking for cycles took 6 % of the time of two files
 _ours: list[str] = []
 
@@ -46,7 +47,7 @@ def _share_programs() -> None:
         os.environ[PROGRAMS] = tempfile.mkdtemp()
         _ours.append(os.environ[PROGRAMS])
     jax.config.update("jax_compilation_cache_dir", os.environ[PROGRAMS])
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
 
 
 def pytest_unconfigure() -> None:
@@ -89,6 +90,15 @@ def compiled_as_tests() -> dict[str, str]:
     if "XLA_FLAGS" in os.environ:
         return {}
     return {"XLA_FLAGS": os.environ[FOUND], "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+
+
+def with_programs_of_tests() -> dict[str, str]:
+    """Variables with which a process that a test starts shares the compiled programs of the tests."""
+    return {
+        "JAX_COMPILATION_CACHE_DIR": os.environ[PROGRAMS],
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": str(WORTH_KEEPING),
+        "JAX_INCLUDE_FULL_TRACEBACKS_IN_LOCATIONS": "0",  # a changed line elsewhere leaves programs as they are
+    }
 
 
 def _starts_workers(config: pytest.Config) -> bool:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.conftest import ROOT, compiled_as_tests
+from tests.conftest import ROOT, compiled_as_tests, with_programs_of_tests
 
 OF_ITS_OWN = {"from_measurement_to_reassembly"}  # tests/test_bench_commands.py reads what it tells
 COMPUTE = {"rv_compensation"}
@@ -26,7 +26,7 @@ def test_pages_are_text_that_notebooks_read():
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_runs(page):
     """As a process of its own, as a kernel is: it sets JAX's options, and may register a gear set."""
-    environment = os.environ | {"MPLBACKEND": "agg"}
+    environment = os.environ | with_programs_of_tests() | {"MPLBACKEND": "agg"}
     if page.stem not in COMPUTE:
         environment |= compiled_as_tests()
     ran = subprocess.run(

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT, compiled_as_tests
+from tests.conftest import ROOT, compiled_as_tests, with_programs_of_tests
 
 COMPARISONS = ROOT / "experiments" / "site" / "comparisons.md"
 SHOWN = re.findall(r"`python (experiments/\w+\.py)([^`]*)`", COMPARISONS.read_text(encoding="utf-8"))
@@ -57,7 +57,8 @@ def test_programs_agree(script, words, tmp_path):
     options = re.findall(r"--\S+", words)
     others = [(option, another_python(option, tmp_path / "environment")) for option in options]
     command = [sys.executable, script, "--short", *(word for pair in others for word in pair)]
-    environment = os.environ | compiled_as_tests()  # sizes are small: most of the time would be compiling
+    # sizes are small: most of the time would be compiling
+    environment = os.environ | compiled_as_tests() | with_programs_of_tests()
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "(at most " in done.stdout, "nothing was compared"

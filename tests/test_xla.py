@@ -11,7 +11,7 @@ import pytest
 
 import gearjax as gj
 from gearjax import xla
-from tests.conftest import ROOT
+from tests.conftest import ROOT, with_programs_of_tests
 
 TELLS = """
 import json, os, sys
@@ -95,6 +95,7 @@ def test_the_options_change_results_by_rounding_only():
     sides = []
     for options in ("", gj.xla_options()):
         environment = os.environ | {"XLA_FLAGS": options, "JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu"}
+        environment |= with_programs_of_tests()  # JAX keeps programs of other options apart
         command = [sys.executable, "-c", GEAR_SETS, *configs]
         ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
         sides.append([json.loads(line) for line in ended.stdout.splitlines()])
