@@ -187,7 +187,7 @@ class ElasticTeeth(AbstractToothCompliance):
         # the thickness is calculated for each point, which is cheaper than for each pair of points
         at, inward = foot + sign * level, jnp.full_like(level, -sign)
         half_thick, grows = jax.jvp(gear.half_thickness, (at,), (inward,))
-        lower = (arm[:, None] <= arm[None, :])[..., None]
+        lower = ((arm[:, None] < arm[None, :]) | np.eye(radius.shape[0], dtype=bool))[..., None]
         level, step, thick, grows = (
             jnp.where(lower, each[:, None], each[None, :]) for each in (level, step, 2 * half_thick, 2 * grows)
         )
@@ -202,7 +202,7 @@ class ElasticTeeth(AbstractToothCompliance):
         sheared = (sheared - bulge * (mixed + borne[0] * borne[1])) * thick
         bent = moment[0] * moment[1] * 12 / thick**3 / modulus
         press = (along[:, None] * along[None, :])[..., None] / thick / modulus
-        beside = bulge * jnp.abs(height[:, None] - height[None, :]) / jnp.maximum(half[:, None], half[None, :])
+        beside = bulge * _apart(height) / jnp.maximum(half[:, None], half[None, :])
         return ((bent + sheared + press) * step).sum(axis=-1) + 0.5 * across[:, None] * across[None, :] * beside
 
     def _layers(self, places: Places) -> tuple[Array, Array] | tuple[None, None]:
@@ -249,9 +249,8 @@ class ElasticTeeth(AbstractToothCompliance):
         along, tip = (0.5 * gear.base_radius * gear.roll_at(at) ** 2 for at in (radius, gear.tip_radius))
         strip = shared if points == 1 else jnp.abs(along[-1] - along[0])
         strip = jnp.maximum(strip * even_parts(points, strip.dtype), SHORTEST) / half
-        place = jnp.abs(tip - along) / jnp.sqrt(half * gear.section(gear.tip_radius)[1])
-        own = jnp.eye(points, dtype=bool)
-        apart, mirrored = jnp.abs(place[:, None] - place[None, :]), place[:, None] + place[None, :]
+        place = gear.from_tip(along, tip) / jnp.sqrt(half * gear.section(gear.tip_radius)[1])
+        own, apart, mirrored = np.eye(points, dtype=bool), _apart(place), place[:, None] + place[None, :]
         apart = jnp.where(own, ITSELF * strip[:, None], jnp.maximum(apart, SHORTEST / half[:, None]))
         mirrored = jnp.where(own, jnp.maximum(mirrored, MIRRORED * strip[:, None]), mirrored)
         near = jnp.exp(-1 / (1 - self.poissons_ratio))
@@ -266,6 +265,15 @@ def _at_root(gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array,
     across, along = jnp.cos(slant), jnp.sin(slant)
     arm = jnp.abs(height - foot)
     return jnp.stack([across, across * arm - along * half, along], axis=-1)
+
+
+def _apart(place: Float[Array, " point"]) -> Float[Array, "point point"]:
+    """Distances between all pairs of places.
+
+    Each place is exactly at itself. Compiled gradients of the absolute value alone would not be zero there: XLA works a
+    place out once for each kernel, and the difference of two such results has the sign of their rounding.
+    """
+    return jnp.where(np.eye(place.shape[0], dtype=bool), 0.0, jnp.abs(place[:, None] - place[None, :]))
 
 
 def _across(place: Float[Array, " face"], loaded: Scalar, width: Scalar, reach: Scalar) -> Float[Array, "face face"]:
@@ -287,10 +295,10 @@ def deflection_across(place: Float[Array, " face"], width: Scalar, reach: Scalar
         width: face width w of the tooth [m].
         reach: length l [m].
     """
-    low = 0.5 * width + jnp.minimum(place[:, None], place[None, :])
-    high = 0.5 * width - jnp.maximum(place[:, None], place[None, :])
+    middle, apart = 0.5 * (place[:, None] + place[None, :]), _apart(place)
+    low, high = 0.5 * (width - apart) + middle, 0.5 * (width - apart) - middle
     # these exponentials do not overflow, unlike cosh and sinh
-    decay = jnp.exp(-(width - low - high) / reach)
+    decay = jnp.exp(-apart / reach)
     grown = decay * (1 + jnp.exp(-2 * low / reach)) * (1 + jnp.exp(-2 * high / reach))
     return 0.5 * grown / (reach * -jnp.expm1(-2 * width / reach))
 

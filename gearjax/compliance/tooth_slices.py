@@ -287,11 +287,12 @@ def _together(slices: int, width: Scalar, reach: Scalar) -> Float[Array, "slice 
         width: face width w [m].
         reach: length l [m].
     """
-    step = width / slices
-    place = step * (jnp.arange(slices, dtype=width.dtype) + 0.5)
-    low, high = (width - jnp.maximum(end[:, None], end[None, :]) for end in (width - place, place))
-    # these exponentials do not overflow, unlike cosh and sinh; adjacent slices have one end in common
-    decay = jnp.exp(-jnp.maximum(width - low - high - step, 0.0) / reach)
+    step, (one, other) = width / slices, np.indices((slices, slices))
+    # lengths in steps are known numbers: adjacent slices have one end in common, without rounding
+    steps = np.minimum(one, other) + 0.5, slices - 0.5 - np.maximum(one, other), np.maximum(abs(one - other) - 1, 0)
+    low, high, between = (step * jnp.asarray(each, width.dtype) for each in steps)
+    # these exponentials do not overflow, unlike cosh and sinh
+    decay = jnp.exp(-between / reach)
     grown = decay * (1 + jnp.exp(-2 * low / reach)) * (1 + jnp.exp(-2 * high / reach))
     mean = (-jnp.expm1(-step / reach) * reach / step) ** 2
     apart = 0.5 * mean * grown / (reach * -jnp.expm1(-2 * width / reach)) * (1 - jnp.eye(slices, dtype=width.dtype))

@@ -167,7 +167,7 @@ class MeshContacts(eqx.Module):
         eta = tooth.astype(roll.dtype) * (2 * math.pi / gear.teeth)
         path = pair.contact_path
         flank = ProfilePlace(
-            to_tip=jnp.abs(gear.base_radius * gear.tip_roll - roll).ravel(),
+            to_tip=gear.from_tip(roll, gear.base_radius * gear.tip_roll).ravel(),
             length=path.end - path.begin,
             across=at.across.ravel(),
             width=pair.face_width,

@@ -138,6 +138,13 @@ class InvoluteGear(eqx.Module):
         ratio = radius / self.base_radius
         return jnp.sqrt((ratio - 1) * (ratio + 1))
 
+    def from_tip(self, place: Array, tip: Scalar) -> Array:
+        """Distance from the tip towards the root of places that grow with the radius, of any shape, as the tip's own.
+
+        Its sign is known. Gradients of an absolute value would be wrong at the tip, where only rounding has a sign.
+        """
+        return place - tip if self.internal else tip - place
+
     def radius_at(self, roll: Array) -> Array:
         """Radius at a roll angle [m]."""
         return self.base_radius * jnp.sqrt(1 + roll**2)

@@ -361,7 +361,7 @@ class InvoluteRV(AbstractSystem):
         outward, around = seen * roll * cosine, at.side * seen * cosine
         rim = Rim(self._each(place), self._each(outward), self._each(around), gear.teeth, self._each(tooth))
         number = int(gear.internal)
-        to_tip = at.pair.base_radii[number] * jnp.abs(at.pair.tip_rolls[number] - roll)
+        to_tip = at.pair.base_radii[number] * gear.from_tip(roll, at.pair.tip_rolls[number])
         length = at.pair.contact_ratio * at.pair.base_pitch
         return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length)}
 
