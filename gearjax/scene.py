@@ -280,17 +280,17 @@ class Scene(eqx.Module):
         coordinates = self.moving.coordinates
         return coordinates.rigid if stiffness == "rigid" else coordinates
 
-    def pose(self, theta: Scalar, stiffness: Stiffness = "rigid") -> Pose:
+    def pose(self, theta: Scalar | float, stiffness: Stiffness = "rigid") -> Pose:
         """Pose of the system at an input angle: everything that does not depend on the numbers of the errors.
 
         Args:
             theta: input angle [rad].
             stiffness: as for `contacts`.
         """
-        return pose_of(self.system, theta, self._request(stiffness))
+        return pose_of(self.system, self._number(theta), self._request(stiffness))
 
     def contacts(
-        self, theta: Scalar | Pose, stiffness: Stiffness = "rigid", position: Scalar | None = None
+        self, theta: Scalar | float | Pose, stiffness: Stiffness = "rigid", position: Scalar | float | None = None
     ) -> ContactSet:
         """Candidate contacts at an input angle, including errors, reference and backlash.
 
@@ -299,7 +299,12 @@ class Scene(eqx.Module):
             stiffness: ``"rigid"`` for contacts without springs, ``"mean"``, or ``"varying"`` with the mesh phase.
             position: position of the output at which exact geometry is linearised [rad]; by default the ideal one.
         """
-        return _contacts_of(self, theta, stiffness, position)
+        theta = theta if isinstance(theta, Pose) else self._number(theta)
+        return _contacts_of(self, theta, stiffness, None if position is None else self._number(position))
+
+    def _number(self, number: Scalar | float) -> Scalar:
+        """A number as an array of this gear set's precision: numbers of Python are no arguments of programs."""
+        return jnp.asarray(number, None if hasattr(number, "dtype") else self.system.input_speed.dtype)
 
     def _contacts(self, theta: Scalar | Pose, stiffness: Stiffness, position: Scalar | None) -> ContactSet:
         pose, layout = theta if isinstance(theta, Pose) else self.pose(theta, stiffness), self.layout

@@ -532,6 +532,16 @@ def test_functions_of_a_scene(name, gear_set):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("gear_set", GEAR_SETS)
+def test_contacts_take_numbers_of_python(gear_set):
+    scene = Case(gear_set, "system").scene
+    for one, other in zip(
+        jax.tree.leaves(scene.contacts(0.3)), jax.tree.leaves(scene.contacts(jnp.asarray(0.3))), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
 @pytest.mark.parametrize("name", ["ratio_error", "simulate", "grid_search", "minimise", "monte_carlo"])
 def test_functions_of_gears_by_a_table(name):
