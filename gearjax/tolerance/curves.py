@@ -27,13 +27,14 @@ from gearjax.analysis.metrics import top
 from gearjax.contact import HardContact, Pose
 from gearjax.contact.equilibrium import hard_edges, hard_rest
 from gearjax.scene import Scene, Stiffness
-from gearjax.tolerance.refined import highest_between
+from gearjax.tolerance.refined import highest_between, in_search_order, stored
 from gearjax.typing import Array, Float, Int, Scalar
 
 CHECKS = 3  # angles at which every gear set is compared with the interpolation from the few angles
 ACCURACY = 1e-12  # of the interpolation, relative to the largest deviation from the ideal position
 MOST = 0.1  # share of the angles above which interpolation is not worthwhile
-TERMS = 6  # of the polynomials, which are valid from the sample before to the sample after
+MOST_TERMS = 8  # of the polynomials, which are valid from the sample before to the sample after
+FITS = 1e-6  # deviation of the polynomials, relative to the largest weight, below which more terms are not worthwhile
 FINE = 8  # steps between two samples to which the polynomials are fitted
 
 
@@ -42,7 +43,8 @@ class Curves(eqx.Module):
 
     Args:
         poses: poses at the angles that determine a curve, or at all angles.
-        weights: weights that give all angles from these, shape (n, angle); ``None`` if all angles are evaluated.
+        weights: weights that give all angles, in the order of `in_search_order`, from these, shape (n, angle); ``None``
+            if all angles are evaluated.
         checks: weights of the angles that are checked, shape (check, angle).
         allowed: largest deviation of a gear set from the interpolation at these angles [rad].
         series: the weights near each sample as polynomials of the place, which counts in spacings of samples, shape
@@ -94,8 +96,9 @@ class Curves(eqx.Module):
         weights, series = (jnp.asarray(part, theta.dtype) for part in (weights, _series(fine, len(theta))))
         besides = np.linspace(0, len(theta) - 1, CHECKS + 2).round().astype(int)[1:-1]
         poses = _poses(first, jnp.asarray(np.asarray(theta)[np.concatenate([chosen, besides])]))
+        checks, weights = weights[besides], weights[in_search_order(len(theta))]
         allowed = 100 * accuracy * largest
-        return cls(poses, weights, weights[besides], allowed, series, side, stiffness)
+        return cls(poses, weights, checks, allowed, series, side, stiffness)
 
     def touches(self, scene: Scene) -> "Touches":
         """The positions at which the contacts of one gear set touch, at all angles."""
@@ -115,7 +118,8 @@ class Curves(eqx.Module):
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis of one gear set, at the samples [rad]."""
-        return self.touches(scene).curve(analysis, None if torque is None else jnp.asarray(torque, scene.dtype))
+        curve = self.touches(scene).curve(analysis, None if torque is None else jnp.asarray(torque, scene.dtype))
+        return curve if self.weights is None else curve[np.argsort(in_search_order(len(curve)))]
 
     def _looked_at(self, scene: Scene) -> tuple[Array, Array | None]:
         anchored = scene.anchored()
@@ -168,14 +172,14 @@ class Touches(eqx.Module):
         if self.closer is None:
             return [top(curve if sign > 0 else -curve) for sign in signs]
         sign = jnp.asarray(signs, curve.dtype)
-        values = sign[:, None] * curve[None]
+        curve = stored(curve)
 
-        def near(numbers: tuple[Touches, Scalar | None, Scalar], samples: Array, places: Array) -> Array:
-            touches, torque, sign = numbers
-            return sign * touches.near(samples, places).curve(analysis, torque)
+        def near(numbers: tuple[Touches, Scalar | None], samples: Array, places: Array) -> Array:
+            touches, torque = numbers
+            return touches.near(samples, places).curve(analysis, torque)
 
         alone = dataclasses.replace(self, position=[], alike=None)
-        return [*jax.vmap(lambda sign, values: highest_between(near, (alone, torque, sign), values))(sign, values)]
+        return [*jax.vmap(lambda sign: highest_between(near, (alone, torque), curve, sign))(sign)]
 
     def curve(self, analysis: str, torque: Scalar | None) -> Float[Array, "..."]:
         """The curve of an analysis, of the shape of the positions [rad]."""
@@ -251,16 +255,17 @@ def _weights(touch: np.ndarray, chosen: np.ndarray, accuracy: float) -> np.ndarr
 
 
 def _series(fine: np.ndarray, number: int) -> np.ndarray:
-    """Polynomials of the weights near each sample, shape (number, term, angle).
+    """Polynomials of the weights near each sample, shape (number, term, angle), with as many terms as they need.
 
-    At the first and last sample, they are those of the neighbouring sample, shifted.
+    The first and the last sample have those of their neighbours, at whose places they are.
     """
     steps = np.arange(-FINE, FINE + 1) / FINE
     centres = np.clip(np.arange(number), 1, number - 2)
     rows = fine[FINE * centres[:, None] + np.arange(-FINE, FINE + 1)]  # (number, step, angle)
-    moved = np.arange(number) - centres
-    coefficients = np.empty((number, TERMS, fine.shape[1]))
-    for move in (-1, 0, 1):
-        fit = np.linalg.pinv(np.vander(steps - move, TERMS, increasing=True))
-        coefficients[moved == move] = np.einsum("ts,nsa->nta", fit, rows[moved == move])
-    return coefficients
+    allowed = FITS * np.abs(fine).max()
+    for terms in range(1, MOST_TERMS + 1):
+        powers = np.vander(steps, terms, increasing=True)
+        fitted = np.linalg.pinv(powers) @ rows  # (number, term, angle)
+        if np.abs(powers @ fitted - rows).max() <= allowed:
+            break
+    return fitted
