@@ -304,7 +304,7 @@ class Scene(eqx.Module):
 
     def _number(self, number: Scalar | float) -> Scalar:
         """A number as an array of this gear set's precision: numbers of Python are no arguments of programs."""
-        return jnp.asarray(number, None if hasattr(number, "dtype") else self.system.input_speed.dtype)
+        return jnp.asarray(number, self.system.input_speed.dtype) if isinstance(number, int | float) else number
 
     def _contacts(self, theta: Scalar | Pose, stiffness: Stiffness, position: Scalar | None) -> ContactSet:
         pose, layout = theta if isinstance(theta, Pose) else self.pose(theta, stiffness), self.layout

@@ -187,6 +187,7 @@ class ElasticTeeth(AbstractToothCompliance):
         # the thickness is calculated for each point, which is cheaper than for each pair of points
         at, inward = foot + sign * level, jnp.full_like(level, -sign)
         half_thick, grows = jax.jvp(gear.half_thickness, (at,), (inward,))
+        # a load is no lower than itself, which rounding must not decide (`_apart`)
         lower = ((arm[:, None] < arm[None, :]) | np.eye(radius.shape[0], dtype=bool))[..., None]
         level, step, thick, grows = (
             jnp.where(lower, each[:, None], each[None, :]) for each in (level, step, 2 * half_thick, 2 * grows)
@@ -270,8 +271,9 @@ def _at_root(gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array,
 def _apart(place: Float[Array, " point"]) -> Float[Array, "point point"]:
     """Distances between all pairs of places.
 
-    Each place is exactly at itself. Compiled gradients of the absolute value alone would not be zero there: XLA works a
-    place out once for each kernel, and the difference of two such results has the sign of their rounding.
+    The distance of a place from itself is exactly zero, and so is its derivative. With the absolute value alone,
+    compiled gradients would be wrong there: XLA calculates a place once for each kernel, and the difference of two such
+    results has the sign of their rounding.
     """
     return jnp.where(np.eye(place.shape[0], dtype=bool), 0.0, jnp.abs(place[:, None] - place[None, :]))
 

@@ -139,9 +139,10 @@ class InvoluteGear(eqx.Module):
         return jnp.sqrt((ratio - 1) * (ratio + 1))
 
     def from_tip(self, place: Array, tip: Scalar) -> Array:
-        """Distance from the tip towards the root of places that grow with the radius, of any shape, as the tip's own.
+        """How far places of any shape lie from the tip towards the root, in any measure that grows with the radius.
 
-        Its sign is known. Gradients of an absolute value would be wrong at the tip, where only rounding has a sign.
+        Such a measure is the roll angle. The sign is known: gradients of an absolute value could be wrong at the tip,
+        where the difference is zero but for rounding.
         """
         return place - tip if self.internal else tip - place
 

@@ -257,7 +257,7 @@ def _weights(touch: np.ndarray, chosen: np.ndarray, accuracy: float) -> np.ndarr
 def _series(fine: np.ndarray, number: int) -> np.ndarray:
     """Polynomials of the weights near each sample, shape (number, term, angle), with as many terms as they need.
 
-    The first and the last sample have those of their neighbours, at whose places they are.
+    The first and the last sample have those of their neighbours, and are not asked for (`highest_between`).
     """
     steps = np.arange(-FINE, FINE + 1) / FINE
     centres = np.clip(np.arange(number), 1, number - 2)

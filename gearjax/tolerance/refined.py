@@ -53,7 +53,7 @@ def _searched(
     near: Near, numbers: Any, values: Float[Array, " n"], sign: Scalar
 ) -> tuple[Scalar, Int[Array, ""], Scalar]:
     """The highest value, the number of the sample next to it, and its place near this sample."""
-    # a curve has no place before its first and after its last sample, which are places near their neighbours
+    # The first and the last sample are places near their neighbours; nothing beyond them belongs to the curve.
     samples = stored(jnp.clip(_best_of_groups(values, sign), 1, values.shape[0] - 2))
     first, closer = (jnp.asarray(places, values.dtype)[:, None] for places in (FIRST, CLOSER))
     tried = stored(sign * near(numbers, samples, jnp.broadcast_to(first, (len(FIRST), len(samples)))))
@@ -90,14 +90,14 @@ def _best_of_groups(values: Float[Array, " n"], sign: Scalar) -> Int[Array, " gr
     count = len(starts)
     if size == 1:
         return jnp.asarray(starts, jnp.int32)
-    # kept flat: a reshape would copy what the last samples, which not all groups have, follow in a batch
+    # The values stay flat: the last row is shorter, and to make a table of the others would copy them in a batch.
     whole = (size - 1) * count
     places = jnp.asarray(np.repeat(np.arange(size - 1), count), values.dtype)
     pieces = [(sign * values[piece], places[piece]) for piece in _pieces(size - 1, count)]
     best, place = functools.reduce(_higher, pieces)
     while (length := len(best) // count) > 1:
         best, place = functools.reduce(_higher, [(best[piece], place[piece]) for piece in _pieces(length, count)])
-    # what a smaller group lacks is its first
+    # a group that has no sample in the last row repeats its first one there
     rest = sign * jnp.concatenate([values[whole:], values[len(values) - whole : count]])
     _, place = _higher((best, place), (rest, jnp.full_like(rest, size - 1)))
     return jnp.asarray(starts, jnp.int32) + place.astype(jnp.int32)
