@@ -23,33 +23,41 @@ def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
     """Result of a function on known numbers, by one program, as numbers also inside the trace of something else.
 
     Without a program each single operation would be compiled, and so would be each operation on constants under
-    `jax.ensure_compile_time_eval`.
+    `jax.ensure_compile_time_eval`. The results of the last arguments are kept. Arguments are the same if their arrays,
+    which JAX does not change, are the same objects.
 
     Args:
         function: a pure function, defined once: its program is kept.
         arguments: its arguments, arrays without tracers and anything static.
     """
-    return _program(function).lower(*arguments).compile()(*arguments)
-
-
-def evaluated_once(function: Callable[..., Any], *arguments: Any) -> Any:
-    """As `evaluated`, but the results of the last arguments are kept; in the trace of something else a part of it.
-
-    Arguments are the same if their arrays, which JAX does not change, are the same objects.
-    """
     numbers, structure = jax.tree.flatten(arguments)
-    if not is_concrete((numbers, jnp.zeros(()))):  # in a trace a new zero is a tracer
-        return function(*arguments)
     if not all(isinstance(number, jax.Array) for number in numbers):
-        return _program(function)(*arguments)
+        return _result(function, arguments)
     key = function, structure, tuple(map(id, numbers))
     kept = _results.get(key)
     if kept is None:
-        kept = numbers, _program(function)(*arguments)
+        kept = numbers, _result(function, arguments)
         while len(_results) >= MOST_KEPT:
             _results.pop(next(iter(_results)), None)
         _results[key] = kept
     return kept[1]
+
+
+def evaluated_or_traced(function: Callable[..., Any], *arguments: Any) -> Any:
+    """As `evaluated`, but in the trace of something else, or of its derivative, a part of it."""
+    return function(*arguments) if _traced(arguments) else evaluated(function, *arguments)
+
+
+def _traced(arguments: tuple[Any, ...]) -> bool:
+    """Whether arguments are traced, or this is inside the trace of something else: there a new zero is a tracer."""
+    return not is_concrete((arguments, jnp.zeros(())))
+
+
+def _result(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    program = _program(function)
+    if _traced(arguments):  # a call would become part of the trace
+        program = program.lower(*arguments).compile()
+    return program(*arguments)
 
 
 MOST_KEPT = 16

@@ -11,7 +11,7 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import SceneError, is_concrete
-from gearjax.evaluate import evaluated_once
+from gearjax.evaluate import evaluated_or_traced
 from gearjax.parameters import check_parameters, count, number
 from gearjax.typing import Array, Float, Int, Number, Scalar
 
@@ -99,7 +99,7 @@ def of_pair(scene: "Scene", pair: Scalar) -> Int[Array, " slice"]:
 
 def _pairs_that_differ(scene: "Scene") -> int:
     number = round(scene.system.cycle / pitch_of(scene))
-    if not scene.errors or (is_concrete(scene) and bool(evaluated_once(_alike, scene.physics("backlash")))):
+    if not scene.errors or (is_concrete(scene) and bool(evaluated_or_traced(_alike, scene.physics("backlash")))):
         return 1
     if number > MOST_PAIRS:
         raise SceneError(f"[impact]: {number} pairs of teeth differ, more than {MOST_PAIRS}: give impact.pairs")

@@ -33,7 +33,7 @@ from gearjax.contact import (
 )
 from gearjax.coordinates import Coordinates, check_offered
 from gearjax.errors import AbstractError
-from gearjax.evaluate import evaluated_once
+from gearjax.evaluate import evaluated_or_traced
 from gearjax.impact import MeshingImpact, Pulses
 from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
 from gearjax.load_torque import AbstractLoad
@@ -235,7 +235,7 @@ class Scene(eqx.Module):
         springs = scene.compliance if getattr(scene.compliance, "precomputes", False) else None
         if not scene.system.precomputes and springs is None:
             return scene
-        system, known = evaluated_once(_precomputed, scene.system, springs)
+        system, known = evaluated_or_traced(_precomputed, scene.system, springs)
         return with_known(scene, system=system, compliance=scene.compliance if springs is None else known)
 
     @property

@@ -185,7 +185,7 @@ def require(scene: Scene, what: str, *slots: str) -> None:
             words += "; gj.one_contact(scene, torque) reduces all to one contact"
         raise SceneError(f'"{what}" of a {scene.system.kind} needs {words}')
     coordinates = scene.moving.coordinates
-    if (scene.shafts or scene.system.orbits) and not scene.system.turns_evenly:
+    if not scene.system.turns_evenly and (scene.shafts or scene.system.orbits):
         raise SceneError(f'"{what}" of an output that turns unevenly is only possible without shafts and cranks')
     for body in coordinates.bodies:
         given = scene.body_inertia.get(body)

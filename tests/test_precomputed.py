@@ -13,7 +13,7 @@ import gearjax as gj
 from gearjax import evaluate
 from gearjax.compliance.elastic_teeth import ElasticTeeth
 from gearjax.compliance.tooth_slices import ToothSlices
-from gearjax.evaluate import evaluated_once
+from gearjax.evaluate import evaluated_or_traced
 from tests.conftest import ROOT
 
 SETS = {
@@ -101,9 +101,9 @@ def test_gear_sets_with_nothing_to_know_are_left_alone(scene):
 
 def test_in_a_trace_it_is_a_part_of_the_trace():
     """A program of its own could not be started from there."""
-    traced = jax.make_jaxpr(lambda x: x * evaluated_once(jnp.sin, jnp.asarray(0.5)))(1.0)
+    traced = jax.make_jaxpr(lambda x: x * evaluated_or_traced(jnp.sin, jnp.asarray(0.5)))(1.0)
     assert any(equation.primitive.name == "sin" for equation in traced.jaxpr.eqns)
-    assert float(evaluated_once(jnp.sin, jnp.asarray(0.5))) == pytest.approx(np.sin(0.5))
+    assert float(evaluated_or_traced(jnp.sin, jnp.asarray(0.5))) == pytest.approx(np.sin(0.5))
 
 
 def test_results_of_the_same_arrays_are_kept_and_those_of_others_are_not(monkeypatch):
@@ -112,8 +112,27 @@ def test_results_of_the_same_arrays_are_kept_and_those_of_others_are_not(monkeyp
     monkeypatch.setattr(evaluate, "_results", {})
     first, equal = jnp.asarray(1.5), jnp.asarray(1.5)
     for argument, runs in ((first, 1), (first, 1), (equal, 2), (first, 2), (np.asarray(1.5), 3), (np.asarray(1.5), 4)):
-        assert float(evaluate.evaluated_once(jnp.sin, argument)) == pytest.approx(np.sin(1.5))
+        assert float(evaluate.evaluated_or_traced(jnp.sin, argument)) == pytest.approx(np.sin(1.5))
         assert len(ran) == runs
     for number in range(3 * evaluate.MOST_KEPT):  # whose identities may be those of arrays that are gone
-        assert float(evaluate.evaluated_once(jnp.sin, jnp.asarray(0.1 * number))) == pytest.approx(np.sin(0.1 * number))
+        assert float(evaluate.evaluated_or_traced(jnp.sin, jnp.asarray(0.1 * number))) == pytest.approx(
+            np.sin(0.1 * number)
+        )
     assert len(evaluate._results) == evaluate.MOST_KEPT
+
+
+def test_known_numbers_are_numbers_inside_traces_too(monkeypatch):
+    """Derivatives of kept results would be lost, so that what has tracers is never kept."""
+    monkeypatch.setattr(evaluate, "_results", {})
+    known, seen = jnp.asarray(0.25), []
+    jax.jit(lambda x: seen.append(float(evaluate.evaluated(jnp.sin, known))) or x)(1.0)
+    assert seen == [float(jnp.sin(known))]
+    assert float(jax.grad(lambda x: evaluated_or_traced(jnp.sin, x))(known)) == pytest.approx(np.cos(0.25))
+    assert len(evaluate._results) == 1
+
+
+def test_a_motion_again_looks_at_its_scene_no_more(monkeypatch):
+    scene, times = gj.load(ROOT / "configs/two_kv/wang_2020.toml"), np.linspace(0.0, 0.01, 21)
+    gj.simulate(scene, times, 100.0)
+    monkeypatch.setattr(evaluate, "_program", lambda function: pytest.fail(f"{function} ran again"))
+    gj.simulate(scene, times, 50.0)

@@ -176,7 +176,7 @@ def method_of(
     seen = limits is not None and is_concrete((torque, jnp.zeros(())))  # then `simulate` checks the defect itself
     whole = march.Spacing(samples, steps, block, signals)
     alone = phase is None and not batched
-    quick = whole._replace(block=march.QUICK[0], signals=march.Signals.SUMS) if alone else None
+    quick = whole._replace(block=march.QUICK[0], signals=march.Signals.TABLE) if alone else None
     return Fitted(whole, windows, fall_back=not seen, quick=quick)
 
 

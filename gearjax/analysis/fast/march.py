@@ -23,7 +23,7 @@ from gearjax.analysis.metrics import top
 from gearjax.typing import Array, Float, Scalar
 
 BLOCKS = (192, 96, 48, 24, 12)  # numbers of steps per block; only a few, so that scenes of other speeds share a program
-SUMMED = {4: 96, 6: 12}  # nodes that a step sums over, each with the fewest steps per block that pay for them
+FEW_NODES = {4: 96, 6: 12}  # small numbers of nodes, each with the fewest steps per block that pay for them
 MORE_NODES = 12  # nodes for fast or unknown speeds
 UNKNOWN = 0.03  # rad, assumed rotation of the bodies per step if their speeds are traced
 LANES = 48  # windows in parallel; with many more, each takes longer
@@ -42,8 +42,8 @@ QUICK = Block(96, 6), 1e-12  # block for speeds that a run finds to be slow, and
 class Signals(enum.Enum):
     """How a step gets its excitation.
 
-    Either from a table, or by sums over the nodes of its block within the step. For a batch of scenes the nodes of such
-    sums are computed block by block.
+    Either from a table of its block, or, for windows, by sums over the nodes of its block within the step. For a batch
+    of scenes the nodes of such sums are computed block by block.
     """
 
     TABLE = 0
@@ -99,7 +99,7 @@ class Spacing(NamedTuple):
 
 def suitable_block(phase: float | None, dtype: Any, batched: bool) -> tuple[Block, Signals]:
     """Block and signals that suit a phase of the bodies per step [rad]; for ``None`` any phase up to `UNKNOWN`."""
-    few = {} if phase is None else SUMMED
+    few = {} if phase is None else FEW_NODES
     for nodes, fewest in {**few, MORE_NODES: 1, chebyshev.MOST_NODES: 1}.items():
         longest = chebyshev.reach(nodes, chebyshev.accuracy(dtype)) / max(UNKNOWN if phase is None else phase, 1e-12)
         steps = next((steps for steps in BLOCKS if fewest <= steps <= longest), None)
@@ -109,7 +109,7 @@ def suitable_block(phase: float | None, dtype: Any, batched: bool) -> tuple[Bloc
         nodes, steps = chebyshev.MOST_NODES, BLOCKS[-1]  # the program reports if this is not enough
     if batched:
         return Block(steps, nodes), Signals.BATCH
-    return Block(steps, nodes), Signals.SUMS if nodes in SUMMED else Signals.TABLE
+    return Block(steps, nodes), Signals.TABLE
 
 
 class March(NamedTuple):

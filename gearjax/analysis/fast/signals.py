@@ -1,7 +1,9 @@
 """Excitation of the steps of an oscillator, block by block: tables, or polynomials evaluated within a step.
 
-Chebyshev nodes cover a block of steps. If they are few, each step sums over them. If they are many, because speeds are
-not known, a single motion reads rows of a table that is made for one block at a time.
+Chebyshev nodes cover a block of steps. The steps of a single motion read a table, computed for one block at a time: XLA
+without options makes one function of a loop of such small steps, but not of steps that sum over nodes, which then take
+three times as long. Windows and batches, whose steps are vectors, sum over the nodes within each step, which needs less
+memory.
 """
 
 import math
@@ -188,20 +190,11 @@ class Rows(NamedTuple):
 
 
 def tabulated(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
-    """Rows of a table for the steps of a block, and the functions that convert them to the excitation."""
-    waves, torque = given.waves, given.torque
-    if forcing.meshes_evenly:
-        stiffness = waves.mean[None, :] + _spread(basis.cosine, waves.cosine) + _spread(basis.sine, waves.sine)
-    else:
-        stiffness = _by_phase(forcing, basis, given)
-    rows = _spread(basis.weights, jnp.asarray(given.columns).T), stiffness, (torque,) if torque.ndim else ()
-
-    def put(row: Any) -> tuple[Slow, Fast]:
-        return forcing.slow(row[0]), Fast(row[1], row[2][0] if row[2] else torque)
-
-    return Rows(jax.tree.map(lambda column: column[:-1], rows), rows), StepForcing(
-        lambda row: row, lambda rows: rows, put
-    )
+    """Excitation of all steps of a block, computed before the first step, and the functions that read it."""
+    rows, sums = written_out(forcing, basis, given)
+    every = sums.table(rows.every)
+    own = jax.tree.map(lambda column: column[:-1], every)
+    return Rows(own, every), StepForcing(lambda row: row, lambda rows: rows, sums.put)
 
 
 def written_out(forcing: Forcing, basis: Basis, given: Given) -> tuple[Rows, StepForcing]:
