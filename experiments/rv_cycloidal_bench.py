@@ -10,6 +10,10 @@ peak-to-peak and mean of the static TE under 784 N m over 320 crank angles of on
 All three agree before they are timed. Medians of interleaved repeats, compile time apart. Needs numba.
 
     python experiments/rv_cycloidal_bench.py [--samples 100000] [--repeats 3] [--turns 39] [--short]
+
+As installed, and with the options that the command sets itself:
+
+    XLA_FLAGS="$(python -c 'import gearjax; print(gearjax.xla_options())')" python experiments/rv_cycloidal_bench.py
 """
 
 import argparse

@@ -192,7 +192,42 @@ def test_numbers_that_open_gaps_together_have_tables_of_their_own():
     examples = jnp.arange(6.0).reshape(2, 3)
     sums = AffineGaps.of(gap, at, examples)
     assert sums.influence.shape == (7, 2, 3)
+    np.testing.assert_allclose(sums.everywhere(examples[1]), jax.vmap(gap, (None, 0), 1)(examples[1], at), rtol=1e-12)
     assert AffineGaps.of(lambda numbers, at: gap(numbers**2, at), at, examples) is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "shared"),
+    [
+        ([[0, 1, 2, 0, 1, 2], [3, 3, 3, 4, 4, 4], [5] * 6], ((1, 3), (2, 1), (1, 1))),  # pins, discs, all
+        ([[0, 1, 2, 0, 1, 2]], ((1, 3),)),
+        ([[0, 0, 0, 1, 1, 1]], ((2, 1),)),
+        ([[0] * 6], ((1, 1),)),
+        ([[0, 1, 0, 1, 0, 1], [2, 3, 4, 5, 6, 7]], ((1, 2), (3, 2))),
+        ([[0, 1, 2, 3, 4, 5]], ((1, 6),)),
+    ],
+)
+def test_contacts_that_share_numbers_read_them_once(numbers, shared, rng):
+    """Each contact still gets its own numbers: sums are those of the tables, whatever repeats."""
+    number, contacts = np.array(numbers), len(numbers[0])
+    influence, nominal = rng.normal(size=(7, *number.shape)), rng.normal(size=(7, contacts))
+    size, lanes = number.max() + 1, 5
+
+    def gap(numbers, at):
+        return jnp.asarray(nominal)[at] + (jnp.asarray(influence)[at] * numbers[number]).sum(axis=0)
+
+    values = jnp.asarray(rng.normal(size=(size, lanes)))
+    sums = AffineGaps.of(gap, jnp.arange(7), values.T)
+    assert sorted(sums.shared) == sorted(shared)
+    assert sum(part.size for part in sums.once(values)) == lanes * sum(row * column for row, column in shared)
+    expected = nominal[..., None] + np.einsum("ntc,tcl->ncl", influence, np.asarray(values)[number])
+    for lane in range(lanes):
+        np.testing.assert_allclose(sums.everywhere(values[:, lane]).T, expected[..., lane], rtol=1e-12, atol=1e-12)
+
+
+def test_gaps_without_numbers_are_the_nominal_ones():
+    sums = AffineGaps.of(lambda _, at: at * jnp.arange(3.0), jnp.arange(4.0), jnp.zeros((2, 1)))
+    np.testing.assert_array_equal(sums.everywhere(jnp.ones(1)), np.outer(np.arange(3.0), np.arange(4.0)))
 
 
 BETWEEN = ["static.maximum@784Nm", "static.minimum@784Nm", "no_load.minimum", "backlash.maximum"]

@@ -3,10 +3,11 @@
 Errors of the pins of a cycloidal reducer, its run-outs and pitch waves open gaps in proportion to their numbers
 (amplitudes by components), and most of them affect only some contacts. Numbers that affect different contacts share one
 table of influences, as columns of a sparse Jacobian share one difference (Curtis, Powell and Reid 1974). The gap of a
-contact is then its nominal gap plus one product for each table.
+contact is then its nominal gap plus one product for each table. Contacts that share a number, such as those of both
+discs at one pin, read it from one place: reading takes longer than multiplying.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -28,11 +29,14 @@ class AffineGaps(eqx.Module):
         nominal: gaps if all numbers are zero, shape (n, contact) [m].
         influence: change of the gap per unit of a number, shape (n, table, contact).
         number: index of this number, shape (table, contact).
+        shared: shape of the numbers of each table, arranged for contacts in equal rows, such as those of a disc:
+            (row, column), or 1 in place of either if all rows, or all columns, have the same.
     """
 
     nominal: Float[Array, "n contact"]
     influence: Float[Array, "n table contact"]
     number: Int[Array, "table contact"]
+    shared: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
     @classmethod
     def of(
@@ -64,27 +68,40 @@ class AffineGaps(eqx.Module):
         allowed = float(np.finfo(dtype).eps) ** ACCURACY * np.abs(actual - nominal).max()
         if not (np.abs(sums - actual) <= allowed).all():
             return None
-        return cls(*(jnp.asarray(part) for part in (nominal, influence, number)))
+        return cls(*(jnp.asarray(part) for part in (nominal, influence, number)), _shared(number))
 
     def terms(self, numbers: Float[Array, "number ..."]) -> Float[Array, "table contact ..."]:
         """The numbers of gear sets, arranged like the tables."""
         return numbers[self.number]
 
-    def everywhere(self, terms: Float[Array, "table contact"]) -> Float[Array, "contact n"]:
+    def once(self, numbers: Float[Array, "number lane"]) -> list[Float[Array, "_ _ lane"]]:
+        """The terms of each table, once for contacts that share them: of one row or column if all are alike."""
+        rows = _rows(self.shared, self.nominal.shape[-1])
+        arranged = [own.reshape(rows, -1) for own in self.number]
+        return [numbers[own[:row, :column]] for own, (row, column) in zip(arranged, self.shared, strict=True)]
+
+    def everywhere(self, numbers: Float[Array, " number"]) -> Float[Array, "contact n"]:
         """Gaps of one gear set at all angles [m]."""
-        return summed(self.nominal.T, jnp.moveaxis(self.influence, 0, -1), terms[..., None])
+        return summed(self.nominal.T, jnp.moveaxis(self.influence, 0, -1), self.once(numbers[:, None]))
 
 
 def summed(
     nominal: Float[Array, "contact _"],
     influence: Float[Array, "table contact _"],
-    terms: Float[Array, "table contact _"],
+    terms: Sequence[Float[Array, "_ _ _"]],
 ) -> Float[Array, "contact _"]:
-    """Gaps [m] for several angles or several gear sets as the last axis; data common to all have length one there."""
-    gap = jnp.broadcast_to(nominal, (nominal.shape[0], max(nominal.shape[-1], terms.shape[-1])))
+    """Gaps [m] for several angles or several gear sets as the last axis; data common to all have length one there.
+
+    Args:
+        nominal, influence: tables of `AffineGaps`.
+        terms: terms of each table, as from `AffineGaps.once`.
+    """
+    contacts, lanes = nominal.shape[0], max(part.shape[-1] for part in (nominal, *terms))
+    rows = _rows([term.shape[:2] for term in terms], contacts)
+    gap = jnp.broadcast_to(nominal, (contacts, lanes)).reshape(rows, -1, lanes)
     for per_unit, amount in zip(influence, terms, strict=True):
-        gap = gap + per_unit * amount
-    return gap
+        gap = gap + per_unit.reshape(rows, -1, per_unit.shape[-1]) * amount
+    return gap.reshape(contacts, lanes)
 
 
 def _looks(number: int) -> np.ndarray:
@@ -105,3 +122,26 @@ def _groups(opens: np.ndarray) -> list[list[int]]:
         groups[place].append(int(number))
         taken[place] |= opens[number]
     return groups
+
+
+def _shared(number: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Shape of the numbers of each table for contacts in rows, with as many rows as leave the fewest numbers."""
+    contacts = number.shape[1]
+
+    def shapes(rows: int) -> tuple[tuple[int, int], ...]:
+        return tuple(_distinct(own.reshape(rows, -1)) for own in number)
+
+    divisions = [shapes(rows) for rows in range(1, contacts + 1) if contacts % rows == 0]
+    return min(divisions, key=lambda each: sum(row * column for row, column in each))
+
+
+def _rows(shapes: Sequence[tuple[int, ...]], contacts: int) -> int:
+    """Number of rows of the contacts, from the shapes of terms."""
+    columns = max((column for _, column in shapes), default=1)
+    return contacts // columns if columns > 1 else max((row for row, _ in shapes), default=1)
+
+
+def _distinct(table: np.ndarray) -> tuple[int, int]:
+    """Number of rows and of columns of a table, or 1 if all are alike."""
+    row = 1 if (table == table[:1]).all() else table.shape[0]
+    return row, 1 if (table == table[:, :1]).all() else table.shape[1]

@@ -61,7 +61,7 @@ class Balances(eqx.Module):
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis of one gear set [rad], computed at all angles at once."""
-        lever, gap = self.lever.T, self.gaps.everywhere(self.gaps.terms(_flat(scene, self.varied)))
+        lever, gap = self.lever.T, self.gaps.everywhere(_flat(scene, self.varied))
         if torque is None:
             return _edges(lever, gap, analysis)
         applied = jnp.broadcast_to(_applied(scene, torque), gap.shape[1:])
@@ -70,7 +70,7 @@ class Balances(eqx.Module):
     def curves(self, scenes: Scene, keys: Sequence[Key]) -> list[Float[Array, "n row"]]:
         """The curves of analyses [rad] of several gear sets, whose numbers have a leading axis."""
         numbers = jax.vmap(lambda scene: _flat(scene, self.varied), out_axes=-1)(scenes)
-        terms = jax.lax.optimization_barrier(self.gaps.terms(numbers))
+        terms = jax.lax.optimization_barrier(self.gaps.once(numbers))
         applied_each = [
             jax.vmap(_applied, in_axes=(0, None))(scenes, torque) for _, torque in keys if torque is not None
         ]

@@ -42,7 +42,7 @@ CODES = {
 SAMPLES = 1581  # default number of input angles of one cycle
 TOGETHER = {
     "quick": 32,
-    "balances": 64,
+    "balances": 32,
     "pressed": 128,
     "other": 64,
     "dynamic": 64,
