@@ -8,8 +8,10 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -186,6 +188,28 @@ def warn_the_caller(words: str, category: type[Warning]) -> None:
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in CALLED_THROUGH:
         frame, level = frame.f_back, level + 1
     warnings.warn(words, category, stacklevel=level)
+
+
+def one_angle(name: str, value: Any, dtype: Any) -> jax.Array:
+    """A value as one finite angle, an array of the given dtype; a traced one passes.
+
+    Raises:
+        ParameterError: the value is something else.
+    """
+    right = "must be one finite angle in rad"
+    if not is_concrete(value):
+        array = jnp.asarray(value)
+        if array.ndim or jnp.iscomplexobj(array):
+            raise ParameterError(name, f"shape {array.shape}, {array.dtype}", right)
+        return array
+    try:
+        given = np.asarray(value)
+    except (ValueError, TypeError) as fault:  # rows of different lengths
+        raise ParameterError(name, value, right) from fault
+    real = given.dtype.kind in "iuf" or jnp.issubdtype(given.dtype, jnp.floating)
+    if not real or given.ndim or not np.isfinite(given):
+        raise ParameterError(name, value, right)
+    return value if isinstance(value, jax.Array) and value.dtype == dtype else jnp.asarray(given, dtype)
 
 
 def is_batched(value: object) -> bool:

@@ -3,14 +3,14 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import ParameterError, SceneError, check_name, nearest, with_article
+from gearjax.checks import ParameterError, SceneError, check_name, nearest, one_angle, with_article
 from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
     AbstractCompliance,
@@ -44,7 +44,7 @@ from gearjax.structure import Moving, Structure
 from gearjax.supports import Support
 from gearjax.systems import AbstractSystem
 from gearjax.systems.base import pose_of
-from gearjax.typing import Array, Float, Scalar
+from gearjax.typing import Array, ArrayLike, Float, Scalar
 
 _OPTIONAL = ("backlash", "compliance", "load", "inertia", "damping", "impact")
 Stiffness = Literal["rigid", "mean", "varying"]
@@ -280,17 +280,21 @@ class Scene(eqx.Module):
         coordinates = self.moving.coordinates
         return coordinates.rigid if stiffness == "rigid" else coordinates
 
-    def pose(self, theta: Scalar | float, stiffness: Stiffness = "rigid") -> Pose:
+    def pose(self, theta: ArrayLike, stiffness: Stiffness = "rigid") -> Pose:
         """Pose of the system at an input angle: everything that does not depend on the numbers of the errors.
 
         Args:
             theta: input angle [rad].
             stiffness: as for `contacts`.
+
+        Raises:
+            ParameterError: an argument is wrong.
         """
-        return pose_of(self.system, self._number(theta), self._request(stiffness))
+        _check_stiffness(stiffness)
+        return pose_of(self.system, one_angle("theta", theta, self.dtype), self._request(stiffness))
 
     def contacts(
-        self, theta: Scalar | float | Pose, stiffness: Stiffness = "rigid", position: Scalar | float | None = None
+        self, theta: ArrayLike | Pose, stiffness: Stiffness = "rigid", position: ArrayLike | None = None
     ) -> ContactSet:
         """Candidate contacts at an input angle, including errors, reference and backlash.
 
@@ -298,13 +302,15 @@ class Scene(eqx.Module):
             theta: input angle [rad], or the pose at that angle.
             stiffness: ``"rigid"`` for contacts without springs, ``"mean"``, or ``"varying"`` with the mesh phase.
             position: position of the output at which exact geometry is linearised [rad]; by default the ideal one.
-        """
-        theta = theta if isinstance(theta, Pose) else self._number(theta)
-        return _contacts_of(self, theta, stiffness, None if position is None else self._number(position))
 
-    def _number(self, number: Scalar | float) -> Scalar:
-        """A number as an array of this gear set's precision: numbers of Python are no arguments of programs."""
-        return jnp.asarray(number, self.system.input_speed.dtype) if isinstance(number, int | float) else number
+        Raises:
+            ParameterError: an argument is wrong.
+            SceneError: the scene has no compliance, which contacts with springs need.
+        """
+        _check_stiffness(stiffness)
+        known = theta if isinstance(theta, Pose) else one_angle("theta", theta, self.dtype)
+        place = None if position is None else one_angle("position", position, self.dtype)
+        return _contacts_of(self, known, stiffness, place)
 
     def _contacts(self, theta: Scalar | Pose, stiffness: Stiffness, position: Scalar | None) -> ContactSet:
         pose, layout = theta if isinstance(theta, Pose) else self.pose(theta, stiffness), self.layout
@@ -391,6 +397,11 @@ class Scene(eqx.Module):
     def _errors(self, pose: Pose) -> Float[Array, " contact"]:
         gaps = [error.gap(pose.views[error.body]) for error in self.errors.values()]
         return jax.tree.reduce(jnp.add, gaps)
+
+
+def _check_stiffness(stiffness: str) -> None:
+    if stiffness not in get_args(Stiffness):
+        raise ParameterError("stiffness", stiffness, f"must be one of {', '.join(get_args(Stiffness))}")
 
 
 def _precomputed(system: AbstractSystem, springs: Any) -> tuple[AbstractSystem, Any]:

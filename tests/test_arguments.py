@@ -14,6 +14,7 @@ from scipy import stats
 
 import gearjax as gj
 from gearjax import arguments
+from gearjax.checks import one_angle
 
 THETA = np.linspace(0.0, 3.0, 31)
 PHASE = "errors.planet_1.phase"
@@ -281,3 +282,16 @@ def test_a_truncated_normal_takes_std():
     assert ours == gj.TruncatedNormal(mean=1.5e-4, scale=5e-6, low=1.35e-4, high=1.65e-4)  # as it was named before
     refuses("scale = 5e-06: is the former name of std", gj.TruncatedNormal, mean=1.5e-4, std=5e-6, scale=5e-6,
             low=1.35e-4, high=1.65e-4)  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", ["0.3", b"0.3", None, [0.1, 0.2], {"theta": 0.3}, np.inf])
+def test_one_angle_is_a_finite_number(wrong):
+    with pytest.raises(gj.ParameterError, match=r"^theta = .*: must be one finite angle in rad$"):
+        one_angle("theta", wrong, jnp.float64)
+
+
+@pytest.mark.parametrize("right", [1, 1.0, np.float32(1.0), np.array(1), jnp.asarray(1)])
+def test_one_angle_has_the_precision_of_its_scene(right):
+    angle = one_angle("theta", right, jnp.float64)
+    assert angle.dtype == jnp.float64
+    assert float(angle) == 1.0

@@ -141,11 +141,9 @@ class MeasuredFlank(AbstractMeasured):
         tooth = jnp.broadcast_to(known[:, None, None], shape).ravel().astype(int)
         rim = Rim(nothing, nothing, nothing, gear.teeth, tooth)
         low, high = gear.roll
-        tip = low if gear.internal else high
+        from_tip = places[0] - low if gear.internal else high - places[0]
         side = FLANKS.get(self.flank, 1) * jnp.ones_like(nothing)
-        place = ProfilePlace(
-            jnp.abs(tip - places[0]), high - low, places[1], gear.width, roll=places[0], side=side, ahead=nothing
-        )
+        place = ProfilePlace(from_tip, high - low, places[1], gear.width, roll=places[0], side=side, ahead=nothing)
         view = BodyView(nothing[0], nothing, nothing, rim, flank=place)
         removed = nothing
         for error in design:

@@ -68,7 +68,7 @@ class AffineGaps(eqx.Module):
         allowed = float(np.finfo(dtype).eps) ** ACCURACY * np.abs(actual - nominal).max()
         if not (np.abs(sums - actual) <= allowed).all():
             return None
-        return cls(*(jnp.asarray(part) for part in (nominal, influence, number)), _shared(number))
+        return cls(jnp.asarray(nominal), jnp.asarray(influence), jnp.asarray(number), _shared(number))
 
     def terms(self, numbers: Float[Array, "number ..."]) -> Float[Array, "table contact ..."]:
         """The numbers of gear sets, arranged like the tables."""
