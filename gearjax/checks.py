@@ -199,9 +199,9 @@ def one_angle(name: str, value: Any, dtype: Any) -> jax.Array:
     right = "must be one finite angle in rad"
     if not is_concrete(value):
         array = jnp.asarray(value)
-        if array.ndim or jnp.iscomplexobj(array):
+        if array.ndim or jnp.iscomplexobj(array) or array.dtype == bool:
             raise ParameterError(name, f"shape {array.shape}, {array.dtype}", right)
-        return array
+        return array.astype(dtype)
     try:
         given = np.asarray(value)
     except (ValueError, TypeError) as fault:  # rows of different lengths

@@ -66,17 +66,23 @@ _results: dict[Any, tuple[list[Any], Any]] = {}  # with the arguments, so that n
 
 @functools.cache
 def _program(function: Callable[..., Any]) -> Any:
-    options: dict[str, Any] = {"compiler_options": _known_options()}
+    options: dict[str, Any] = {"compiler_options": accepted(QUICK)}
     return eqx.filter_jit(function, **options)
 
 
-@functools.cache
-def _known_options() -> dict[str, Any]:
+def accepted(groups: tuple[dict[str, Any], ...]) -> dict[str, Any]:
+    """Those options of a single program that this version of XLA knows, of several groups."""
     known: dict[str, Any] = {}
-    for options in QUICK:
-        try:
-            jax.jit(lambda: 0.0, compiler_options=known | options).lower().compile()
-        except Exception:  # which one depends on the version of jax: an option that XLA does not know
-            continue
-        known |= options
+    for options in groups:
+        if _is_known(tuple(options.items())):
+            known |= options
     return known
+
+
+@functools.cache
+def _is_known(options: tuple[tuple[str, Any], ...]) -> bool:
+    try:
+        jax.jit(lambda: 0.0, compiler_options=dict(options)).lower().compile()
+    except Exception:  # which one depends on the version of jax: an option that XLA does not know
+        return False
+    return True

@@ -400,7 +400,7 @@ class Scene(eqx.Module):
 
 
 def _check_stiffness(stiffness: str) -> None:
-    if stiffness not in get_args(Stiffness):
+    if not (isinstance(stiffness, str) and stiffness in get_args(Stiffness)):
         raise ParameterError("stiffness", stiffness, f"must be one of {', '.join(get_args(Stiffness))}")
 
 

@@ -119,6 +119,9 @@ def test_without_varied_errors():
     np.testing.assert_allclose(
         found(jnp.asarray(values))[0], one_by_one(population, found.theta, values), rtol=1e-9, atol=1e-15
     )
+    few = jnp.asarray(population.examples[:3])
+    alone = np.stack([one_by_one(population, found.theta, row) for row in population.examples[:3]])
+    np.testing.assert_allclose(found.rows(few)[0], alone, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.slow

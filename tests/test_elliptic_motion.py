@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -298,3 +299,17 @@ def test_gradients_of_motion():
     step = 1e-6
     values, slopes = measure(jnp.asarray([0.3287 - step, 0.3287 + step, 0.3287]))
     assert float(slopes[2]) == pytest.approx(float((values[1] - values[0]) / (2 * step)), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_speeds_known_too_late_are_no_fault():
+    """Blocks for speeds that are traced suit slow bodies; the motion of fast ones is still right, and told so."""
+    known = gj.load(ROOT / "configs/elliptic/dong_2020.toml")
+    times, stepper = np.linspace(0.0, 0.005, 31), gj.FixedStep(per_sample=17, windows=None)
+    known = dataclasses.replace(
+        known, system=dataclasses.replace(known.system, input_speed=known.system.input_speed * 20)
+    )
+    motion = gj.simulate(known, times, 10.0, stepper=stepper)
+    traced = eqx.filter_jit(lambda scene: gj.simulate(scene, times, 10.0, stepper=stepper))(known)
+    assert int(motion.result) == int(traced.result) == 0
+    np.testing.assert_allclose(traced.te, motion.te, rtol=0, atol=1e-11 * np.ptp(motion.te))

@@ -539,12 +539,17 @@ def test_contacts_take_numbers_of_python(gear_set):
         jax.tree.leaves(scene.contacts(0.3)), jax.tree.leaves(scene.contacts(jnp.asarray(0.3))), strict=True
     ):
         np.testing.assert_array_equal(one, other)
+    traced, known = jax.jit(lambda at: scene.contacts(at))(1), scene.contacts(1)  # whole numbers stay no integers
+    np.testing.assert_allclose(traced.gap, known.gap, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(traced.jacobian, known.jacobian, rtol=1e-9, atol=1e-15)
     for wrong in (1j, np.nan, np.array([0.1, 0.2]), jnp.array([0.1, 0.2])):
         for name, ask in {"theta": scene.contacts, "position": lambda at: scene.contacts(0.3, position=at)}.items():
             with pytest.raises(gj.ParameterError, match=f"^{name} = .*: must be one finite angle in rad$"):
                 ask(wrong)
     with pytest.raises(gj.ParameterError, match=r"^theta = .*: must be one finite angle in rad"):  # JAX adds a note
         jax.jit(lambda at: scene.pose(at))(jnp.array([0.1, 0.2]))
+    with pytest.raises(gj.ParameterError, match=r"^theta = .*bool"):
+        jax.jit(lambda at: scene.pose(at))(True)
 
 
 @pytest.mark.slow

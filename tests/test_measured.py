@@ -1,6 +1,7 @@
 """Measured flanks and pitches: against formulas and closed forms, and as files tell them."""
 
 import dataclasses
+import inspect
 import math
 
 import jax
@@ -302,3 +303,15 @@ def test_vibration_of_the_measured_pair_has_gradients():
         way[place] = step
         difference = (value(at + way) - value(at - way)) / (2 * step)
         assert float(slopes[place]) == pytest.approx(float(difference), rel=1e-5)
+
+
+@pytest.mark.parametrize("design", [gj.TipRelief("pinion", 12e-6, 2e-3), {"tip": 1}, ["tip"]])
+def test_what_is_no_list_of_modifications_is_refused(design):
+    flank, size = (
+        gj.MeasuredFlank("pinion", np.linspace(0.01, 0.03, 5), np.zeros(5)),
+        scene_of(GUO_1, slices=2).system.gear_size("pinion"),
+    )
+    with pytest.raises(gj.ParameterError, match=r"^design = .*must be a list of modifications"):
+        inspect.unwrap(gj.MeasuredFlank.without)(flank, design, size)
+    with pytest.raises(gj.ParameterError, match=r"^gear = .*must be sizes of a gear: system.gear_size\(.pinion.\)"):
+        inspect.unwrap(gj.MeasuredFlank.without)(flank, [], "pinion")

@@ -10,6 +10,7 @@ import optimistix
 import pytest
 
 import gearjax as gj
+from gearjax.studies.objective import Objective
 from gearjax.studies.select import pick
 from gearjax.units import arcmin, deg, mm, um
 
@@ -252,6 +253,21 @@ def test_the_optimum_has_a_flat_direction(scene, angles):
     assert (around.worst > around.objective).all()
     assert (around.worst >= around.mean).all()
     assert around.worst[1] > around.worst[0]
+
+
+@pytest.mark.slow
+def test_around_an_optimum_of_motions(scene):
+    """Motions have no second derivative of a reverse one: it is that of differences of gradients."""
+    where, theta = PHASES[:2], scene.system.input_speed * jnp.linspace(0.0, 0.05, 51)
+    here = np.array([0.3, -0.4])
+    around = gj.local_sensitivity("dynamic_std", scene, where=where, at=here, theta=theta, torque=100.0)
+    free = pick(scene, where)
+    loss = Objective.of("dynamic_std", scene, theta, 100.0)
+    slope = jax.jit(jax.grad(lambda place: loss.sampled(free.set(loss.physics(scene, free), place))))
+    step = 1e-5 * np.eye(2)
+    bends = np.stack([(slope(here + way) - slope(here - way)) / 2e-5 for way in step])
+    np.testing.assert_allclose(around.gradient, slope(here), rtol=1e-6)
+    np.testing.assert_allclose(around.eigenvalues, np.linalg.eigvalsh((bends + bends.T) / 2), rtol=1e-4)
 
 
 @pytest.mark.slow

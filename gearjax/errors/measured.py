@@ -131,8 +131,13 @@ class MeasuredFlank(AbstractMeasured):
             gear: sizes of the gear, from `AbstractSystem.gear_size`.
 
         Raises:
-            ParameterError: an error is of another gear, or is no modification along the profile or across the face.
+            ParameterError: an error is of another gear, or is no modification along the profile or across the face, or
+                an argument is something else.
         """
+        if not isinstance(gear, GearSize):
+            raise ParameterError("gear", gear, f'must be sizes of a gear: system.gear_size("{self.body}")')
+        if not isinstance(design, Sequence) or not all(isinstance(error, AbstractError) for error in design):
+            raise ParameterError("design", design, "must be a list of modifications, such as [gj.TipRelief(...)]")
         roll, across = jnp.meshgrid(self.roll, self.across, indexing="ij")
         known = self.teeth if self.teeth.size else jnp.arange(self.grids, dtype=self.roll.dtype)
         shape = self.grids, *roll.shape

@@ -172,4 +172,5 @@ def _curvature(
 
     zero = jnp.zeros_like(point)
     slope = least_slope(lambda step: objective.pieces(free.set(physics, point + scales * step)), zero)
-    return slope, jax.hessian(smooth)(zero)
+    # motions have derivatives forward over forward, but none of reverse ones
+    return slope, (jax.jacfwd(jax.jacfwd(smooth)) if objective.is_dynamic else jax.hessian(smooth))(zero)

@@ -11,6 +11,7 @@ amplitude already reached are excluded. The others are evaluated on all times.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from gearjax.evaluate import accepted
 from gearjax.scene import Scene
 from gearjax.studies.blocks import in_blocks
 from gearjax.studies.select import Free, pick
@@ -28,6 +30,8 @@ BLOCK = 16  # times by which the inner loop is unrolled
 TOGETHER = 4  # outer combinations computed together
 COARSE, MEDIUM = 16, 96  # times from which the lowest and the highest value are bounded
 SURVIVORS = 512  # combinations evaluated at once
+WIDE = ({"xla_cpu_prefer_vector_width": 512},)
+"""Full vectors of processors with AVX-512, for a program of sums and comparisons; see `gearjax.xla` on other ones."""
 
 
 class Contributions(NamedTuple):
@@ -174,7 +178,6 @@ def score(low: Array, high: Array, spread: bool) -> Array:
     return high - low if spread else jnp.maximum(high, -low)
 
 
-@functools.partial(jax.jit, static_argnames="spread")
 def sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Float[Array, "outer ..."], Float[Array, " outer"]]:
     """Score of every combination at the times of two grids, and the least score of each outer combination.
 
@@ -183,6 +186,15 @@ def sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Float[Array
             ``lowest`` serves for both.
         spread: whether scores are peak-to-peak values instead of amplitudes.
     """
+    return _sweep_program()(lowest, highest, spread)
+
+
+@functools.cache
+def _sweep_program() -> Callable[[Grid, Grid | None, bool], tuple[Array, Array]]:
+    return jax.jit(_sweep, static_argnames="spread", compiler_options=accepted(WIDE))
+
+
+def _sweep(lowest: Grid, highest: Grid | None, spread: bool) -> tuple[Array, Array]:
     devices = jax.local_devices()
     grids = (lowest,) if highest is None else (lowest, highest)
     missing = -lowest.outer.shape[0] % len(devices)
@@ -277,7 +289,8 @@ def certified(contributions: Contributions, plan: Plan, *, spread: bool, keep: i
             ``keep`` best combinations by score; combinations whose bound is above the worst of these objectives are
             excluded. Without it, objectives are the scores.
     """
-    lower, least = (np.asarray(x) for x in sweep(*(lay_out(contributions, plan, n) for n in (COARSE, MEDIUM)), spread))
+    coarse, medium = (lay_out(contributions, plan, number) for number in (COARSE, MEDIUM))
+    lower, least = (np.asarray(part) for part in sweep(coarse, medium, spread))
     inner = lower[0].size
     outers = np.argsort(least, kind="stable")[: 8 * keep]
     candidates = outers * inner + lower[outers].reshape(len(outers), -1).argmin(axis=1)

@@ -82,21 +82,24 @@ class AffineGaps(eqx.Module):
 
     def everywhere(self, numbers: Float[Array, " number"]) -> Float[Array, "contact n"]:
         """Gaps of one gear set at all angles [m]."""
-        return summed(self.nominal.T, jnp.moveaxis(self.influence, 0, -1), self.once(numbers[:, None]))
+        nominal = self.nominal.T
+        return summed(nominal, jnp.moveaxis(self.influence, 0, -1), self.once(numbers[:, None]), nominal.shape[1])
 
 
 def summed(
     nominal: Float[Array, "contact _"],
     influence: Float[Array, "table contact _"],
     terms: Sequence[Float[Array, "_ _ _"]],
+    lanes: int,
 ) -> Float[Array, "contact _"]:
     """Gaps [m] for several angles or several gear sets as the last axis; data common to all have length one there.
 
     Args:
         nominal, influence: tables of `AffineGaps`.
-        terms: terms of each table, as from `AffineGaps.once`.
+        terms: terms of each table, as from `AffineGaps.once`; none, if no number changes a gap.
+        lanes: length of the last axis.
     """
-    contacts, lanes = nominal.shape[0], max(part.shape[-1] for part in (nominal, *terms))
+    contacts = nominal.shape[0]
     rows = _rows([term.shape[:2] for term in terms], contacts)
     gap = jnp.broadcast_to(nominal, (contacts, lanes)).reshape(rows, -1, lanes)
     for per_unit, amount in zip(influence, terms, strict=True):

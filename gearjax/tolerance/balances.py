@@ -76,11 +76,11 @@ class Balances(eqx.Module):
         ]
         tables = self.lever[..., None], self.gaps.nominal[..., None], self.gaps.influence[..., None]
         lever, nominal, influence = (table[0] for table in tables)
-        gap = summed(nominal, influence, terms)
+        gap = summed(nominal, influence, terms, numbers.shape[-1])
         starts = [closed_side(*jax.lax.stop_gradient((lever, gap, applied))) for applied in applied_each]
 
         def step(last: list[Array], at: tuple[Array, Array, Array]) -> tuple[list[Array], list[Array]]:
-            lever, gap = at[0], summed(*at[1:], terms)
+            lever, gap = at[0], summed(*at[1:], terms, numbers.shape[-1])
             rests = [hard_balance(lever, gap, applied, near) for applied, near in zip(applied_each, last, strict=True)]
             near = [jnp.where(jnp.isnan(rest), start, rest) for rest, start in zip(rests, last, strict=True)]
             waiting = iter(rests)
