@@ -9,7 +9,7 @@ import pytest
 import gearjax as gj
 from gearjax.checks import check_name
 from gearjax.cli import main
-from gearjax.config import loads_tolerance
+from gearjax.config import loads_optimise, loads_tolerance
 from tests.conftest import ROOT
 
 TOLERANCE = (ROOT / "configs" / "two_kv" / "wang_2020_tolerance.toml").read_text(encoding="utf-8")
@@ -195,3 +195,16 @@ def test_completion_installs(tmp_path):
     script = (tmp_path / ".bash_completions" / "gearjax.sh").read_text(encoding="utf-8")
     assert "_GEARJAX_COMPLETE=complete_bash" in script
     assert "gearjax.sh" in (tmp_path / ".bashrc").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("word", ["optimise", "tolerance"])
+@pytest.mark.parametrize("name", ["elliptic/two_lobes.toml", "two_kv/wang_2020.toml"])
+def test_the_section_that_is_advised_can_be_pasted(name, word, capsys, tmp_path):
+    """The line names a number of the gear set at hand."""
+    text = (ROOT / "configs" / name).read_text()
+    (tmp_path / "gears.toml").write_text(text)
+    with pytest.raises(SystemExit):
+        main([word, str(tmp_path / "gears.toml")])
+    line = capsys.readouterr().err.strip().partition("section: ")[2]
+    load = loads_optimise if word == "optimise" else loads_tolerance
+    assert load(f"{line}\n{text}")

@@ -11,6 +11,7 @@ from gearjax.checks import RepairedData
 from gearjax.config import recording
 from gearjax.units import arcmin, deg
 from tests.bench_units import RATIO, random_unit, recorded, two_kv
+from tests.conftest import ROOT
 
 HEADER = "time [s],input angle [deg],output angle [deg],torque [N m]"
 ROWS = 600
@@ -273,3 +274,10 @@ def test_a_short_record_and_a_gap_are_told(scene):
 def test_measurements_made_in_python(given, words):
     with pytest.raises(gj.GearjaxError, match=words):
         gj.Measurement(**({"te": np.zeros(len(given["theta"]))} | given))
+
+
+def test_a_configuration_of_the_same_name_is_not_taken_for_notes(tmp_path):
+    path = written(tmp_path)
+    path.with_suffix(".toml").write_text((ROOT / "configs/two_kv/measured.toml").read_text())
+    with pytest.raises(gj.GearjaxError, match=r"is a configuration, but beside .*\.csv .*: rename one of them$"):
+        gj.read_measurement(path)

@@ -43,6 +43,9 @@ def beside_of(path: Path) -> dict[str, Any]:
         table = tomllib.loads(toml.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as fault:
         raise GearjaxError(f"{toml}: cannot be read ({fault})") from fault
+    if "system" in table:
+        words = f"is a configuration, but beside {path.name} this name is for what its columns mean: rename one of them"
+        raise GearjaxError(f"{toml}: {words}")
     known_keys(str(toml), table, BESIDE)
     for name in ("input_counts", "output_counts"):
         given = table.get(name, 1)

@@ -1,12 +1,13 @@
 """Reading of the sections of studies: ``optimise``, ``identify`` and ``tolerance``."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gearjax.checks import GearjaxError
 from gearjax.config.build import read_tables, scene_of, with_files
 from gearjax.config.optimise import OptimiseSection, read_optimise
-from gearjax.config.tolerance import ToleranceSection, inlined, read_tolerance
+from gearjax.config.tolerance import ToleranceSection, example_path, inlined, read_tolerance
 from gearjax.scene import Scene
 from gearjax.tolerance import Tolerances
 
@@ -38,7 +39,7 @@ def loads_optimise(text: str, folder: str | Path = ".") -> tuple[Scene, Optimise
         text,
         folder,
         "objective and where",
-        'optimise = {objective = "no_load_amplitude", where = ["errors.planet_1.phase"]}',
+        lambda scene: f'optimise = {{objective = "no_load_amplitude", where = ["{example_path(scene, "phase")}"]}}',
     )
     return scene, _read_optimise(tables, scene, Path(folder))
 
@@ -77,20 +78,24 @@ def loads_tolerance(text: str, folder: str | Path = ".") -> tuple[dict[str, Any]
         text,
         folder,
         "samples, measures and numbers",
-        'tolerance = {samples = 10000, measures = ["no_load.peak_to_peak"], '
-        '"errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}}',
+        lambda scene: (
+            'tolerance = {samples = 10000, measures = ["no_load.peak_to_peak"], '
+            f'"{example_path(scene, "amplitude")}" = {{kind = "rayleigh", scale = "6 um"}}}}'
+        ),
     )
     section = read_tolerance(tables["tolerance"], scene, Path(folder))
     return inlined(tables, scene, Path(folder)), scene, section
 
 
-def _with_section(section: str, text: str, folder: str | Path, keys: str, example: str) -> tuple[dict[str, Any], Scene]:
+def _with_section(
+    section: str, text: str, folder: str | Path, keys: str, example: Callable[[Scene], str]
+) -> tuple[dict[str, Any], Scene]:
     """Tables and scene of a configuration that must have a section; else an error with its keys and an example."""
     tables = with_files(read_tables(text), Path(folder))
     scene = scene_of(tables)
     if section not in tables:
         raise GearjaxError(
             f"the configuration has no [{section}]: add a section with {keys}, such as this line before the first "
-            f"section: {example}"
+            f"section: {example(scene)}"
         )
     return tables, scene

@@ -5,6 +5,8 @@ import itertools
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gearjax import units
 from gearjax.checks import MISSING, GearjaxError, ParameterError, SceneError, nearest
 from gearjax.config.distributions import read_distribution
@@ -123,6 +125,12 @@ class ToleranceSection:
     assembly: Assembly | None
 
 
+def example_path(scene: Scene, number: str) -> str:
+    """Path of a number of an error, one of the scene's own if it has such an error."""
+    has = (key for key, error in scene.errors.items() if np.ndim(getattr(error, number, [])) == 0)
+    return f"errors.{next(has, 'NAME')}.{number}"
+
+
 def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> ToleranceSection:
     """Read the tolerance section of a configuration.
 
@@ -141,9 +149,8 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
     known = numbers(scene)
     distributions = {path: read_distribution(f"tolerance.{path}", given, known[path], folder) for path, given in leaves}
     if not distributions:
-        raise GearjaxError(
-            'tolerance: no number varies; add "errors.planet_1.amplitude" = {kind = "rayleigh", scale = "6 um"}'
-        )
+        example = f'"{example_path(scene, "amplitude")}" = {{kind = "rayleigh", scale = "6 um"}}'
+        raise GearjaxError(f"tolerance: no number varies; add {example}")
     measures = _measures(table["measures"])
     try:
         tolerances = Tolerances(scene, distributions, _correlations(table.get("correlated", [])))

@@ -62,8 +62,11 @@ class Further:
         except (OSError, ValueError):
             mark = text = ""
         if mark == self._mark(name, text):
-            self.shown_again.append(name)
-            return _from_plain(json.loads(text))
+            kept = _from_plain(json.loads(text))
+            empty = kept is None or (isinstance(kept, list | dict) and not kept)
+            if not empty:  # studies that were not asked for leave nothing to show
+                self.shown_again.append(name)
+            return kept
         value = made()
         text = json.dumps(_plain(value))
         with writing(self.folder):
