@@ -163,8 +163,9 @@ def print_tolerance(results: ToleranceResults) -> None:
         listed = ", ".join(map(str, study_.failed[:LISTED].tolist()))
         more = "" if len(study_.failed) <= LISTED else " and more: code and number of each are in samples.zarr"
         console.print(f"failed samples: {listed}{more}", soft_wrap=True)
-    if results.clashes is not None and results.clashes.told is not None:
-        console.print(results.clashes.told, soft_wrap=True)
+    for found in (results.impossible, results.clashes):
+        if found is not None and found.told is not None:
+            console.print(found.told, soft_wrap=True)
     for words in results.problems:
         console.print(f"not done: {words}", soft_wrap=True)
     for name, missed in results.missed.items():

@@ -20,6 +20,7 @@ from gearjax.studies.select import numbers
 from gearjax.tolerance import Study, Tolerances, Work
 from gearjax.tolerance.allocation import AllocatedTolerances, allocate
 from gearjax.tolerance.assembly import MatchedAssembly, matched_assembly
+from gearjax.tolerance.impossible import Impossible, impossible
 from gearjax.tolerance.interference import Clashes, clashes
 from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import QUANTILES
@@ -30,6 +31,8 @@ from gearjax.units import arcmin
 
 TIGHTENED_SAMPLES = 10_000
 CHECKED = 256  # samples whose interference and extremes between the input angles are checked
+MADE = 64  # samples of which is told how many are impossible
+TRIED = 8  # samples of which at least one must be possible
 SHIFTED = 10_000  # samples on which float32 is compared with float64
 LISTED = 20  # failed samples that the JSON lists
 NO_MOTION = ("no_load", "static", "backlash")
@@ -51,6 +54,7 @@ class ToleranceResults:
         computed: number of samples computed in this run; the others were stored before.
         problems: studies that could not be made, with the reasons.
         clashes: interference of the first gear sets; ``None`` if the clearance between both flanks is not known.
+        impossible: impossible ones of the first gear sets.
     """
 
     section: ToleranceSection
@@ -64,6 +68,7 @@ class ToleranceResults:
     computed: int
     problems: tuple[str, ...] = ()
     clashes: Clashes | None = None
+    impossible: Impossible | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The object that ``gearjax tolerance --json`` prints."""
@@ -85,6 +90,8 @@ class ToleranceResults:
         }
         if self.clashes is not None and self.clashes.interfering:
             entries["interference"] = self.clashes.as_json()
+        if self.impossible is not None and self.impossible.refused:
+            entries["impossible"] = self.impossible.as_json()
         if self.problems:
             entries["problems"] = list(self.problems)
         if self.missed:
@@ -166,10 +173,10 @@ def prepared(section: ToleranceSection) -> Work:
     """The Monte Carlo study of a section, in its floating-point precision.
 
     Raises:
-        GearjaxError: the scene lacks what a measure needs.
+        GearjaxError: the scene lacks what a measure needs, or all of the first gear sets are impossible.
     """
     tolerances, options = _in_precision(section)
-    return Work(
+    work = Work(
         tolerances,
         section.measures,
         number=section.samples,
@@ -177,6 +184,10 @@ def prepared(section: ToleranceSection) -> Work:
         sampler=section.sampler,
         **options,
     )
+    tried = impossible(section.tolerances, work.inputs(0, min(TRIED, section.samples)))
+    if tried.refused == tried.looked_at:
+        raise GearjaxError(f"tolerance: none of the first {tried.looked_at} gear sets can be made: {tried.reason}")
+    return work
 
 
 def _in_precision(section: ToleranceSection) -> tuple[Tolerances, dict[str, Any]]:
@@ -219,11 +230,12 @@ def finished(
     missed = kept.get("missed", lambda: _missed(section, work)) if section.extremes == "samples" else {}
     number = min(CHECKED, section.samples)
     interference = kept.get("interference", lambda: clashes(_in_precision(section)[0], work.inputs(0, number)))
+    refused = impossible(section.tolerances, work.inputs(0, min(MADE, section.samples)))
     if kept.shown_again:
         progress(f"kept from the run before: {', '.join(kept.shown_again)}")
     told = tuple(problems)
     return ToleranceResults(
-        section, study, missed, shares, narrowed, bought, matched, seconds, computed, told, interference
+        section, study, missed, shares, narrowed, bought, matched, seconds, computed, told, interference, refused
     )
 
 

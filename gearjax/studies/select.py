@@ -243,6 +243,12 @@ def _leaf(scene: Any, path: str) -> Any:
     return part
 
 
+def owners(scene: Scene, paths: Sequence[str]) -> list[Any]:
+    """The parts of a scene to which numbers belong, such as its system and some of its errors."""
+    parents = dict.fromkeys(_split(path)[0].rpartition(".")[0] for path in paths)
+    return [_leaf(scene, parent) if "." in parent else getattr(scene, parent) for parent in parents]
+
+
 def _number(scene: Any, path: str) -> Array:
     leaf, index = _split(path)
     value = _leaf(scene, leaf)
