@@ -3,7 +3,7 @@
 import numpy as np
 from rich.table import Table
 
-from gearjax.cli.tables import output
+from gearjax.cli.tables import output, show
 from gearjax.identification import Comparison
 from gearjax.units import arcmin, deg
 
@@ -28,7 +28,7 @@ def print_comparison(beside: Comparison) -> None:
         told = f"{record.offset / arcmin:.4f}", f"{record.start / deg:.4g}", f"{100 * record.explained:.4g}"
         table.add_row(record.name, str(record.theta.size), *told, *values)
     console = output()
-    console.print(table)
+    show(console, table)
     if beside.lost_motion is not None:
         one, other = (value / arcmin for value in beside.lost_motion)
         console.print(f"lost motion: measured {one:.4f} arcmin, computed {other:.4f} arcmin", soft_wrap=True)
@@ -40,7 +40,7 @@ def print_comparison(beside: Comparison) -> None:
             phases = [f"{np.degrees(phase):.1f}" for phase in (each.phase_measured, each.phase_computed)]
             sizes = [f"{value / arcmin:.4f}" for value in (each.measured, each.computed)]
             table.add_row(each.name, f"{each.order:.5g}", *sizes, *phases)
-        console.print(table)
+        show(console, table)
 
 
 def print_found(result) -> None:
@@ -52,14 +52,14 @@ def print_found(result) -> None:
         interval = each.interval
         told = ("not identified", "", "") if interval is None else tuple(f"{v:.5g}" for v in (each.error, *interval))
         table.add_row(each.name, f"{each.value:.5g}", *told, each.unit)
-    console.print(table)
+    show(console, table)
     if found.visible.combinations:
         table = Table(title="Identified only as a sum")
         for column in ("sum", "value", "standard error", "unit"):
             table.add_column(column, justify="left" if column in ("sum", "unit") else "right")
         for each in found.visible.combinations:
             table.add_row(each.words, f"{each.value:.5g}", f"{each.error:.3g}", each.unit)
-        console.print(table)
+        show(console, table)
     for words in found.hidden:
         console.print(f"hidden: {words}", soft_wrap=True)
     for order in found.orders:

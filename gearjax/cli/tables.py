@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from gearjax.reproduce import Row
@@ -19,6 +20,8 @@ from gearjax.studies.tradeoff import Tradeoff
 from gearjax.tolerance.precision import PrecisionShift
 from gearjax.units import arcmin, um
 
+WIDE = 10_000  # wider than any table
+
 
 def print_tradeoff(comparison: Tradeoff) -> None:
     table = Table(title="Error and time of each setting; one run, one torque")
@@ -30,7 +33,7 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         error = f"{row.error / arcmin:.2g}"
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     console = output()
-    console.print(table)
+    show(console, table)
     console.print("~: not measured, estimated from another setting of the same scheme", soft_wrap=True)
     if comparison.statics:
         table = Table(title="Geometry under static torque, compared with the most exact choice")
@@ -39,7 +42,7 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         for one in comparison.statics:
             off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
             table.add_row(one.name, *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
-        console.print(table)
+        show(console, table)
     allowed = f"{comparison.error / arcmin:g} arcmin"
     if comparison.best is None:
         console.print(f"no setting is within {allowed}", soft_wrap=True)
@@ -76,7 +79,7 @@ def print_accuracy(gears: list[GradedGear]) -> None:
     for name in dict.fromkeys(name for gear in gears for name in gear.deviations):
         each = [gear.deviations.get(name) for gear in gears]
         table.add_row(name, *("" if one is None else f"{one.value / um:.1f}, {one.words}" for one in each))
-    output().print(table)
+    show(output(), table)
 
 
 def print_optimisation(optimisation: Optimisation) -> None:
@@ -107,7 +110,7 @@ def print_optimisation(optimisation: Optimisation) -> None:
         row("grid", grid.objective, grid.best, count, f"{grid.seconds:.2f}", f"{grid.compile_seconds:.1f}")
     count = f"{search.evaluations}, {len(search.starts)} starts"
     row("gradients", search.objective, search.best, count, f"{search.seconds:.2f}", f"{search.compile_seconds:.1f}")
-    console.print(table)
+    show(console, table)
     console.print(
         f"{search.within(0.01)} of {len(search.starts)} starts within 1 % of the best; all ends lie in "
         f"{int(search.valley.max()) + 1} valleys (on the way from one to another the objective rises); "
@@ -163,7 +166,7 @@ def _print_stages(console: Console, optimisation: Optimisation) -> None:
         for stage, cases in optimisation.cases.items():
             title = (case.title, case.span) if stage == "before" else ("", "")
             table.add_row(*title, stage, *(f"{cases[row].metrics[name] / arcmin:.4f}" for name in METRICS))
-    console.print(table)
+    show(console, table)
 
 
 def print_cases(cases: list[Case], ratio: float, told: str | None = None) -> None:
@@ -185,7 +188,7 @@ def print_cases(cases: list[Case], ratio: float, told: str | None = None) -> Non
         sharing = highest_load_sharing(case)
         table.add_row(case.title, case.span, *values, "" if sharing is None else f"{sharing:.3f}")
     console = output()
-    console.print(table)
+    show(console, table)
     part = next((case for case in cases if " of " in case.span), None)
     if part is not None:
         words = f"the record has {part.window:g} s of the {part.cycle:g} s after which all errors repeat"
@@ -205,6 +208,21 @@ def output() -> Console:
     return Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False, emoji=False)
 
 
+def show(console: Console, table: Table) -> None:
+    """Print a table; if the terminal is too narrow for it, row by row with one value per line, so that none is cut."""
+    if Measurement.get(console, console.options.update(width=WIDE), table).minimum <= console.width:
+        console.print(table)
+        return
+    console.print(table.title, soft_wrap=True)
+    heads = [str(column.header) for column in table.columns]
+    for first, *others in zip(*(column.cells for column in table.columns), strict=True):
+        if first:
+            console.print(first, soft_wrap=True)
+        for head, cell in zip(heads[1:], others, strict=True):
+            if cell:
+                console.print(f"    {head}: {cell}" if head else f"    {cell}", soft_wrap=True)
+
+
 def _cell(value: float, published: float | None) -> str:
     text = f"{value / arcmin:.4f}"
     return text if published is None else f"{text} ({published / arcmin:.3f})"
@@ -219,7 +237,7 @@ def print_rows(paper: str, rows: list[Row]) -> None:
         ours = [f"{value:{form}}" if math.isfinite(value) else "" for value, form in values]
         table.add_row(row.item, row.published, *ours, row.unit, row.status)
     console = output()
-    console.print(table)
+    show(console, table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         items = dict.fromkeys(row.item.rpartition(",")[0] for row in rows if row.why == why)
         console.print(f"{'; '.join(items)}: {why}", style="dim", soft_wrap=True)
@@ -233,4 +251,4 @@ def print_shifts(shifts: list[PrecisionShift]) -> None:
     for shift in shifts:
         values = [f"{value / arcmin:.6f}" for value in (shift.double, shift.single)]
         table.add_row(shift.name, f"{100 * shift.level:g} %", *values, f"{100 * shift.relative:.5f}")
-    output().print(table)
+    show(output(), table)

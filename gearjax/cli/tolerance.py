@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from gearjax.cli.stopping import say_when_stopped
-from gearjax.cli.tables import output
+from gearjax.cli.tables import output, show
 from gearjax.config import loads_tolerance
 from gearjax.progress import Progress as Say
 from gearjax.results.further import Further
@@ -156,7 +156,7 @@ def print_tolerance(results: ToleranceResults) -> None:
         limits = [f"{s}{v / arcmin:g}" for s, v in (("<= ", measure.limit), (">= ", measure.at_least)) if v is not None]
         good = _interval(study_.share_within(measure.name), 100.0, 2) if measure.is_limited else ""
         table.add_row(measure.name, *cells, ", ".join(limits), good)
-    console.print(table)
+    show(console, table)
     for words, count in study_.faults.items():
         console.print(f"failed: {count} of {study_.samples}: {words}", soft_wrap=True)
     if len(study_.failed):
@@ -198,7 +198,7 @@ def _print_sensitivity(console: Console, results: ToleranceResults) -> None:
                 pair = narrowed.get(path)
                 cells.append("" if pair is None else f"{100 * pair[0].value:.2f} to {100 * pair[1].value:.2f}")
             table.add_row(path, *cells)
-        console.print(table)
+        show(console, table)
         notes = [one.linear_fails] if one.linear_fails else []
         notes += ["this table ignores correlations"] if one.correlated else []
         if one.failed:
@@ -216,7 +216,7 @@ def _print_allocation(console: Console, results: ToleranceResults) -> None:
         table.add_column(column, justify="left" if column == "tolerance" else "right")
     for path, factor in zip(bought.paths, bought.factors, strict=True):
         table.add_row(path, f"{factor:.3f}")
-    console.print(table)
+    show(console, table)
     verdict = "proved" if bought.met else "NOT reached"
     console.print(
         f"cost {bought.cost_before:.4g} -> {bought.cost:.4g}; good {_interval(bought.before, 100.0, 2)} % -> "
@@ -236,6 +236,6 @@ def _print_assembly(console: Console, results: ToleranceResults) -> None:
     for place, (name, good) in enumerate(zip(("at random", "matched"), shares, strict=True)):
         cells = [_interval(matched.quantiles(level)[place], 1 / arcmin, 3) for level in QUANTILES]
         table.add_row(name, *cells, "" if good is None else _interval(good, 100.0, 1))
-    console.print(table)
+    show(console, table)
     if matched.failed:
         console.print(f"{matched.failed} units failed", soft_wrap=True)
