@@ -17,6 +17,7 @@ from rich.table import Table
 from gearjax.cli.stopping import say_when_stopped
 from gearjax.cli.tables import output, show
 from gearjax.config import loads_tolerance
+from gearjax.progress import EVERY, told_seconds
 from gearjax.progress import Progress as Say
 from gearjax.results.further import Further
 from gearjax.results.needs import affordable
@@ -27,6 +28,8 @@ from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import QUANTILES, Evaluated
 from gearjax.tolerance.statistics import Estimate
 from gearjax.units import arcmin
+
+SELDOM = 0.2  # of the time since the start: lines of progress in a file become fewer
 
 
 def use_all_cores() -> None:
@@ -73,7 +76,7 @@ def study(
             say(f"resuming: {kept.samples_done} of {work.number} samples are already computed")
         pending = kept.pending
         computed = sum(end - begin for begin, end in pending)
-        with Stopwatch() as watch, _bar(console, work.number, kept.samples_done) as advance:
+        with Stopwatch() as watch, _bar(console, work.number, kept.samples_done, say) as advance:
             if scheduler is None and workers is None:
                 source: Any = work.each(pending)
             else:
@@ -122,21 +125,61 @@ def _good(work: Work, evaluated: Evaluated) -> int:
     return int(np.all(within, axis=0).sum()) if within else -1
 
 
+class _Rate:
+    """How many samples are done per second, and which share of them is within all limits.
+
+    Args:
+        total: number of samples of the study.
+        done: number of samples that an earlier run has left.
+    """
+
+    def __init__(self, total: int, done: int):
+        self.total, self.begun, self.reached, self.good = total, done, 0, 0
+        self._began = time.monotonic()
+
+    def after(self, number: int, good: int) -> str:
+        """The rate in words after further samples, of which some are good; -1 without limits."""
+        self.reached, self.good = self.reached + number, self.good + good
+        words = f"{self.rate:,.0f} samples/s"
+        return f"{words}, {100 * self.good / self.reached:.2f} % within all limits" if good >= 0 else words
+
+    @property
+    def rate(self) -> float:
+        return self.reached / max(self.seconds, 1e-9)
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self._began
+
+    @property
+    def line(self) -> str:
+        done = self.begun + self.reached
+        return f"{done} of {self.total} samples, about {told_seconds((self.total - done) / self.rate)} left, "
+
+
 @contextlib.contextmanager
-def _bar(console: Console, total: int, done: int) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar with samples per second, share within all limits and time left; none if not on a terminal."""
+def _bar(console: Console, total: int, done: int, say: Say) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar with samples per second, share within all limits and time left; lines of text, ever fewer of them,
+    if it is not on a terminal."""
+    rate = _Rate(total, done)
     if not console.is_terminal:
-        yield lambda *_: None
+        due = EVERY
+
+        def lines(number: int, good: int) -> None:
+            nonlocal due
+            words = rate.after(number, good)
+            if rate.seconds >= due and done + rate.reached < total:
+                due = rate.seconds + max(EVERY, SELDOM * rate.seconds)
+                say(f"{rate.line}{words}")
+
+        yield lines
         return
-    began, reached = time.monotonic(), [0, 0]
     columns = (TextColumn("samples"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"))
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
         task = progress.add_task("samples", total=total, completed=done, rate="")
 
         def advance(number: int, good: int) -> None:
-            reached[0], reached[1] = reached[0] + number, reached[1] + good
-            words = f"{reached[0] / max(time.monotonic() - began, 1e-9):,.0f} samples/s"
-            words += f", {100 * reached[1] / reached[0]:.2f} % within all limits" if good >= 0 else ""
+            words = rate.after(number, good)
             progress.update(task, advance=number, rate=words)
 
         yield advance
