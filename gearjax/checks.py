@@ -121,6 +121,8 @@ def nearest(name: object, names: Iterable[str]) -> str:
     names = list(names)
     close = difflib.get_close_matches(name[:100], names, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f'did you mean "{close[0]}"? ' if close else ""
+    if isinstance(name, int | float) and abs(name) < 1e9 and str(name) in names:  # longer ones may have no text
+        hint = f'did you mean "{name}", in quotes? '
     told, entries = "", list(_told(names))
     for place, entry in enumerate(entries):
         if len(told) + len(entry) > _MOST_NAMES:

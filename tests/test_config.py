@@ -335,3 +335,8 @@ def test_names_that_would_be_right_are_told_in_one_line():
     pins = [f"errors.pins.outward[{index}]" for index in range(40)]
     told = nearest("errors.pin.outward[3]", ["torque", *pins, "x[1]", "x[2]", "x[4]"])
     assert told == 'did you mean "errors.pins.outward[3]"? valid: torque, errors.pins.outward[0..39], x[1], x[2], x[4]'
+
+
+def test_names_that_look_like_numbers_need_quotes():
+    assert nearest(2013, ["2013", "1995"]) == 'did you mean "2013", in quotes? valid: 2013, 1995'
+    assert nearest(2014, ["2013", "1995"]) == "valid: 2013, 1995"

@@ -10,7 +10,7 @@ import numpy as np
 from gearjax import units
 from gearjax.checks import MISSING, GearjaxError, ParameterError, SceneError, nearest
 from gearjax.config.distributions import read_distribution
-from gearjax.config.quantities import read_plain, read_quantity
+from gearjax.config.quantities import read_plain, read_quantity, read_ratio
 from gearjax.config.tables import Key, flattened, known_keys, read_whole, require_keys
 from gearjax.contact import HardContact
 from gearjax.scene import Scene
@@ -42,7 +42,7 @@ MEASURE_KEYS = {
 SENSITIVITY_KEYS = {"samples": Key("a whole number from 16", default="1024")}
 ALLOCATION_KEYS = {
     "measure": Key("name of a measure with a limit", required=True),
-    "yield": Key(f"above 0 and at most {MOST_YIELD}", "0.95", required=True),
+    "yield": Key(f"above 0 and at most {MOST_YIELD}, or percent", "0.95", required=True),
     "cost": Key("costs by path, each a number or a list of [factor, cost]; if left out, 1 for each tolerance"),
     "tightest": Key("above 0 and below loosest", default="0.1"),
     "loosest": Key("at most 1000", default="2.0"),
@@ -319,7 +319,7 @@ def _allocation(given: Any, tolerances: Tolerances, measures: tuple[Measure, ...
     key = "tolerance.allocation"
     table = _section("allocation", given, ALLOCATION_KEYS)
     measure = _limited(f"{key}.measure", table.get("measure", MISSING), measures)
-    required = read_plain(f"{key}.yield", table.get("yield", MISSING))
+    required = read_ratio(f"{key}.yield", table.get("yield", MISSING))
     if not 0 < required <= MOST_YIELD:
         right = f"must be above 0 and at most {MOST_YIELD}: a higher yield cannot be verified"
         raise ParameterError(f"{key}.yield", required, right)
