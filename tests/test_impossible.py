@@ -2,6 +2,7 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,7 +11,8 @@ from gearjax.checks import GearjaxError
 from gearjax.cli import main
 from gearjax.config import loads_tolerance
 from gearjax.results.tolerance import prepared
-from gearjax.tolerance.impossible import impossible
+from gearjax.studies.select import numbers, pick
+from gearjax.tolerance.impossible import impossible, make_anew
 from gearjax.units import mm
 from tests.conftest import ROOT
 
@@ -56,6 +58,19 @@ def test_parts_check_numbers_together():
     found = impossible(many, rows)
     assert (found.refused, found.sample) == (1, 1)
     assert "undercuts the disc" in found.reason
+
+
+PATHS = [path for path in sorted(ROOT.glob("configs/*/*.toml")) if "[system]" in path.read_text()]
+CONFIGS = [str(path.relative_to(ROOT / "configs")) for path in PATHS]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONFIGS)
+def test_gear_sets_as_they_are_can_be_made(name):
+    """With every number of every part free, none of the parts refuses to be made anew."""
+    scene = gj.load(ROOT / "configs" / name)
+    free = pick(scene, list(numbers(scene)))
+    make_anew(free.set(scene, jnp.asarray(free.get(scene))), free.paths)
 
 
 def test_numbers_out_of_their_own_bounds_are_failures_of_another_kind():

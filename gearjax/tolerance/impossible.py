@@ -1,12 +1,15 @@
 """Gear sets of a population that cannot be made, because its numbers contradict each other."""
 
 import dataclasses
+import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import GearjaxError
+from gearjax.scene import Scene
 from gearjax.studies.select import owners
 from gearjax.tolerance.population import Tolerances
 
@@ -49,18 +52,23 @@ def impossible(tolerances: Tolerances, rows: np.ndarray) -> Impossible:
         rows: numbers of the gear sets, in the order of the paths of the population, shape (n, free).
     """
     refused = {}
-    for index in np.flatnonzero(tolerances.allowed(rows)).tolist():
-        try:
-            _made(tolerances, rows[index])
-        except GearjaxError as fault:
-            refused[index] = str(fault)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what is worth a warning was warned of when the scene was made
+        for index in np.flatnonzero(tolerances.allowed(rows)).tolist():
+            try:
+                make_anew(tolerances.with_values(jnp.asarray(rows[index])), tolerances.paths)
+            except GearjaxError as fault:
+                refused[index] = str(fault)
     first = min(refused, default=-1)
     return Impossible(len(rows), len(refused), first, refused.get(first, ""))
 
 
-def _made(tolerances: Tolerances, row: np.ndarray) -> None:
-    """Make the parts with the given numbers, and the scene, anew, so that they check their numbers."""
-    scene = tolerances.with_values(jnp.asarray(row))
-    for part in owners(scene, tolerances.paths):
+def make_anew(scene: Scene, paths: Sequence[str]) -> None:
+    """Make a scene anew, and its parts to which numbers belong, so that they check their numbers.
+
+    Raises:
+        GearjaxError: the scene is impossible.
+    """
+    for part in owners(scene, paths):
         dataclasses.replace(part)
     dataclasses.replace(scene)
