@@ -197,4 +197,5 @@ def _term(path: str, given: Any) -> Term:
     try:
         return Term(name, torque, weight, order)
     except ParameterError as fault:
-        raise ParameterError(path, fault.given, fault.right) from fault
+        place = path if fault.key == "objective" else f"{path}.{fault.key}"
+        raise ParameterError(place, given.get(fault.key, fault.given), fault.right) from fault

@@ -152,8 +152,9 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         example = f'"{example_path(scene, "amplitude")}" = {{kind = "rayleigh", scale = "6 um"}}'
         raise GearjaxError(f"tolerance: no number varies; add {example}")
     measures = _measures(table["measures"])
+    correlations = _correlations(table.get("correlated", []))
     try:
-        tolerances = Tolerances(scene, distributions, _correlations(table.get("correlated", [])))
+        tolerances = Tolerances(scene, distributions, correlations)
     except ParameterError as fault:
         raise ParameterError(f"tolerance.{fault.key}", fault.given, fault.right) from fault
     return ToleranceSection(
@@ -260,7 +261,7 @@ def _measures(given: Any) -> tuple[Measure, ...]:
         try:
             measure = Measure.named(table["name"], **rest)
         except ParameterError as fault:
-            raise ParameterError(f"{key}.{fault.key}", fault.given, fault.right) from fault
+            raise ParameterError(f"{key}.{fault.key}", table.get(fault.key, fault.given), fault.right) from fault
         if measure.name in [other.name for other in measures]:
             raise ParameterError(key, measure.name, "is listed twice")
         measures.append(measure)

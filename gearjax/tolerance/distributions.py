@@ -148,7 +148,7 @@ class TruncatedNormal(AbstractDistribution):
     def __post_init__(self):
         check_declared(self)
         if not self.low < self.high:
-            raise ParameterError("high", self.high, f"must be above low ({self.low:g})")
+            raise ParameterError("high", self.high, "must be above low")
         lower, upper = self._ends
         if max(lower, -upper) > 8:  # so far out in the tail is a mistake, and rounding destroys the quantiles
             raise ParameterError("mean", self.mean, "must lie within 8 std of the limits")

@@ -48,7 +48,7 @@ class Measure:
         if not loaded and self.torque is not None:
             raise ParameterError("torque", self.torque, f"{self.analysis} takes no torque")
         if self.limit is not None and self.at_least is not None and self.limit <= self.at_least:
-            raise ParameterError("limit", self.limit, f"must be above at_least ({self.at_least:g})")
+            raise ParameterError("limit", self.limit, "must be above at_least")
 
     @classmethod
     def named(cls, name: str, **rest: Any) -> "Measure":
