@@ -1,6 +1,7 @@
 """Chunks of a study on the workers of a Dask cluster: lost chunks are computed again, and none counts twice."""
 
 import functools
+import logging
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -59,7 +60,11 @@ def each_on_cluster(
         # a process ended by Ctrl-C leaves semaphores; Python removes them, and its warning is not shown
         os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
         cluster = LocalCluster(
-            n_workers=workers or os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=""
+            n_workers=workers or os.cpu_count() or 1,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="",
+            silence_logs=logging.CRITICAL,  # workers that Ctrl-C ends may log a traceback; faults of chunks are raised
         )
     try:
         client = Client(cluster or scheduler, timeout=CONNECT)
