@@ -42,7 +42,6 @@ from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Scalar
 
-STILL_GOOD = 100.0  # times the accuracy that blocks are chosen for, which speeds known too late may cost
 FAULTS = {
     1: "the solution is not finite",
     2: "the step is too long for the fastest motion (natural frequency, damping, stiffness harmonics, load, bodies)",
@@ -298,8 +297,8 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
             record = jax.lax.cond(whole, lambda: record, lambda: in_one_go()._replace(defect=record.defect))
     scale = equation.scale
     uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
-    block = method.spacing.block if method.windows is None else method.windows.block
-    resolved = resolves(block, STILL_GOOD * chebyshev.accuracy(ts.dtype))
+    block = method.spacing.of_whole_blocks().block if method.windows is None else method.windows.block
+    resolved = resolves(block, chebyshev.accuracy(ts.dtype))
     fast = ~resolved | (step * equation.fastest_rate() > LONGEST_STEP)
     failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
     return Motion(

@@ -2,8 +2,8 @@
 
 Chebyshev nodes cover a block of steps. The steps of a single motion read a table, computed for one block at a time: XLA
 without options makes one function of a loop of such small steps, but not of steps that sum over nodes, which then take
-three times as long. Windows and batches, whose steps are vectors, sum over the nodes within each step, which needs less
-memory.
+three times as long. Windows and batches, whose steps are vectors, sum over the nodes within each step; with a table,
+windows take 1.3 to 1.5 times as long.
 """
 
 import math
