@@ -190,6 +190,27 @@ def test_the_default_takes_windows_where_they_pay(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("windows", [None, gj.Windows(4, 0.01)])
+def test_hessians(scene, windows):
+    """Forward over reverse, alone and batched, against differences of gradients."""
+    ts = jnp.linspace(0.0, 0.05, 101)
+    stepper = gj.FixedStep(per_sample=16, windows=windows)
+
+    def square(numbers):
+        errors = {**scene.errors, "planet_2": gj.Eccentricity("planet_2", 20e-6, numbers[0])}
+        motion = gj.simulate(dataclasses.replace(scene, errors=errors), ts, 100.0 * numbers[1], stepper=stepper)
+        return ((motion.te / arcmin) ** 2).mean()
+
+    points = jnp.array([[0.3, 1.0], [2.0, 0.7]])
+    steps = 1e-4 * jnp.eye(2)
+    slope = jax.jit(jax.vmap(jax.grad(square)))
+    central = jnp.stack([(slope(points + way[None]) - slope(points - way[None])) / 2e-4 for way in steps], axis=1)
+    tolerance = 1e-7 * float(abs(central).max())
+    np.testing.assert_allclose(jax.hessian(square)(points[0]), central[0], rtol=0, atol=tolerance)
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.hessian(square)))(points), central, rtol=0, atol=tolerance)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("windows", [None, gj.Windows(6, 0.03)])
 def test_gradients_of_statistics(scene, windows):
     """Reverse and forward mode against central differences, jitted and batched."""

@@ -257,7 +257,7 @@ def test_the_optimum_has_a_flat_direction(scene, angles):
 
 @pytest.mark.slow
 def test_around_an_optimum_of_motions(scene):
-    """Motions have no second derivative of a reverse one: it is that of differences of gradients."""
+    """The eigenvalues are those of differences of gradients."""
     where, theta = PHASES[:2], scene.system.input_speed * jnp.linspace(0.0, 0.05, 51)
     here = np.array([0.3, -0.4])
     around = gj.local_sensitivity("dynamic_std", scene, where=where, at=here, theta=theta, torque=100.0)

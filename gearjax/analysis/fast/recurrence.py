@@ -73,6 +73,8 @@ def _scan(step: Callable, position: Array, change: Array, rows: Any, constants: 
     @run.def_vmap
     def side_by_side(size: int, batched: Any, position: Array, change: Array, rows: Any, constants: tuple) -> tuple:
         """The batch axis becomes the last one, so that every number of a step is one vector."""
+        if not any(jax.tree.leaves(batched)):  # JAX asks for this where only the tangents are a batch, as in a Hessian
+            return _loop(step, position, change, rows, constants), ((False, False), False)
         extra = _extra(size * position.dtype.itemsize)
 
         def laid(value: Array, batched: bool) -> Array:
