@@ -5,11 +5,11 @@ import math
 from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax import units
+from gearjax.batches import in_batches
 from gearjax.checks import SceneError, is_concrete
 from gearjax.evaluate import evaluated_or_traced
 from gearjax.parameters import check_parameters, count, number
@@ -113,5 +113,5 @@ def _alike(scene: "Scene") -> Array:
     def at(pair: Scalar) -> Array:
         return scene.contacts(pair * pitch_of(scene)).gap[of_pair(scene, pair)]
 
-    gaps = jax.lax.map(at, jnp.arange(number).astype(scene.dtype), batch_size=AT_ONCE)
+    gaps = in_batches(at, jnp.arange(number).astype(scene.dtype), AT_ONCE)
     return (gaps.max(axis=0) - gaps.min(axis=0)).max() < ALIKE * float(jnp.finfo(scene.dtype).eps)

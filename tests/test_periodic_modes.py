@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import gearjax as gj
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.modes import StructureEquation
+from gearjax.analysis.return_map import OfStructure, Problem, return_map
 from gearjax.units import um
 from tests.test_modes import LOADS, SCENES, on_supports, planets
 
@@ -123,6 +124,38 @@ def separating(name: str) -> tuple[gj.Scene, float, float]:
     scene = SCENES[name](**changes)
     scene = at_speed(scene, {"two_kv": 500.0, "rv_cycloidal": 400.0}[name])
     return scene, LOADS[name], mesh_period(scene)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("acting", ["always", "contact"])
+def test_slope_of_the_return_map(acting):
+    """Through contacts that open: products of matrices against forward mode, in float64 and float32."""
+    scene, torque, period = separating("two_kv")
+    scene = dataclasses.replace(scene, damping=gj.DampingRatio(0.02, acting))
+
+    def both(scene: gj.Scene) -> tuple[OfStructure, list, list]:
+        motion = return_map(Problem.of(scene, torque, period), 128)
+        assert isinstance(motion, OfStructure)
+        assert motion.even.lines.apart
+        start = (1.5 * motion.resting() / motion.scale).ravel()
+
+        def end(flat):
+            return (motion.end(flat.reshape(2, -1)).ravel(),) * 2
+
+        slope, ended = jax.jit(jax.jacfwd(end, has_aux=True))(start)
+        return motion, jax.jit(lambda flat: motion.end_and_slope(flat))(start), (ended, slope)
+
+    motion, found, expected = both(scene)
+    places = motion.course(1.5 * motion.resting() / motion.scale).states[:, 0] * motion.scale[:1]
+    equation = motion.even.lines.equation
+    forces = jax.vmap(equation.forces)(motion.even.step * jnp.arange(129.0), places)
+    assert ((forces > 0).any(axis=0) & (forces == 0).any(axis=0)).any(), "a pair opens"
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * float(abs(other).max()))
+    _, single, _ = both(jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene))
+    for one, other in zip(single, expected, strict=True):
+        assert one.dtype == jnp.float32
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-3 * float(abs(other).max()))
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from gearjax.analysis.equation import LENGTH_SCALE
 from gearjax.analysis.modes import Driving, Lines, StructureEquation
 from gearjax.analysis.periodic import Periodic
 from gearjax.analysis.return_map import Problem
+from gearjax.batches import in_batches
 from gearjax.checks import ParameterError, SceneError
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Bool, Complex, Float, Scalar
@@ -126,7 +127,7 @@ class Balance(eqx.Module):
             return lines.driving(time), *equation.resting(now.jacobian, now.gap, now.stiffness, now.torque)
 
         times = places(samples, period.dtype) * period
-        table, rest, forces = jax.lax.map(at, times, batch_size=min(AT_ONCE, samples))
+        table, rest, forces = in_batches(at, times, AT_ONCE)
         rests = jnp.isfinite(rest).all()
         rest = jnp.where(jnp.isfinite(rest), rest, rest[:1])
         answers = _answers(lines, 2 * jnp.pi / period * jnp.arange(harmonics + 1).astype(period.dtype))

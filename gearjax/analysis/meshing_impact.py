@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from gearjax import arguments
 from gearjax.analysis.resting import rest
+from gearjax.batches import in_batches
 from gearjax.checks import SceneError
 from gearjax.contact import ContactSet, CoupledSprings
 from gearjax.impact import AT_ONCE, MeshingImpact, Pulses, of_pair, pitch_of
@@ -158,7 +159,7 @@ def _impacts(scene: Scene, torque: Scalar, impact: MeshingImpact) -> MeshingImpa
         return *(jnp.where(found, part, jnp.nan) for part in parts), kept, _mass(scene, contacts, place), found
 
     pairs = jnp.arange(impact.pairs).astype(scene.dtype)
-    theta, ahead, velocity, kept, mass, found = jax.lax.map(of_one, pairs, batch_size=AT_ONCE)
+    theta, ahead, velocity, kept, mass, found = in_batches(of_one, pairs, AT_ONCE)
     force, duration = velocity * jnp.sqrt(mass * kept), 0.5 * math.pi * jnp.sqrt(mass / kept)
     return MeshingImpacts(theta, ahead, velocity, kept, mass[0], force, duration, pitch, jnp.where(found, 0, 1))
 

@@ -157,14 +157,14 @@ class Newton(NamedTuple):
         state: scaled state at the start of the period, shape (2 coordinate,).
         lacking: its change over the period.
         slope: derivative of ``lacking``.
-        change: length of the last step, over its tolerance.
+        way: the next step.
     """
 
     steps: Array
     state: Float[Array, " number"]
     lacking: Float[Array, " number"]
     slope: Float[Array, "number number"]
-    change: Scalar
+    way: Float[Array, " number"]
 
 
 def _returning(motion: OfOutput | OfStructure, start: Array, max_steps: int) -> tuple[Array, Array]:
@@ -173,27 +173,30 @@ def _returning(motion: OfOutput | OfStructure, start: Array, max_steps: int) -> 
     With ``max_steps`` zero the state is the start.
     """
     begin = jax.lax.stop_gradient(start).ravel()
+    unit = jnp.eye(len(begin), dtype=begin.dtype)
 
     def lacking(flat: Array) -> Array:
         return motion.end(flat.reshape(start.shape)).ravel() - flat
 
-    def search(lacking: Callable[[Array], Array], begin: Array) -> tuple[Array, Array]:
+    def search(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Array]:
+        def there(now: Newton) -> Array:
+            small = TOLERANCE * (1 + jnp.abs(now.state))
+            return ((jnp.abs(now.way) <= small) & (jnp.abs(now.lacking) <= small)).all()
+
         def going_on(now: Newton) -> Array:
-            there = (now.change <= 1) & (jnp.abs(now.lacking) <= TOLERANCE * (1 + jnp.abs(now.state))).all()
             lost = (now.steps >= 0) & ~jnp.isfinite(now.lacking).all()
-            return (now.steps < max_steps) & ~there & ~lost
+            return (now.steps < max_steps) & ~there(now) & ~lost
 
         def step(now: Newton) -> Newton:
-            way = jnp.where(now.steps < 0, 0.0, -jnp.linalg.solve(now.slope, now.lacking))
-            state = now.state + way
-            slope, left = jax.jacfwd(lambda flat: (lacking(flat),) * 2, has_aux=True)(state)
-            change = jnp.where(now.steps < 0, jnp.inf, jnp.abs(way / (TOLERANCE * (1 + jnp.abs(state)))).max())
-            return Newton(now.steps + 1, state, left, slope, change)
+            state = now.state + now.way
+            end, slope = motion.end_and_slope(state)
+            left, slope = end - state, slope - unit
+            return Newton(now.steps + 1, state, left, slope, -jnp.linalg.solve(slope, left))
 
-        unknown = jnp.full_like(begin, jnp.inf)
-        first = Newton(jnp.asarray(-1), begin, unknown, jnp.eye(len(begin), dtype=begin.dtype), jnp.inf * begin[0])
+        first = Newton(jnp.asarray(-1), begin, jnp.full_like(begin, jnp.inf), unit, jnp.zeros_like(begin))
         found = jax.lax.while_loop(going_on, step, first)
-        return found.state, found.slope
+        # the last step is so small that the period need not be computed again for it
+        return jnp.where(there(found), found.state + found.way, found.state), found.slope
 
     def solve(linear: Callable[[Array], Array], right: Array) -> Array:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(right)), right)
@@ -203,7 +206,7 @@ def _returning(motion: OfOutput | OfStructure, start: Array, max_steps: int) -> 
     else:
         _, slope = search(lacking, begin)
         flat = start.ravel()
-    return flat.reshape(start.shape), jax.lax.stop_gradient(slope) + jnp.eye(len(begin), dtype=begin.dtype)
+    return flat.reshape(start.shape), jax.lax.stop_gradient(slope) + unit
 
 
 class Sweep(eqx.Module):

@@ -113,12 +113,7 @@ def _linear_start(problem: Problem, steps: int) -> tuple[Array, Array]:
     """
     motion = return_map(problem, steps)
     begin = motion.resting()
-
-    def end(flat: Array) -> tuple[Array, Array]:
-        ended = motion.end(flat.reshape(begin.shape)).ravel()
-        return ended, ended
-
-    slope, ended = jax.jacfwd(end, has_aux=True)(begin.ravel())
+    ended, slope = motion.end_and_slope(begin.ravel())
     lacking = ended - begin.ravel()
     start = begin + jnp.linalg.solve(jnp.eye(len(lacking), dtype=begin.dtype) - slope, lacking).reshape(begin.shape)
     return jnp.where(jnp.isfinite(start).all(), start, begin), motion.scale

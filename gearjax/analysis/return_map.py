@@ -21,6 +21,7 @@ from gearjax.analysis.fast.oscillator import Oscillator
 from gearjax.analysis.fast.signals import Forcing
 from gearjax.analysis.modes import Steps, StructureEquation
 from gearjax.analysis.modes.lines import Driving
+from gearjax.analysis.modes.recurrence import Begun, returned
 from gearjax.analysis.modes.steps import AT_ONCE, divisor
 from gearjax.analysis.period import check_repeats
 from gearjax.checks import is_concrete
@@ -97,6 +98,10 @@ class OfOutput(eqx.Module):
         record = self._march(state)
         return jnp.stack([record.positions[-1], record.speeds[-1]])[:, None]
 
+    def end_and_slope(self, flat: Array) -> tuple[Array, Array]:
+        """State at the end of the period and its slope, from the state at its start; states of shape (number,)."""
+        return _with_slope(self, flat)
+
     def course(self, state: Array) -> Course:
         record = self._march(state)
         return Course(jnp.stack([record.positions, record.speeds], axis=1)[:, :, None], record.highest, record.lowest)
@@ -138,6 +143,22 @@ class OfStructure(eqx.Module):
         steps = self._steps
         return self._march(state, modes.Spacing(2, steps, divisor(steps, AT_ONCE), None)).states[-1]
 
+    def end_and_slope(self, flat: Array) -> tuple[Array, Array]:
+        """As for an output that moves alone."""
+        even, scale = self.even, self.scale
+        if not even.lines.apart:
+            return _with_slope(self, flat)
+
+        def start(flat: Array) -> Begun:
+            place, speed = flat.reshape(scale.shape) * scale
+            return even.start(place, speed)
+
+        end, slope = returned(even.lines, even.products, start, flat, self.table)
+        # coordinates and velocities are linear in the state of the steps
+        columns = jnp.concatenate([end[:, None], slope], axis=1)
+        columns = (jax.vmap(even.coordinates, 1, 2)(columns) / scale[:, :, None]).reshape(len(flat), -1)
+        return columns[:, 0], columns[:, 1:]
+
     def course(self, state: Array) -> Course:
         return self._march(state, modes.Spacing(self._steps + 1, 1, 1, None))
 
@@ -150,6 +171,17 @@ class OfStructure(eqx.Module):
         record = modes.march(self.even, place, speed, spacing, self.table)
         output = self.even.lines.equation.scale[0]
         return Course(record.states / self.scale[None], record.highest / output, record.lowest / output)
+
+
+def _with_slope(motion: OfOutput | OfStructure, flat: Array) -> tuple[Array, Array]:
+    """Flat state at the end of a period and its slope, by forward mode."""
+
+    def end(flat: Array) -> tuple[Array, Array]:
+        ended = motion.end(flat.reshape(2, -1)).ravel()
+        return ended, ended
+
+    slope, ended = jax.jacfwd(end, has_aux=True)(flat)
+    return ended, slope
 
 
 def return_map(problem: Problem, steps: int) -> OfOutput | OfStructure:

@@ -1,13 +1,13 @@
 """Static transmission error against the torque: its swing, and its harmonics of the mesh or of another order."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
 from gearjax.analysis.period import what_differs
 from gearjax.analysis.quasi_static import EXTREMES, angles_of, transmission_error
+from gearjax.batches import in_batches
 from gearjax.checks import ParameterError, SceneError, is_concrete, nearest, warn_the_caller
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
@@ -139,6 +139,6 @@ def _torque_sweep(scene: Scene, theta: Array, torques: Array, harmonics: int, or
         found = transmission_error(scene, theta, torque, extremes=extremes)
         return found.te, found.extremes.maximum - found.extremes.minimum, found.result.max()
 
-    te, swing, result = jax.lax.map(at, torques, batch_size=min(AT_ONCE, len(torques)))
+    te, swing, result = in_batches(at, torques, AT_ONCE)
     amplitudes = harmonics_of(te, theta, scene.system.orders[order], harmonics)
     return TorqueSweep(torques, te.mean(axis=-1), swing, amplitudes, result, order)

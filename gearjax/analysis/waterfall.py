@@ -9,11 +9,12 @@ from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.period import check_repeats
 from gearjax.analysis.periodic import at_speed, at_speeds, shoot
+from gearjax.batches import in_batches
 from gearjax.checks import SceneError
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
 
-AT_ONCE = 50  # speeds in one batch; more would take more memory for the tables of their excitation
+AT_ONCE, OF_MANY = 16, 8  # speeds in one batch, of one coordinate and of several: a batch waits for its slowest speed
 
 
 class Waterfall(eqx.Module):
@@ -84,16 +85,16 @@ def _waterfall(
         motion = shoot(problem, steps, None, settle, 40)
         lines = 2 / steps * jnp.abs(jnp.fft.rfft(motion.te)[1 : harmonics + 1])
         parts = problem.scene.structure
-        rates = 2 * jnp.pi / problem.period * jnp.arange(steps // 2 + 1).astype(speed.dtype)
-        waves = jnp.fft.rfft(motion.q, axis=0)
-        rate = jax.lax.complex(jnp.zeros_like(rates), rates)[:, None]
-        pace, acceleration = (jnp.fft.irfft(waves * times, steps, axis=0) for times in (rate, rate * rate))
-        held = motion.q @ parts.stiffness[0] + pace @ parts.damping[0] + acceleration @ parts.mass[0]
+        rates = (2 * jnp.pi / problem.period * jnp.arange(steps // 2 + 1).astype(speed.dtype))[:, None]
+        springs, dampers, masses = (part[:1] for part in (parts.stiffness, parts.damping, parts.mass))
+        dynamic_stiffness = jax.lax.complex(springs - rates * rates * masses, rates * dampers)
+        held = jnp.fft.irfft((jnp.fft.rfft(motion.q, axis=0) * dynamic_stiffness).sum(axis=1), steps)
         if not problem.scene.system.turns_evenly:  # torque that accelerates the ideal output
             held = held + parts.mass[0, 0] * jax.vmap(problem.scene.system.output_acceleration)(motion.ts)
         factor = jnp.max((torque + held - parts.push[0]) / torque)
         return lines, motion.peak_to_peak, factor, motion.stable, motion.result
 
-    found = jax.lax.map(at, speeds, batch_size=min(AT_ONCE, speeds.shape[0]))
+    most = AT_ONCE if scene.output_alone else OF_MANY
+    found = in_batches(at, speeds, most)
     orders = turns * jnp.arange(1, harmonics + 1).astype(speeds.dtype)
     return Waterfall(speeds, orders, *found)

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.resting import edge, edges, rest
+from gearjax.batches import in_batches
 from gearjax.contact import ContactSet, LinearSprings
 from gearjax.contact.equilibrium import hard_rest
 from gearjax.contact.search import closed_side, hard_balance
@@ -124,10 +125,7 @@ class Plain(AbstractCurves):
         """Positions of the output and their derivatives [rad]."""
         rows = self.theta, self.torque, self.back, self.record
         both = self._by_tangents if self.opens is None else self._by_contacts
-        return jax.lax.map(
-            lambda one: jax.lax.map(lambda row: both(one, row), rows, batch_size=min(AT_ONCE, self.theta.shape[0])),
-            values,
-        )
+        return jax.lax.map(lambda one: in_batches(lambda row: both(one, row), rows, AT_ONCE), values)
 
     def _at(self, values: Array, row: tuple) -> Array:
         """Position of the output at one row [rad]."""
@@ -235,7 +233,7 @@ def tabulated(
         contacts = scene_with(each, start, scene).contacts(pose, way)
         return contacts.gap, jax.jacfwd(gap)(start), contacts.lever, springs_of(contacts)
 
-    return jax.lax.map(at, theta, batch_size=min(ROWS_AT_ONCE, theta.shape[0]))
+    return in_batches(at, theta, ROWS_AT_ONCE)
 
 
 def springs_of(contacts: ContactSet) -> Array:

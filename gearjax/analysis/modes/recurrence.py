@@ -99,6 +99,36 @@ def packed(driving: Driving) -> tuple[Float[Array, "time number"], Callable[[Arr
     return jnp.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1), unpacked
 
 
+def returned(
+    lines: Lines, products: Products, start: Callable[[Array], Begun], state: Array, table: Driving
+) -> tuple[Array, Array]:
+    """State after the steps of a table, and its slopes with respect to the numbers of the start.
+
+    All tangents share the matrix of a step. A product of two matrices takes a tenth of the time of as many products
+    with vectors, which automatic differentiation would use.
+
+    Args:
+        lines, products, table: as for `recur`; the lines are contacts.
+        start: function from the numbers to the data at the start of the steps.
+        state: the numbers, shape (number,).
+
+    Returns:
+        State after the steps, shape (state,), and its slopes, shape (state, number).
+    """
+    states = products.sizes[2]
+
+    def begin(state: Array) -> tuple[tuple[Array, Array], Begun]:
+        begun = start(state)
+        return (begun.whole, begun.overlap), begun
+
+    moved, begun = jax.jacfwd(begin, has_aux=True)(state)
+    arrays, rest = eqx.partition(lines, eqx.is_inexact_array)
+    record = _primal((rest, None), arrays, products, begun, table)
+    linear = Linear(lines, products, begun, table, None)
+    ended = linear.carried(linear.slopes(linear.path(record)), moved)
+    return record[-1, :states], ended[:states]
+
+
 # the steps themselves ------------------------------------------------------------------------------------------
 
 
@@ -291,6 +321,41 @@ class Linear(NamedTuple):
             return (whole, overlap), whole[: states + number]
 
         return jax.lax.scan(step, start, (slopes, driven), unroll=UNROLL)[1]
+
+    def carried(self, slopes: tuple, start: tuple[Array, Array]) -> Array:
+        """Tangents of state and inputs at the end of the steps, one in each column, from those at the start.
+
+        The derivative of a step is a constant matrix with two corrections of low rank, by the slopes of the inputs and
+        by those of the correction for kinks.
+        """
+        products, (sights, number, states) = self.products, self.products.sizes
+        (of_inputs, of_missed), (whole, overlap) = slopes, start
+        contacts = 0 if of_missed is None else len(overlap)
+        free = jnp.pad(products.free, ((0, 0), (0, contacts)))  # columns: state, inputs now and before, overlap
+        earlier = jnp.eye(number, free.shape[1], states, dtype=free.dtype)
+        own = jnp.eye(number, dtype=free.dtype)
+
+        def rows(sight: Array, state: Array, after: Array, before: Array) -> Array:
+            return jnp.concatenate([state, after, before, sight[:contacts]])
+
+        held = rows(free[sights : 2 * sights], free[2 * sights :], jnp.zeros_like(earlier), earlier)
+        by_inputs = rows(products.after[:sights], products.after[sights:], own, jnp.zeros_like(own))
+        inputs = of_inputs @ free[:sights]  # shape (step, line, column)
+        ways = [(by_inputs, inputs)]
+        if of_missed is not None:
+            begun, ended = of_missed
+            sight = free[None, sights : 2 * sights] + jnp.einsum("sl,nlc->nsc", products.after[:sights], inputs)
+            missed = (ended @ sight).at[:, :, -contacts:].add(begun)
+            by_missed = rows(products.kink[:sights], products.kink[sights:], jnp.zeros_like(own), jnp.zeros_like(own))
+            ways.append((by_missed, missed))
+            whole = jnp.concatenate([whole, overlap])
+        acting = jnp.concatenate([act for act, _ in ways], axis=1).T[:, :, None]
+        along = jnp.concatenate([slope for _, slope in ways], axis=1)[:, :, None]
+
+        def step(tangents: Array, slope: Array) -> tuple[Array, None]:
+            return (held + total(acting, slope)) @ tangents, None
+
+        return jax.lax.scan(step, whole, along)[0]
 
 
 def _before(first: Array, rest: Array) -> Array:
