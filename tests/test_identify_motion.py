@@ -295,3 +295,20 @@ def test_ripple_and_float32_are_refused(scene, unit):
     )
     with pytest.raises(gj.SceneError, match="need float64"):
         gj.compare(narrow, run(unit, 100.0, rows=60), analysis="dynamic")
+
+
+@pytest.mark.slow
+def test_a_stiffness_that_the_static_fit_cannot_tell():
+    """Elliptic gears at one speed: the static fit ends at any stiffness, so motion starts from that of the scene."""
+    scene = gj.load(CONFIG.parents[1] / "elliptic" / "dong_2020.toml")
+    ts = np.linspace(0.0, 0.6, 1201)
+    theta = float(scene.system.input_speed) * ts
+    te = np.asarray(gj.simulate(scene, ts, torque=10.0).te)
+    noise = 0.02 * arcmin * np.random.default_rng(2).standard_normal(len(ts))
+    record = gj.Measurement(theta, None, te + noise, 10.0, ts, "shaking")
+    found = gj.identify(scene, [record], analysis="dynamic", suggest=False)
+    stiffness = next(each for each in found.estimates if each.name == "compliance.mean")
+    assert stiffness.error is not None
+    assert abs(stiffness.value - 3e8) < 3 * stiffness.error
+    assert stiffness.error < 1e8
+    assert found.sigma == pytest.approx(0.02 * arcmin, rel=0.1)

@@ -14,7 +14,9 @@ from gearjax.checks import SceneError
 from gearjax.scene import Scene
 from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
 
-AT_ONCE, OF_MANY = 16, 8  # speeds in one batch, of one coordinate and of several: a batch waits for its slowest speed
+# speeds in one batch, of one coordinate, of several, and of many contacts: a batch waits for its slowest speed, but the
+# work for contacts is quicker side by side
+OF_ONE, OF_SEVERAL, OF_CONTACTS = 16, 8, 50
 
 
 class Waterfall(eqx.Module):
@@ -94,7 +96,8 @@ def _waterfall(
         factor = jnp.max((torque + held - parts.push[0]) / torque)
         return lines, motion.peak_to_peak, factor, motion.stable, motion.result
 
-    most = AT_ONCE if scene.output_alone else OF_MANY
+    several = OF_SEVERAL if len(scene.layout.pair) <= len(scene.coordinates) else OF_CONTACTS
+    most = OF_ONE if scene.output_alone else several
     found = in_batches(at, speeds, most)
     orders = turns * jnp.arange(1, harmonics + 1).astype(speeds.dtype)
     return Waterfall(speeds, orders, *found)

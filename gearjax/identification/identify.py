@@ -19,7 +19,7 @@ from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.signs import check_signs
 from gearjax.identification.synthetic import turned_scene
-from gearjax.identification.unknowns import priors_of, unknowns_of
+from gearjax.identification.unknowns import Unknowns, priors_of, unknowns_of
 from gearjax.identification.visible import Visible, hidden_directions, visible
 from gearjax.identification.weights import OUTLYING, noise_of
 from gearjax.progress import Progress, Searching, silent
@@ -29,6 +29,7 @@ from gearjax.units import arcmin
 OFFSET_SPREAD = 0.02 * arcmin  # standard deviation of the encoders' offset between recordings
 STARTS = 64
 MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion starts from
+FAR = 10.0  # times stiffer or softer than the scene: a static fit that ends beyond does not determine the stiffness
 USUAL = 10  # curves of all rows that a start needs: for the time left only
 FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
@@ -242,23 +243,30 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
 def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Model, Fit]:
     """The fit in motion, started from the solutions of the static fit: with widely smoothed contacts first."""
     unknowns, records = model.unknowns, wanted.records
-    # the static TE does not depend on these unknowns: the static fit left them at random starts
-    unseen = [i for i, each in enumerate(unknowns.each) if each.path.partition(".")[0] in MOVING]
     for width in (WIDE, NARROW):
-        at = fit.values[: len(unknowns.each)].copy()
+        starts = np.concatenate([fit.values[None], fit.others])[:MOST_MOVING]
         if width == WIDE:
-            at[unseen] = unknowns.start[unseen]
+            starts[:, : len(unknowns.each)] = _of_start(unknowns, starts[:, : len(unknowns.each)])
+        at = starts[0, : len(unknowns.each)]
         solution = unknowns.finished(at)
         moving = MovingModel.of_static(model, unknowns, records, solution, width)
         if width == WIDE:
             steps = sum(PER_SAMPLE * course.samples for course in moving.courses if course is not None)
             wanted.progress(f"integrating {steps} steps of motion, with derivatives, some tens of times")
-        starts = np.concatenate([fit.values[None], fit.others])[:MOST_MOVING]
-        if width == WIDE:
-            starts[:, unseen] = unknowns.start[unseen]
             told = Searching(wanted.progress, "motions integrated, with derivatives", 2 * USUAL * len(starts))
         fit = _fit(moving, scene, records, wanted.free, wanted.options, starts, told)
     return moving, fit
+
+
+def _of_start(unknowns: Unknowns, values: np.ndarray) -> np.ndarray:
+    """Values from which motion can start: the scene's own in place of those that a static fit does not determine.
+
+    The static TE does not depend on unknowns that only act in motion, and may hardly depend on a stiffness.
+    """
+    start = unknowns.start[None]
+    far = unknowns.reciprocals[None] & ~((values * FAR > start) & (values < FAR * start))
+    unseen = np.array([each.path.partition(".")[0] in MOVING for each in unknowns.each])[None]
+    return np.where(far | unseen, start, values)
 
 
 def _uncounted(points: int) -> None:
