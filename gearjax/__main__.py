@@ -1,6 +1,16 @@
-"""``python -m gearjax``."""
+"""``gearjax`` and ``python -m gearjax``."""
 
-from gearjax.cli import main
+from gearjax import stopping
+
+
+def main() -> None:
+    """Listen to Ctrl-C, then import the command line, which takes seconds, and run it."""
+    stopping.say_when_stopped(stopping.nothing_kept)
+    stopping.listen()
+    from gearjax.cli import main as command  # not before: Ctrl-C would show where the import was
+
+    command()
+
 
 if __name__ == "__main__":
     main()

@@ -6,13 +6,10 @@ A folder for results can be tried before the work begins.
 import contextlib
 import os
 import tempfile
-import threading
 from pathlib import Path
 
 from gearjax.checks import GearjaxError, place, writing
-
-unbroken = threading.RLock()
-"""Lock that is held while a file is written; taking it before ending the process avoids a partial file."""
+from gearjax.stopping import unbroken
 
 
 def write_file(path: Path, content: str | bytes) -> Path:

@@ -23,6 +23,7 @@ LAYERS = {
     "files": 0,
     "markdown": 0,
     "memory": 0,
+    "stopping": 0,
     "xla": 0,
     "timing": 0,
     "progress": 0,

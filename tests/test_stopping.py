@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from gearjax.cli import main, stopping
+from gearjax import stopping
+from gearjax.cli import main
 from gearjax.results.store import NAME
 from tests.conftest import CONFIG, ROOT, compiled_as_tests
 from tests.test_tolerance_command import CONFIG as WHOLE
@@ -31,11 +32,11 @@ os.execv(sys.argv[1], sys.argv[1:])
 class Running:
     """A command as a process of its own, which ends with the ``with`` block."""
 
-    def __init__(self, *arguments: str, folder: Path):
+    def __init__(self, *arguments: str, folder: Path, python: tuple[str, ...] = ()):
         self.errors = folder / "stderr"
         with self.errors.open("wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", HEARS_SIGINT, sys.executable, "-m", "gearjax", *arguments],
+                [sys.executable, "-c", HEARS_SIGINT, sys.executable, *python, "-m", "gearjax", *arguments],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 cwd=ROOT,
@@ -66,7 +67,7 @@ class Running:
         assert self.process.returncode == 130
         assert printed == b""
         assert "Traceback" not in self.said
-        *_, last = self.said.splitlines()
+        *_, last = (line for line in self.said.splitlines() if not line.startswith("import time:"))
         assert self.said.count("gearjax: stopped: ") == 1
         assert last.startswith("gearjax: stopped: ")
         return last
@@ -91,6 +92,16 @@ def test_ctrl_c_ends_a_command_with_a_line(tmp_path, arguments, begun):
     out = tmp_path / "out"
     with Running(*arguments, "--out", str(out), folder=tmp_path) as running:
         assert running.stopped(lambda: begun in running.said).endswith(NOTHING)
+    assert not out.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("imported", ["numpy", "jax._src.core", "jax"])
+def test_ctrl_c_while_a_command_is_still_imported(tmp_path, imported):
+    out = tmp_path / "out"
+    with Running("run", str(CONFIG), "--out", str(out), folder=tmp_path, python=("-X", "importtime")) as running:
+        last = running.stopped(lambda: re.search(rf"\| +{re.escape(imported)}\n", running.said) is not None)
+    assert last.endswith(NOTHING)
     assert not out.exists()
 
 

@@ -8,11 +8,12 @@ import warnings
 import jax
 import typer
 
+from gearjax import stopping
 from gearjax.checks import GearjaxError
 from gearjax.cli import bench as _bench  # noqa: F401  (adds its commands)
 from gearjax.cli import example as _example  # noqa: F401  (adds its command)
 from gearjax.cli import new as _new  # noqa: F401  (adds its command)
-from gearjax.cli import programs, stopping
+from gearjax.cli import programs
 from gearjax.cli import show as _show  # noqa: F401  (adds its command)
 from gearjax.cli.commands import app
 

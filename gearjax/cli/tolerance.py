@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gearjax.cli.stopping import say_when_stopped
 from gearjax.cli.tables import output, show
 from gearjax.config import loads_tolerance
 from gearjax.progress import EVERY, told_seconds
@@ -23,6 +22,7 @@ from gearjax.results.further import Further
 from gearjax.results.needs import affordable
 from gearjax.results.store import Store, held
 from gearjax.results.tolerance import LISTED, ToleranceResults, finished, prepared
+from gearjax.stopping import say_when_stopped
 from gearjax.timing import Stopwatch
 from gearjax.tolerance import Work
 from gearjax.tolerance.monte_carlo import QUANTILES, Evaluated

@@ -12,14 +12,14 @@ from gearjax.identification.advice import suggestions
 from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, starts_of
 from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
-from gearjax.identification.model import MOVING, Model, Problem
-from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error
+from gearjax.identification.model import Model, Problem
+from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error, start_of_motion
 from gearjax.identification.orders import Drift, Order, given_waves, sharpened, unexplained
 from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.signs import check_signs
 from gearjax.identification.synthetic import turned_scene
-from gearjax.identification.unknowns import Unknowns, priors_of, unknowns_of
+from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import Visible, hidden_directions, visible
 from gearjax.identification.weights import OUTLYING, noise_of
 from gearjax.progress import Progress, Searching, silent
@@ -29,7 +29,6 @@ from gearjax.units import arcmin
 OFFSET_SPREAD = 0.02 * arcmin  # standard deviation of the encoders' offset between recordings
 STARTS = 64
 MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion starts from
-FAR = 10.0  # times stiffer or softer than the scene: a static fit that ends beyond does not determine the stiffness
 USUAL = 10  # curves of all rows that a start needs: for the time left only
 FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
@@ -246,7 +245,7 @@ def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[M
     for width in (WIDE, NARROW):
         starts = np.concatenate([fit.values[None], fit.others])[:MOST_MOVING]
         if width == WIDE:
-            starts[:, : len(unknowns.each)] = _of_start(unknowns, starts[:, : len(unknowns.each)])
+            starts[:, : len(unknowns.each)] = start_of_motion(unknowns, starts[:, : len(unknowns.each)])
         at = starts[0, : len(unknowns.each)]
         solution = unknowns.finished(at)
         moving = MovingModel.of_static(model, unknowns, records, solution, width)
@@ -256,17 +255,6 @@ def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[M
             told = Searching(wanted.progress, "motions integrated, with derivatives", 2 * USUAL * len(starts))
         fit = _fit(moving, scene, records, wanted.free, wanted.options, starts, told)
     return moving, fit
-
-
-def _of_start(unknowns: Unknowns, values: np.ndarray) -> np.ndarray:
-    """Values from which motion can start: the scene's own in place of those that a static fit does not determine.
-
-    The static TE does not depend on unknowns that only act in motion, and may hardly depend on a stiffness.
-    """
-    start = unknowns.start[None]
-    far = unknowns.reciprocals[None] & ~((values * FAR > start) & (values < FAR * start))
-    unseen = np.array([each.path.partition(".")[0] in MOVING for each in unknowns.each])[None]
-    return np.where(far | unseen, start, values)
 
 
 def _uncounted(points: int) -> None:
@@ -318,7 +306,8 @@ def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
         unknowns = unknowns_of(scene, wanted.where, back=back, loaded=True)
         return _fit(Model.of(unknowns, records, loaded=True), scene, records, wanted.free, options, None)
 
-    check_signs(fit, wanted.records, noisy, refit)
+    scales = np.array([each.scale if each.kind == "component" else 0.0 for each in model.unknowns.each])
+    check_signs(fit, scales, wanted.records, noisy, refit)
 
 
 def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order | Drift]]:
@@ -398,7 +387,7 @@ def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], n
         if unknown.path == "backlash.initial" and value < 0:
             notes.append(
                 "backlash.initial is below zero: flanks jam, the torque of a recording has the wrong sign, or the "
-                "offsets of the recordings differ by more than the backlash"
+                "offsets of the recordings differ by more than the backlash; in identified.toml it is zero"
             )
     if len(fit.others):
         notes.append(

@@ -27,7 +27,7 @@ from gearjax.analysis.solvers import LONGEST_STEP, FixedStep
 from gearjax.checks import SceneError
 from gearjax.contact import QuadraticContact
 from gearjax.identification.measurement import Measurement
-from gearjax.identification.model import Model
+from gearjax.identification.model import MOVING, Model
 from gearjax.identification.rows import Rows
 from gearjax.identification.running import at_speed_of, speed_of, under_torque
 from gearjax.identification.tables import AbstractCurves
@@ -40,6 +40,7 @@ MOST_STEPS = 1 << 21  # of a recording
 FINER, FINE = 4, 1 << 15  # short recordings get up to so many times more steps, up to so many, for kinks of contacts
 WIDE, NARROW = 1e-6, 5e-8  # overlaps over which contacts become active [m]
 RUN_IN = 0.1  # of a recording: time integrated before it if nothing damps the transient of the start
+FAR = 10.0  # times stiffer or softer than the scene: a static fit that ends beyond does not determine the stiffness
 
 
 class Course(NamedTuple):
@@ -256,3 +257,14 @@ class MovingModel(Model):
         )
         turns, places, shares = jnp.asarray(self.turns[own]), jnp.asarray(place), jnp.asarray(share)
         return Group(speed, begin, spacing, torque, turns, places, shares, jnp.asarray(where), samples)
+
+
+def start_of_motion(unknowns: Unknowns, values: np.ndarray) -> np.ndarray:
+    """Values from which motion can start: the scene's own in place of those that a static fit does not determine.
+
+    The static TE does not depend on unknowns that only act in motion, and may hardly depend on a stiffness.
+    """
+    start = unknowns.start[None]
+    far = unknowns.reciprocals[None] & ~((values * FAR > start) & (values < FAR * start))
+    unseen = np.array([each.path.partition(".")[0] in MOVING for each in unknowns.each])[None]
+    return np.where(far | unseen, start, values)

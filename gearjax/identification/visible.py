@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from gearjax.identification.fit import Fit, scaled, without_further
-from gearjax.identification.unknowns import Unknowns
+from gearjax.identification.unknowns import Unknown, Unknowns
 
 UNSEEN = 1e-9  # of an unknown's own sum of squares, below which there is only rounding
 LEAST = 1e-15  # information of a direction, of numbers scaled to ones: less is rounding
@@ -21,9 +21,10 @@ class Combination:
 
     Args:
         words: the sum in words, such as ``errors.planet_1.cos + errors.revolution.cos``.
-        coefficients: coefficients of the sum by name of the unknown.
-        value, error: value of the sum and its standard error, in the unit of the first unknown.
-        unit: unit of the first unknown.
+        coefficients: coefficients of the sum by name of the unknown; a stiffness takes part by its reciprocal, named
+            ``1 / compliance.mean``, whose coefficient is in SI: with lengths a force [N].
+        value, error: value of the sum and its standard error.
+        unit: unit of the first unknown that is no stiffness.
     """
 
     words: str
@@ -161,37 +162,52 @@ def _combinations(fit: Fit, unknowns: Unknowns, hidden: np.ndarray, covariance: 
     """Sums of hidden unknowns that the recordings determine, each with as few unknowns as possible."""
     if not len(hidden):
         return ()
-    names = unknowns.names
     own = np.flatnonzero(np.abs(hidden).max(axis=0) > TAKES_PART)
     _, _, vectors = np.linalg.svd(hidden[:, own])
     rest = vectors[len(hidden) :]
     told = []
     for row in _reduced(rest):
-        taking = [(int(own[i]), float(row[i])) for i in np.flatnonzero(np.abs(row) > TAKES_PART)]
         weights = np.zeros(fit.values.size)
-        for place, coefficient in taking:
-            weights[place] = coefficient
-        first = unknowns.each[taking[0][0]]
-        size = first.scale / first.per_unit
-        words = " ".join(_term(names[place], coefficient, i) for i, (place, coefficient) in enumerate(taking))
+        weights[own] = np.where(np.abs(row) > TAKES_PART, row, 0.0)
+        taking = np.flatnonzero(weights)
+        first = _leading(unknowns, taking)
+        if unknowns.reciprocals[taking].any():
+            weights = weights / weights[first]
         error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
-        told.append(
-            Combination(
-                words,
-                {names[place]: coefficient for place, coefficient in taking},
-                float(weights @ fit.values) * size,
-                error * size,
-                first.unit,
-            )
-        )
+        told.append(_told(unknowns, weights, first, float(weights @ fit.values), error))
     return tuple(told)
 
 
-def _term(name: str, coefficient: float, place: int) -> str:
-    sign = "-" if coefficient < 0 else "+" if place else ""
-    size = abs(coefficient)
-    times = "" if abs(size - 1) < 1e-4 else f"{size:.4g} "
-    return f"{sign}{' ' if sign and place else ''}{times}{name}"
+def _leading(unknowns: Unknowns, taking: np.ndarray) -> int:
+    """The unknown in whose unit a direction is told: the first one that is no reciprocal, if there is one."""
+    return int(next((i for i in taking if not unknowns.reciprocals[i]), taking[0]))
+
+
+def _told(unknowns: Unknowns, weights: np.ndarray, first: int, value: float, error: float) -> Combination:
+    """A sum in the unit of one of its unknowns; of a stiffness k, its term is a force over k."""
+    lead, names = unknowns.each[first], unknowns.names
+    inverse = lead.kind == "reciprocal"
+    size = 1 / lead.scale if inverse else lead.scale / lead.per_unit
+    words, coefficients = "", {}
+    for place in np.flatnonzero(weights):
+        each, coefficient = unknowns.each[place], float(weights[place])
+        sign = ("- " if words else "-") if coefficient < 0 else "+ " if words else ""
+        if each.kind == "reciprocal":
+            factor, name = coefficient * each.scale * (size if inverse else lead.scale), f"1 / {names[place]}"
+            term = name if inverse and place == first else f"{abs(factor):.4g} {_over(lead, each)} / {names[place]}"
+        else:
+            factor, name = coefficient * size / (each.scale / each.per_unit), names[place]
+            term = name if abs(abs(factor) - 1) < 1e-4 else f"{abs(factor):.4g} {name}"
+        words += f"{' ' if words else ''}{sign}{term}"
+        coefficients[name] = factor
+    return Combination(words, coefficients, value * size, error * size, f"1/({lead.unit})" if inverse else lead.unit)
+
+
+def _over(lead: Unknown, stiffness: Unknown) -> str:
+    """Unit of the numerator of a term with a stiffness in a sum whose unit is that of ``lead``."""
+    if lead.kind == "reciprocal":
+        return "" if lead.unit == stiffness.unit else f"{stiffness.unit} / ({lead.unit})"
+    return "N" if (lead.unit, stiffness.unit) == ("um", "N/m") else f"SI ({lead.unit} in SI x {stiffness.unit})"
 
 
 def hidden_in_words(unknowns: Unknowns, hidden: np.ndarray) -> list[str]:
@@ -199,18 +215,28 @@ def hidden_in_words(unknowns: Unknowns, hidden: np.ndarray) -> list[str]:
     words = []
     for row in hidden:
         taking = np.flatnonzero(np.abs(row) > TAKES_PART)
-        names = [unknowns.names[i] for i in taking]
-        if len(names) == 1:
-            words.append(f"nothing in the recordings depends on {names[0]}")
+        if len(taking) == 1:
+            words.append(f"nothing in the recordings depends on {unknowns.names[taking[0]]}")
             continue
-        changes = ", ".join(_change(unknowns.names[i], row[i]) for i in taking)
+        first = _leading(unknowns, taking)
+        changes = ", ".join(_change(unknowns, row, int(i), first) for i in taking)
         words.append(f"the recordings do not change with {changes} together, for any d")
     return words
 
 
-def _change(name: str, coefficient: float) -> str:
-    size = abs(coefficient)
-    return f"{name} {'-' if coefficient < 0 else '+'} {'' if abs(size - 1) < 1e-4 else f'{size:.4g} '}d"
+def _change(unknowns: Unknowns, row: np.ndarray, place: int, first: int) -> str:
+    """Change of one unknown in a hidden direction, per change d of the first one that is no reciprocal."""
+    each, lead = unknowns.each[place], unknowns.each[first]
+    if each.kind != "reciprocal":
+        size = row[place] / row[first] * (each.scale / each.per_unit) / (lead.scale / lead.per_unit)
+    elif lead.kind == "reciprocal":
+        size = row[place] / row[first] * lead.scale / each.scale
+    else:
+        force = lead.scale * each.scale * row[first] / row[place]
+        return f"1 / {each.name} {'-' if force < 0 else '+'} d / ({abs(force):.4g} {_over(lead, each)})"
+    times = "" if abs(abs(size) - 1) < 1e-4 else f"{abs(size):.4g} "
+    name = f"1 / {each.name}" if each.kind == "reciprocal" else each.name
+    return f"{name} {'-' if size < 0 else '+'} {times}d"
 
 
 def strongest_correlations(

@@ -2,7 +2,8 @@
 
 Python handles a signal only between two steps of its main thread, and one program of XLA may take half a minute.
 Therefore a separate thread receives the signal through `signal.set_wakeup_fd`. This thread ends the process between two
-writes of files (`gearjax.files`), so that no file is half written.
+writes of files (`gearjax.files`), so that no file is half written. The module needs the standard library only: the
+command listens before it imports JAX, which takes a second.
 """
 
 import atexit
@@ -13,11 +14,13 @@ import sys
 import threading
 from collections.abc import Callable
 
-from gearjax.files import unbroken
-
 CODE = 130  # exit code of a process ended by SIGINT, as in shells
 _PATIENCE = 5.0  # longest wait until a file is written [s]
 _ERASE_LINE = "\r\x1b[2K\x1b[?25h"  # erases a progress bar and shows its hidden cursor again
+
+unbroken = threading.RLock()
+"""Lock that is held while a file is written; taking it before ending the process avoids a partial file."""
+
 _kept: list[Callable[[], str]] = []
 _listening: list[bool] = []
 
