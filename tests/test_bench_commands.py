@@ -64,7 +64,7 @@ def test_identify_writes_what_it_found(files, tmp_path, capsys):
     assert "[reference] is left out" in told.err
     names = {path.name for path in out.iterdir()}
     figures = {"comparison.png", "orders.png", "estimates.png", "residual.png"}
-    assert names == {"identification.json", "identified.toml", "residual.csv", "joint"} | figures
+    assert names == {"identification.json", "identified.toml", "residual.csv", "joint", "written.json"} | figures
     written = json.loads((out / "identification.json").read_text(encoding="utf-8"))
     tables = tomllib.loads((out / "identified.toml").read_text(encoding="utf-8"))
     assert "reference" not in tables

@@ -59,7 +59,7 @@ def test_run_writes_what_it_shows(capsys, tmp_path, fast):
     assert "(2.848)" in out, "published values stand in brackets"
     names = {path.name for path in folder.iterdir()}
     figures = {"schematic.png", "transmission_error.png", "contact_forces.png", "order_spectrum.png"}
-    assert names == {"results.nc", "curves.csv", "metrics.csv"} | figures
+    assert names == {"results.nc", "curves.csv", "metrics.csv", "written.json"} | figures
     with xr.open_dataset(folder / "results.nc", engine="scipy") as stored:
         assert stored.attrs["config"] == FAST
         assert stored.no_load.attrs["units"] == "rad"

@@ -60,7 +60,7 @@ def test_json_and_files(capsys, tmp_path, fast):
     assert found["before"]["amplitude_arcmin"] == pytest.approx(found["objective_before_arcmin"], rel=1e-9)
     assert [case["torque_Nm"] for case in found["after"]["cases"]] == [0.0]
     assert "8 of 8 starts descended and polished" in err
-    names = {"before_after.png", "search.png", "starts.csv", "metrics.csv", "optimised.toml"}
+    names = {"before_after.png", "search.png", "starts.csv", "metrics.csv", "optimised.toml", "written.json"}
     assert {path.name for path in folder.iterdir()} == names
     with (folder / "starts.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

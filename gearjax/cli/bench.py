@@ -67,7 +67,7 @@ def compare(
         from gearjax.plot.identification import save_comparison_figures
 
         written = save_comparison(beside, folder) + save_comparison_figures(beside, folder)
-        told_written(folder, written)
+        told_written(folder, written, "compare")
     if json_:
         print(json.dumps({"config": str(config)} | beside.as_json(), allow_nan=False))
     else:
@@ -108,7 +108,7 @@ def identify(
         with page.drawing():
             written += save_identification_figures(result.found, result.beside, folder)
         written += page.write(f"gearjax identify {config.name}", told, text)
-        told_written(folder, written)
+        told_written(folder, written, "identify")
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:

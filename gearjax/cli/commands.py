@@ -13,6 +13,7 @@ from rich.console import Console
 import gearjax
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
 from gearjax.cli.report import Report, ReportOption
+from gearjax.cli.written import Folder
 from gearjax.files import writable, write_file
 from gearjax.reproduce import NAMES
 from gearjax.units import arcmin
@@ -128,7 +129,7 @@ def _run(
         with page.drawing():
             written += save_figures(scene, cases, folder)
         written += page.write(f"gearjax run {config.name}", told, text)
-        told_written(folder, written)
+        told_written(folder, written, "run")
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
@@ -144,8 +145,9 @@ def noted(page: Report, words: str, kind: str = "note") -> None:
     _progress.print(f"{kind}: {words}", soft_wrap=True)
 
 
-def told_written(folder: Path, files: list[Path]) -> None:
-    say(f"written to {folder}: {', '.join(path.name for path in files)}")
+def told_written(folder: Path, files: list[Path], command: str) -> None:
+    for line in Folder(folder).keep(command, files):
+        say(line)
 
 
 def _graded(scene: "Scene") -> "list[GradedGear]":
@@ -247,7 +249,7 @@ def optimise(
         written = save_optimisation(optimisation, text, folder, config.parent)
         with page.drawing():
             written += save_optimisation_figures(optimisation, folder)
-        told_written(folder, written + page.write(f"gearjax optimise {config.name}", told, text))
+        told_written(folder, written + page.write(f"gearjax optimise {config.name}", told, text), "optimise")
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
@@ -293,7 +295,7 @@ def tradeoff(
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
-        told_written(folder, save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder))
+        told_written(folder, save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder), "tradeoff")
     if json_:
         entries = tradeoff_as_json(str(config), comparison)
         if shifted:
@@ -338,7 +340,7 @@ def tolerance(
         written = save_tolerance(results, work, text, folder, config.parent)
         with page.drawing():
             written += save_tolerance_figures(results, folder)
-        told_written(folder, written + page.write(f"gearjax tolerance {config.name}", told, text))
+        told_written(folder, written + page.write(f"gearjax tolerance {config.name}", told, text), "tolerance")
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:

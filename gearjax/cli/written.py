@@ -1,0 +1,57 @@
+"""Which files of a folder belong to which command, so that results of different runs are not taken for one."""
+
+import json
+from pathlib import Path
+
+from gearjax.files import write_file
+
+NAME = "written.json"
+
+
+class Folder:
+    """A folder of results, and the files that each command wrote into it at last.
+
+    Args:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.commands: dict[str, list[str]] = {}
+        try:
+            known = json.loads((path / NAME).read_text(encoding="utf-8"))
+            self.commands = {str(name): [str(file) for file in files] for name, files in known.items()}
+        except (OSError, ValueError, AttributeError, TypeError):
+            return  # none yet, or no longer readable: then no file is known
+
+    @property
+    def last(self) -> str | None:
+        """The command that wrote last."""
+        return next(reversed(self.commands), None)
+
+    def of(self, file: str) -> str | None:
+        """The command that a file belongs to; ``None`` if it is not known."""
+        return next((name for name, files in self.commands.items() if file in files), None)
+
+    def keep(self, command: str, files: list[Path]) -> list[str]:
+        """Note what a command wrote, and remove what only an earlier run of the same command wrote.
+
+        The result is what to say about it, as lines.
+        """
+        own = [path.relative_to(self.path).as_posix() for path in files]
+        earlier = self.commands.pop(command, [])
+        others = {name: [file for file in kept if file not in own] for name, kept in self.commands.items()}
+        stale = [file for file in earlier if file not in own and not any(file in kept for kept in others.values())]
+        removed = [file for file in stale if self._removed(file)]
+        self.commands = others | {command: own}
+        write_file(self.path / NAME, json.dumps(self.commands, indent=1) + "\n")
+        lines = [f"written to {self.path}: {', '.join(path.name for path in files)}"]
+        return lines + [f"removed, of the gearjax {command} before: {', '.join(removed)}"] * bool(removed)
+
+    def _removed(self, file: str) -> bool:
+        """Remove a file; false if it is not there, or not within the folder."""
+        path = self.path / file
+        if ".." in path.parts or not path.is_file():
+            return False
+        path.unlink()
+        return True
