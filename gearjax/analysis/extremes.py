@@ -45,9 +45,8 @@ def extremes_of_samples(theta: Float[Array, " n"], values: Float[Array, " n"]) -
 def extremes(curve: Curve, physics: Any, theta: Float[Array, " n"], values: Float[Array, " n"]) -> Extremes:
     """Extremes of ``curve(physics, theta)`` over the span of ``theta``, including kinks between samples.
 
-    Differentiable in ``physics`` and, where an extreme is at an end of the record, in ``theta``; not in ``values``. The
-    place of an extreme is held fixed, so that second derivatives leave out its movement. The extremes are nan if a
-    sample is.
+    The values are twice differentiable in ``physics`` and, where an extreme is at an end of the record, once in
+    ``theta``; not in ``values``. The places have no derivatives. The extremes are nan if a sample is.
 
     Args:
         curve: the curve. It must not close over traced arrays: these belong to its parameters.
@@ -177,31 +176,68 @@ def _at_jvp(
 ) -> tuple[Array, Array]:
     """At a kink the derivative is the mean of both sides, weighted so that the slopes cancel.
 
-    The place of a kink moves with the parameters, and by these weights the movement does not count.
+    The place of a kink moves with the parameters, and by these weights the movement does not count. In the derivative
+    of this mean it does: there the sides go with the place.
     """
     ((physics, ends),), ((moves, ends_move),) = primals, tangents
-    frozen = jax.lax.stop_gradient(physics)
-
-    def slope(angle: Scalar) -> Scalar:
-        return jax.jvp(lambda a: curve(frozen, a), (angle,), (jnp.ones_like(angle),))[1]
-
-    before, behind = jax.vmap(slope)(sides.reshape(-1)).reshape(2, -1)
+    moved = _moved(physics, curve=curve, places=places, sides=sides)
+    beside = sides + (moved - places)[None]
+    before, behind = _slopes(curve, physics, beside)
     kinked = before * behind < 0
     share = jnp.where(kinked, behind / jnp.where(kinked, behind - before, 1.0), 0.5)
-    points = jnp.where(kinked, sides, jnp.stack([places, places]))
-    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
-    moving, still = eqx.partition(physics, is_moved)
-
-    def mean(moving: Any) -> Array:
-        found = jax.vmap(curve, (None, 0))(eqx.combine(moving, still), points.reshape(-1)).reshape(2, -1)
-        return share * found[0] + (1.0 - share) * found[1]
-
-    change = jax.jvp(mean, (moving,), (moves,))[1]
+    found = _along(curve, physics, moves, jnp.where(kinked[None], beside, moved[None]))
+    change = share * found[0] + (1.0 - share) * found[1]
     if ends_move is not None:  # an extreme at an end of the record goes with it
         change = change + jnp.where(places == ends[0], before * ends_move[0], 0.0)
         change = change + jnp.where(places == ends[1], behind * ends_move[1], 0.0)
     # called again and not given back as they are: the values themselves have derivatives when this is differentiated
     return _at((physics, ends), curve=curve, places=places, sides=sides, values=values), change
+
+
+def _slopes(curve: Curve, physics: Any, points: Float[Array, "side sign"]) -> Float[Array, "side sign"]:
+    """Slopes of the curve by the angle."""
+
+    def slope(angle: Scalar) -> Scalar:
+        return jax.jvp(lambda a: curve(physics, a), (angle,), (jnp.ones_like(angle),))[1]
+
+    return jax.vmap(slope)(points.reshape(-1)).reshape(points.shape)
+
+
+def _along(curve: Curve, physics: Any, moves: Any, points: Float[Array, "side sign"]) -> Float[Array, "side sign"]:
+    """Change of the curve at fixed angles, as the parameters that have a tangent move."""
+    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
+    moving, still = eqx.partition(physics, is_moved)
+
+    def values(moving: Any) -> Array:
+        return jax.vmap(curve, (None, 0))(eqx.combine(moving, still), points.reshape(-1)).reshape(points.shape)
+
+    return jax.jvp(values, (moving,), (moves,))[1]
+
+
+@eqx.filter_custom_jvp
+def _moved(physics: Any, *, curve: Curve, places: Array, sides: Array) -> Array:
+    """The places of the extremes, as they move with the parameters."""
+    del physics, curve, sides
+    return places
+
+
+@_moved.def_jvp
+def _moved_jvp(primals: tuple, tangents: tuple, *, curve: Curve, places: Array, sides: Array) -> tuple[Array, Array]:
+    """Where the lines through both sides meet; for a smooth extreme, where the slope vanishes."""
+    (physics,), (moves,) = primals, tangents
+    before, behind = _slopes(curve, physics, sides)
+    kinked = before * behind < 0
+    rise = _along(curve, physics, moves, sides)
+    at_kink = (rise[1] - rise[0]) / jnp.where(kinked, before - behind, 1.0)
+
+    def slope(physics: Any, angle: Scalar) -> Scalar:
+        return _slopes(curve, physics, angle[None, None])[0, 0]
+
+    tilt = _along(slope, physics, moves, places[None])[0]
+    bend = _slopes(slope, physics, places[None])[0]
+    smooth = (sides[0] < places) & (places < sides[1]) & (bend != 0)
+    at_top = jnp.where(smooth, -tilt / jnp.where(smooth, bend, 1.0), 0.0)
+    return _moved(physics, curve=curve, places=places, sides=sides), jnp.where(kinked, at_kink, at_top)
 
 
 def highest(bounds: Float[Array, " m"], number: int) -> Int[Array, " k"]:

@@ -71,7 +71,7 @@ def _ratio_error(scene: Scene, theta: Float[Array, " n"]) -> RatioError:
     def at(angle: Scalar) -> tuple[Scalar, Scalar]:
         ones = jnp.ones_like(angle)
         ideal = jax.jvp(scene.system.output, (angle,), (ones,))[1]
-        return ideal, jax.jvp(lambda angle: edge(scene, angle, derivatives=2), (angle,), (ones,))[1]
+        return ideal, jax.jvp(lambda angle: edge(scene, angle), (angle,), (ones,))[1]
 
     return RatioError(theta, *jax.vmap(at)(theta))
 

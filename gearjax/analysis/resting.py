@@ -83,38 +83,33 @@ class Interference(eqx.Module):
         }
 
 
-def edge(scene: Scene, angle: Scalar | Pose, *, derivatives: int = 1) -> Scalar:
-    """Lower edge of the backlash at an angle: position of the output at which the first driving flank touches [rad].
-
-    Args:
-        scene: the scene.
-        angle: input angle [rad], or the pose at that angle.
-        derivatives: order up to which derivatives are right if the geometry is exact; otherwise all are right.
-    """
-    place = _about(_lower, scene, angle)
-    for _ in range(derivatives if scene.system.exact else 1):  # each round adds one order of right derivatives
-        place = _lower(place, scene, angle)
-    assert place is not None  # the loop runs at least once
-    return place
+def edge(scene: Scene, angle: Scalar | Pose) -> Scalar:
+    """Lower edge of the backlash at an angle: position of the output at which the first driving flank touches [rad]."""
+    return _touching(_lower, scene, angle)
 
 
 def edges(scene: Scene, angle: Scalar | Pose) -> tuple[Scalar, Scalar]:
     """Both edges of the backlash [rad], for a scene with back flanks."""
     if scene.system.exact:
-        return edge(scene, angle), _upper(_about(_upper, scene, angle), scene, angle)
+        return edge(scene, angle), _touching(_upper, scene, angle)
     lower, upper = first_contact(scene.contacts(angle), scene.contact)
     assert upper is not None  # the caller requires back flanks
     return lower, upper
 
 
-def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int = 1) -> Equilibrium:
+def _touching(position: Callable[..., Scalar], scene: Scene, angle: Scalar | Pose) -> Scalar:
+    """Position of the output at which bodies touch, with all its derivatives [rad]."""
+    place = position(_about(position, scene, angle), scene, angle)
+    return _held((place, ()), (scene, angle), whole=_Touch(position))[0] if scene.system.exact else place
+
+
+def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Equilibrium:
     """Equilibrium under a load torque at an angle, with the mean stiffness and the scene's contact law.
 
     Args:
         scene: the scene, with a compliance.
         angle: input angle [rad], or the pose at that angle.
         torque: load torque [N m].
-        derivatives: order up to which derivatives are right if the geometry is exact; otherwise also second ones are.
     """
     if not scene.system.exact:
         return equilibrium(scene.contacts(angle, "mean"), -torque, scene.contact)
@@ -128,20 +123,13 @@ def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar, *, derivatives: int
     start = jnp.zeros_like(scene.system.input_speed), jnp.zeros((), int)
     place, result = jax.lax.fori_loop(0, ROUNDS, straight, start)
 
-    def moment(at: Scalar) -> tuple[Scalar, ContactSet]:
-        contacts = scene.contacts(angle, "mean", at)
-        forces = spring_forces(contacts, scene.contact)(contacts.lever * at - contacts.gap)
-        return (contacts.lever * forces).sum(), contacts
-
-    # each further Newton step, in which the levers change too, adds one order of right derivatives
-    position = place
-    for _ in range(derivatives):
-        total, slope, contacts = jax.jvp(moment, (position,), (jnp.ones_like(place),), has_aux=True)
-        slope = jax.lax.stop_gradient(slope)
-        lower, upper = first_contact(contacts, scene.contact)
-        touching = lower if upper is None else jnp.where(torque < 0, upper, lower)
-        position = jnp.where(slope > 0, position - (total + torque) / jnp.where(slope > 0, slope, 1.0), touching)
+    # a Newton step in which the levers change too; it has right first derivatives
+    given = scene, angle, torque
+    (total, _, touching, contacts), (slope, *_) = _along(lambda at: _balance(at, given), place)
+    slope = jax.lax.stop_gradient(slope)
+    position = jnp.where(slope > 0, place - total / jnp.where(slope > 0, slope, 1.0), touching)
     forces = spring_forces(contacts, scene.contact)(contacts.lever * position - contacts.gap)
+    position, (forces,) = _held((position, (forces,)), given, whole=_balance)
     good = result == 0
     return Equilibrium(jnp.where(good, position, jnp.nan), jnp.where(good, forces, 0.0), result)
 
@@ -153,7 +141,7 @@ def resistance(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> tuple[Equi
     """
 
     def position(load: Scalar) -> tuple[Scalar, Equilibrium]:
-        balanced = rest(scene, angle, load, derivatives=2)
+        balanced = rest(scene, angle, load)
         return balanced.position, balanced
 
     _, way, balanced = jax.jvp(position, (torque,), (jnp.ones_like(torque),), has_aux=True)
@@ -169,6 +157,65 @@ def carriers(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Int[Array, "
 def clash(scene: Scene, angle: Scalar | Pose) -> Overlap:
     """Least overlap of the rigid bodies at an angle, for a scene with back flanks."""
     return least_overlap(scene.contacts(angle, position=_about(_deepest, scene, angle)))
+
+
+# derivatives of positions in exact geometry, of any order ---------------------------------------------------------
+
+
+def _along(function: Callable[[Scalar], tuple], at: Scalar) -> tuple[tuple, tuple]:
+    """Values of a function of the position, and their slopes."""
+    return jax.jvp(function, (at,), (jnp.ones_like(at),))
+
+
+def _balance(at: Scalar, given: tuple) -> tuple[Scalar, tuple[Array], Scalar, ContactSet]:
+    """Of a position: torque that is missing, forces, the position at which the loaded side touches, contacts there."""
+    scene, angle, torque = given
+    contacts = scene.contacts(angle, "mean", at)
+    forces = spring_forces(contacts, scene.contact)(contacts.lever * at - contacts.gap)
+    lower, upper = first_contact(contacts, scene.contact)
+    touching = lower if upper is None else jnp.where(torque < 0, upper, lower)
+    return (contacts.lever * forces).sum() + torque, (forces,), touching, contacts
+
+
+class _Touch(eqx.Module):
+    """Like `_balance` for bodies that touch, which carry no torque."""
+
+    position: Callable[..., Scalar] = eqx.field(static=True)
+
+    def __call__(self, at: Scalar, given: tuple) -> tuple[Scalar, tuple[()], Scalar, None]:
+        return jnp.zeros_like(at), (), self.position(at, *given), None
+
+
+@eqx.filter_custom_jvp
+def _held(found: tuple[Scalar, tuple], given: Any, *, whole: Callable[..., tuple]) -> tuple[Scalar, tuple]:
+    """A position and what follows from it, as they are, with derivatives of any order.
+
+    Those of the Newton step that ``found`` comes from are right to first order only. Here the implicit function theorem
+    gives the change of the position, evaluated at the position with its own derivatives.
+
+    Args:
+        found: the position, and the further results of ``whole`` there.
+        given: what they depend on, a tree of arrays.
+        whole: function of the position and of ``given``: what has to vanish, further results, the position at which
+            bodies touch, which counts where nothing carries, and anything else.
+    """
+    del given, whole
+    return found
+
+
+@_held.def_jvp
+def _held_jvp(primals: tuple, tangents: tuple, *, whole: Callable[..., tuple]) -> tuple[Any, Any]:
+    (found, given), (_, moves) = primals, tangents
+    found = _held(found, given, whole=whole)
+    moving, still = eqx.partition(
+        given, jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda m: m is None)
+    )
+    (_, _, _, _), (slope, by_position, _, _) = _along(lambda at: whole(at, given), found[0])
+    _, (lacking, by_rest, touching, _) = jax.jvp(
+        lambda moving: whole(found[0], eqx.combine(moving, still)), (moving,), (moves,)
+    )
+    change = jnp.where(slope > 0, -lacking / jnp.where(slope > 0, slope, 1.0), touching)
+    return found, (change, jax.tree.map(lambda rest, own: rest + own * change, by_rest, by_position))
 
 
 Place = Scalar | None

@@ -55,14 +55,14 @@ def _of_one_mesh(contacts: ContactSet) -> Overlap:
     def highest(position: Scalar) -> Int[Array, ""]:
         return jnp.argmax(lever * position - gap).astype(jnp.int32)
 
-    def crossing(falling: Int[Array, ""], rising: Int[Array, ""]) -> Scalar:
+    def crossing(lever: Array, gap: Array, falling: Int[Array, ""], rising: Int[Array, ""]) -> Scalar:
         apart = lever[rising] - lever[falling]
         meet = (gap[rising] - gap[falling]) / jnp.where(apart > 0, apart, 1.0)
         return jnp.clip(jnp.where(apart > 0, meet, 0.0), -FURTHEST, FURTHEST)
 
     def advance(state: tuple) -> tuple:
         falling, rising, _, step = state
-        new = highest(crossing(falling, rising))
+        new = highest(crossing(lever, gap, falling, rising))
         falls = lever[new] < 0
         done = new == jnp.where(falls, falling, rising)
         return jnp.where(falls, new, falling), jnp.where(falls, rising, new), done, step + 1
@@ -72,7 +72,7 @@ def _of_one_mesh(contacts: ContactSet) -> Overlap:
     falling, rising, _, _ = jax.lax.while_loop(
         lambda state: ~state[2] & (state[3] < MOST_STEPS), advance, (*start, ~both, 0)
     )
-    position = crossing(falling, rising)
+    position = crossing(contacts.lever, contacts.gap, falling, rising)  # only the search has no derivatives
     # both contacts have the same overlap; the contact with the shorter lever is the harder one to open
     contact = jnp.where(jnp.abs(lever[rising]) < jnp.abs(lever[falling]), rising, falling)
     overlap = contacts.lever[contact] * position - contacts.gap[contact]

@@ -78,7 +78,7 @@ def pair_figure(scene: Scene, theta: float, forces: ArrayLike) -> Figure:
     for number, zone in enumerate(zones):
         teeth, bars = axes[2 * number : 2 * number + 2]
         centres = _draw_teeth(teeth, system, zone, factor, largest)
-        _draw_loads(bars, zone, centres)
+        _draw_loads(bars, zone, centres, np.pi * float(system.module) / mm)
         bars.set(xlim=teeth.get_xlim(), ylim=(0.0, 1.25 * max(float(zone.loads.max()) for zone in zones) or 1.0))
         crank = system.orders["crank"] * theta + 2 * np.pi * number / len(zones)
         gear = f"gear_{number + 1} in the ring, crank at {np.degrees(crank) % 360:.1f} deg, {flanks}"
@@ -213,10 +213,9 @@ def _outline(gear: InvoluteGear, place: np.ndarray, behind: np.ndarray | None) -
     return np.concatenate([rim[:POINTS][::-1], teeth, rim[POINTS:][::-1]])
 
 
-def _draw_loads(ax: Axes, zone: Zone, centres: np.ndarray) -> None:
+def _draw_loads(ax: Axes, zone: Zone, centres: np.ndarray, pitch: float) -> None:
     """Draw the load of every pair below the teeth, with the smallest gap of the pair before the load."""
-    width = 0.6 * float(np.diff(centres).mean())
-    ax.bar(centres, zone.loads, width, color="tab:red", alpha=0.7)
+    ax.bar(centres, zone.loads, 0.6 * pitch, color="tab:red", alpha=0.7)
     for centre, load, gap in zip(centres, zone.loads, zone.gap.min(axis=1), strict=True):
         words = f"{load:.0f} N\n" if load > 0 else ""
         words += f"gap {max(gap, 0.0) / um:.2f} um"

@@ -95,7 +95,8 @@ class InvoluteRV(AbstractSystem):
         internal_dedendum: dedendum of the internal gear from the shifted reference circle, in modules [-].
         gears: number of external gears.
         pairs: number of candidate pairs per flank and external gear. It must be larger than the number of pairs that
-            carry the highest torque; `transmission_error` warns if the outermost candidates carry.
+            carry the highest torque; `transmission_error` warns if the outermost candidates carry. With 1, each gear
+            carries on a single pair, without a warning.
         profile_points: number of candidate contacts of each pair along the profile.
         face_points: number of candidate contacts of each pair across the face.
         sun_teeth: tooth number of the sun of the first stage; give all numbers of the first stage or none.
@@ -304,7 +305,10 @@ class InvoluteRV(AbstractSystem):
 
     def _places(self, at: Candidates) -> Places:
         pair = at.pair
-        radii = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
+        external, internal = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
+        # teeth that are too far apart to face each other have no such places: those at the tips take their place
+        tips = pair.external.tip_radius, pair.internal.tip_radius
+        radii = jnp.where(external > tips[0], tips[0], external), jnp.where(internal < tips[1], tips[1], internal)
         face = jnp.linspace(-0.5, 0.5, self.face_points) if self.face_points > 1 else jnp.zeros(1)
         tooth = at.side[..., 0] * at.tooth.astype(at.side.dtype)  # back flanks are given as their mirror image
         return Places((pair.external, pair.internal), radii, tooth, at.shared, face.astype(tooth.dtype))
