@@ -118,6 +118,9 @@ def check_coupled(scene: Scene) -> None:
     number, influence = len(scene.layout.side), np.asarray(evaluated(_influence, scene.springs_alone))
     if influence.shape != (number, number):
         raise SceneError(f"[compliance]: its matrix has shape {influence.shape}, this scene has {number} contacts")
+    if not np.isfinite(influence).all():
+        words = "; candidates far from the contact have no place on their teeth: give fewer system.pairs"
+        raise SceneError(f"[compliance]: its matrix is not finite{words if scene.system.has_places else ''}")
     if not np.allclose(influence, influence.T, rtol=1e-6, atol=0.0):
         raise SceneError("[compliance]: its matrix is not symmetric")
     smallest = float(np.linalg.eigvalsh(influence)[0])

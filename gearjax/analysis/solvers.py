@@ -21,6 +21,7 @@ from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 
 LONGEST_STEP = 1.0  # rad of the fastest motion per step; Runge-Kutta is stable up to 2.8
+MOST_BETWEEN = 10_000_000  # steps between two samples
 LONG = QUICK[0].steps  # steps of a long block; if samples are further apart, blocks have at least half as many
 
 
@@ -65,6 +66,15 @@ class Windows(NamedTuple):
     warm_up: float
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
+
+
+def _check_solver(solver: object) -> None:
+    if not isinstance(solver, diffrax.AbstractSolver):
+        raise SceneError(f"solver = {solver!r:.40}: must be a solver, such as gj.RungeKutta4() or diffrax.Tsit5()")
+
+
 class FixedStep(eqx.Module):
     """Even steps between samples.
 
@@ -86,8 +96,16 @@ class FixedStep(eqx.Module):
     def __check_init__(self):
         if not (math.isfinite(self.step) and self.step > 0):
             raise SceneError(f"step = {self.step:g} s: must be above 0")
-        if self.per_sample is not None and self.per_sample < 1:
-            raise SceneError(f"per_sample = {self.per_sample}: must be at least 1")
+        if self.per_sample is not None and not _is_whole(self.per_sample):
+            raise SceneError(f"per_sample = {self.per_sample}: must be a whole number, at least 1")
+        _check_solver(self.solver)
+        if self.windows is None:
+            return
+        number, warm_up = self.windows
+        if not _is_whole(number):
+            raise SceneError(f"windows: number = {number}: must be a whole number, at least 1")
+        if not 0 <= warm_up < math.inf:
+            raise SceneError(f"windows: warm_up = {warm_up} s: must be a time, at least 0")
 
     def steps(self, ts: Array | np.ndarray) -> int:
         """Number of steps between two samples."""
@@ -96,6 +114,9 @@ class FixedStep(eqx.Module):
         if not is_concrete(ts):
             raise SceneError("ts is traced: its spacing is unknown, give stepper=FixedStep(per_sample=...)")
         fewest = max(1, math.ceil(float(np.diff(np.asarray(ts)).max(initial=0.0)) / self.step - 1e-6))
+        if fewest > MOST_BETWEEN:
+            words = f"asks for {fewest:.2g} steps between samples, more than {MOST_BETWEEN:.0g}"
+            raise SceneError(f"step = {self.step:g} s: {words}")
         return next(n for n in itertools.count(fewest) if n <= LONG or any(n % k == 0 for k in range(LONG // 2, LONG)))
 
 
@@ -114,6 +135,16 @@ class AdaptiveStep(eqx.Module):
     solver: diffrax.AbstractSolver = diffrax.Dopri8()
     max_steps: int = eqx.field(static=True, default=10_000_000)
     adjoint: diffrax.AbstractAdjoint = diffrax.RecursiveCheckpointAdjoint()
+
+    def __check_init__(self):
+        for name, value in (("rtol", self.rtol), ("atol", self.atol)):
+            if is_concrete(value) and not 0 <= float(value) < math.inf:
+                raise SceneError(f"{name} = {value}: must be a tolerance, such as 1e-8")
+        if is_concrete((self.rtol, self.atol)) and not float(self.rtol) + float(self.atol) > 0:
+            raise SceneError("rtol = atol = 0: one of them must be above 0, such as 1e-8")
+        if not _is_whole(self.max_steps):
+            raise SceneError(f"max_steps = {self.max_steps}: must be a whole number, at least 1")
+        _check_solver(self.solver)
 
 
 Stepper = FixedStep | AdaptiveStep

@@ -115,7 +115,7 @@ def _priors(given: Any, scene: Scene) -> dict[str, Any]:
     for path, value in given.items():
         key, parameter = f"identify.priors.{path}", _parameter(path, scene, known)
         values = value if isinstance(value, list) else [value]
-        if len(values) not in (1, 2):
+        if isinstance(value, list) and len(value) != 2:
             raise ParameterError(key, value, "must be a standard deviation, or a pair [mean, standard deviation]")
         pair = tuple(read_parameter(key, each, parameter) for each in values)
         if not pair[-1] > 0:

@@ -310,7 +310,10 @@ def check_turned(records: list[Measurement], names: list[str]) -> None:
     for record in records:
         for name, angle in record.turned.items():
             if name not in names:
-                raise ParameterError(f"turned of {record.name}", name, nearest(name, names))
+                words = nearest(name, names) if names else "where has no eccentricity"
+                raise ParameterError(
+                    f"turned of {record.name}", name, f"must be among the eccentricities that are identified; {words}"
+                )
             if not isinstance(angle, int | float | np.number) or not np.isfinite(angle):
                 raise ParameterError(f"turned of {record.name}", angle, "must be a finite angle [rad]")
 

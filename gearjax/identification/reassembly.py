@@ -151,9 +151,9 @@ def reassemble(
     """
     vectors = found.unknowns.vectors
     paths = list(vectors) if where is None else [where] if isinstance(where, str) else list(where)
-    for path in [*paths, *(steps or {})]:
+    for argument, path in [*(("where", path) for path in paths), *(("steps", path) for path in steps or {})]:
         if path not in vectors:
-            raise ParameterError("where", path, f"is not an identified eccentricity; {nearest(path, vectors)}")
+            raise ParameterError(argument, path, f"is not an identified eccentricity; {nearest(path, vectors)}")
     for path in steps or {}:
         if path not in paths:
             raise ParameterError("steps", path, f"is not among the errors in where; {nearest(path, paths)}")

@@ -115,6 +115,11 @@ def remarks(scene: Scene) -> list[str]:
         lines.append(
             "without [damping] what the motion starts with never dies away, and at a resonance it grows without limit"
         )
+    asked = [(name, torque) for name, torques in _torques(run).items() for torque in torques]
+    alone = [entry for entry in run.published if not any(_belongs(entry, *case) for case in asked)]
+    if alone:
+        words = ", ".join(f"{entry.analysis} at {entry.torque:g} N m" for entry in alone)
+        lines.append(f"published values of analyses that [run] does not ask for are not shown: {words}")
     missed = _missed_waves(scene, run)
     if missed is not None and words is None:
         lines.append(missed)
@@ -181,7 +186,7 @@ def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 
     if "dynamic" in run.analyses:
         suitable_step(scene, run.duration)  # raises its error before anything is computed
     ts = jnp.asarray(run.times)
-    torques = {name: run.torques if name in ("static", "dynamic") else (0.0,) for name in run.analyses}
+    torques = _torques(run)
     # XLA's threads wait for each other for ever if two programs with many small factorisations run in parallel
     if workers == 1 or couples(scene.compliance):
         for analysis in run.analyses:
@@ -230,16 +235,22 @@ def _metrics_of(result: TransmissionError | Backlash | Motion) -> dict[str, Scal
     return {name: getattr(result, name) for name in METRICS}
 
 
+def _torques(run: Run) -> dict[str, tuple[float, ...]]:
+    """Torques of each analysis of a run [N m]."""
+    return {name: run.torques if name in ("static", "dynamic") else (0.0,) for name in run.analyses}
+
+
+def _belongs(entry: Published, analysis: str, torque: float) -> bool:
+    """Whether published values are those of an analysis under a torque [N m]."""
+    return entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
+
+
 def _case(scene: Scene, run: Run, analysis: str, torque: float, result: TransmissionError | Backlash | Motion) -> Case:
     metrics = {name: float(value) for name, value in _metrics_of(result).items()}
     if not np.isfinite(list(metrics.values())).all():
         raise SceneError(f"{analysis} at {torque:g} N*m: the result is not finite, a value of the scene is too extreme")
     settle = run.settle if analysis == "dynamic" else 0.0
-    published = [
-        entry
-        for entry in run.published
-        if entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
-    ]
+    published = [entry for entry in run.published if _belongs(entry, analysis, torque)]
     cycle = _cycle(scene) / float(scene.system.input_speed)
     return Case(
         analysis, torque, run.duration - settle, settle, cycle, result, metrics, published[0] if published else None

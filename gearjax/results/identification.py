@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gearjax.checks import SceneError
+from gearjax.checks import ParameterError, SceneError
 from gearjax.config import IdentifySection, with_numbers
 from gearjax.files import write_file
 from gearjax.identification import Comparison, Identification, Measurement, Reassembly, compare, identify, reassemble
@@ -57,15 +57,12 @@ def identified(section: IdentifySection, scene: Scene, records: list[Measurement
     ask = section.reassemble
     advice = None
     if ask is not None:
-        advice = reassemble(
-            found,
-            ask.where,
-            steps=ask.places,
-            metric=ask.metric,
-            torque=ask.torque,
-            key=section.seed,
-            progress=progress,
-        )
+        given = {"steps": ask.places, "metric": ask.metric, "torque": ask.torque, "key": section.seed}
+        try:
+            advice = reassemble(found, ask.where, **given, progress=progress)
+        except ParameterError as fault:
+            key = {"steps": "places"}.get(fault.key, fault.key)
+            raise ParameterError(f"identify.reassemble.{key}", fault.given, fault.right) from fault
     return Identified(section, found, beside, advice)
 
 

@@ -172,6 +172,10 @@ class _Task(eqx.Module):
 
         return jax.vmap(one, axis_size=self.number)(self.sets)
 
+    def _lag(self, te: Array) -> Scalar:
+        """Mean of the loaded TE in the direction in which the torque turns the output [rad]."""
+        return jnp.where(self.torque < 0, 1.0, -1.0) * te.mean()
+
     def _radial(self, scene: Scene) -> tuple[Array, Array]:
         """Smallest gap of radial contacts, whose lever is short [m], and the same divided by the mean lever [rad]."""
 
@@ -192,7 +196,7 @@ class _Task(eqx.Module):
 
         def both(values: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
             te, backlash, radial, pressure = self.curves(values)
-            goal = -te.mean() if objective == "mean_lag" else (top(te) + top(-te)).mean()
+            goal = self._lag(te) if objective == "mean_lag" else (top(te) + top(-te)).mean()
             goal_and_slack = goal, limits.slack(self.free.set(self.physics, values), backlash, radial, pressure, margin)
             return goal_and_slack, goal_and_slack
 
@@ -210,7 +214,7 @@ class _Task(eqx.Module):
             overlap = jax.vmap(lambda angle: clash(scene, angle))(self.theta)
             worst = jnp.argmax(overlap.overlap)
             sizes = *sizes, overlap.overlap[worst], overlap.contact[worst], self.theta[worst]
-            return -te.mean(), te.max() - te.min(), *sizes
+            return self._lag(te), te.max() - te.min(), *sizes
 
         each = jax.lax.map(lambda at: one(at[0]), (self.sets, jnp.arange(self.number)))
         return Judged(*each)

@@ -20,7 +20,8 @@ class Judged(eqx.Module):
     """A design under each set of errors, evaluated with the hard contact law.
 
     Args:
-        mean_lag: mean of the loaded transmission error, positive if the output lags, shape (set,) [rad].
+        mean_lag: mean of the loaded transmission error, positive if the output moves as the torque turns it, which is
+            behind for a positive torque, shape (set,) [rad].
         peak_to_peak: peak-to-peak of the loaded transmission error at the samples, shape (set,) [rad].
         minimum_backlash: smallest backlash over the angles, also between samples, shape (set,) [rad].
         mean_backlash: mean backlash over the angles, shape (set,) [rad].

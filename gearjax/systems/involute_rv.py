@@ -305,10 +305,7 @@ class InvoluteRV(AbstractSystem):
 
     def _places(self, at: Candidates) -> Places:
         pair = at.pair
-        external, internal = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
-        # teeth that are too far apart to face each other have no such places: those at the tips take their place
-        tips = pair.external.tip_radius, pair.internal.tip_radius
-        radii = jnp.where(external > tips[0], tips[0], external), jnp.where(internal < tips[1], tips[1], internal)
+        radii = pair.external.radius_at(at.points.roll[0]), pair.internal.radius_at(at.points.roll[1])
         face = jnp.linspace(-0.5, 0.5, self.face_points) if self.face_points > 1 else jnp.zeros(1)
         tooth = at.side[..., 0] * at.tooth.astype(at.side.dtype)  # back flanks are given as their mirror image
         return Places((pair.external, pair.internal), radii, tooth, at.shared, face.astype(tooth.dtype))

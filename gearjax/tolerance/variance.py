@@ -9,6 +9,7 @@
 """
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -141,7 +142,9 @@ def _saltelli(work: Work, number: int, seed: int) -> tuple[np.ndarray, dict]:
 
     paths = work.sample.paths
     problem = {"num_vars": len(paths), "names": list(paths), "bounds": [[0.0, 1.0]] * len(paths)}
-    cube = sobol.sample(problem, number, calc_second_order=False, seed=seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # scipy warns that only powers of two are balanced
+        cube = sobol.sample(problem, number, calc_second_order=False, seed=seed)
     cube = np.clip(cube, 2.0**-33, 1 - 2.0**-33)
     return work.evaluate(work.sample.values(cube))[0], problem
 
