@@ -25,7 +25,7 @@ BESIDE, BESIDE_SINGLE = 1e-7, 2e-3  # distance from an extreme to where slopes a
 
 
 class Extremes(eqx.Module):
-    """Highest and lowest value of a curve, and the input angles of both [rad]."""
+    """Highest and lowest value of a curve, and the input angles of both [rad], which have no derivatives."""
 
     maximum: Scalar
     minimum: Scalar
