@@ -179,6 +179,29 @@ def whole(least: int) -> Checker:
     return check
 
 
+def a_key(name: str, value: Any) -> None:
+    """Refuse anything but a seed, or a random key of JAX."""
+    if value is None or isinstance(value, jax.Array):
+        return
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise ParameterError(name, value, "must be a whole number, at least 0, or a key such as jax.random.key(0)")
+
+
+def a_share(name: str, value: Any) -> None:
+    """Refuse anything but one number above 0 and below 1."""
+    one_number(name, value)
+    number = real(name, value)
+    if number is not None and not 0 < float(number) < 1:
+        raise ParameterError(name, value, "must be above 0 and below 1")
+
+
+def deviations(name: str, value: Any) -> None:
+    """Refuse anything but at least one finite number."""
+    array = finite(name, value)
+    if array is not None and not array.size:
+        raise ParameterError(name, value, "must be at least one deviation")
+
+
 def turn(name: str, value: Any) -> None:
     """Refuse anything but the angle of one turn [rad]."""
     one_positive(name, value)
@@ -256,6 +279,7 @@ KNOWN: dict[str, Checker] = {
     "bounds": pairs,
     "loss": a_loss,
     "at": numbers,
-    "deviations": numbers,
+    "deviations": deviations,
+    "key": whole(0),
 }
 """The checker of each argument name, the same in all functions."""

@@ -1,6 +1,7 @@
 """Identification from recordings that are not as one hopes: other noise, flat valleys, wrong signs."""
 
 import dataclasses
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ from gearjax.identification.weights import noise_of, of_recordings
 from gearjax.units import arcmin, um
 from tests.bench_units import estimates, random_unit, recorded, truth, two_kv
 from tests.conftest import ROOT
+from tests.test_cli import command
 
 ROWS = 2000
 TORQUES = 10.0, 150.0, -40.0
@@ -234,3 +236,21 @@ def test_coarse_encoders_are_named(scene):
     ]
     notes = gj.identify(scene, records, suggest=False, orders=[]).notes
     assert sum("steps of 0.659 arcmin" in each for each in notes) == 3
+
+
+@pytest.mark.slow
+def test_a_torque_against_its_sign_that_only_huge_errors_explain(tmp_path, capsys):
+    """The shipped run under 150 N m can be explained with the wrong sign too, but only by errors of millimetres."""
+    folder = ROOT / "configs" / "two_kv"
+    whole = (folder / "measured.toml").read_text(encoding="utf-8")
+    config, run = tmp_path / "joint.toml", tmp_path / "run.csv"
+    config.write_text(whole[: whole.index("[identify]")], encoding="utf-8")
+    lines = (folder / "measured_forward_150.csv").read_text(encoding="utf-8")
+    run.write_text(lines.replace(",150\n", ",-150\n"), encoding="utf-8")
+    code, _, err = command(capsys, "identify", config, "--measured", run, "--out", tmp_path / "out")
+    assert code == 2
+    assert re.search(
+        r"the torque seems to have the wrong sign: with the other sign errors fall from [\d.e+]+ to \d+ um", err
+    )
+    run.write_text(lines, encoding="utf-8")
+    assert command(capsys, "identify", config, "--measured", run, "--out", tmp_path / "out")[0] == 0

@@ -194,7 +194,8 @@ def _told(unknowns: Unknowns, weights: np.ndarray, first: int, value: float, err
         sign = ("- " if words else "-") if coefficient < 0 else "+ " if words else ""
         if each.kind == "reciprocal":
             factor, name = coefficient * each.scale * (size if inverse else lead.scale), f"1 / {names[place]}"
-            term = name if inverse and place == first else f"{abs(factor):.4g} {_over(lead, each)} / {names[place]}"
+            over = f"{abs(factor):.4g} {_over(lead, each)}".rstrip()
+            term = name if inverse and place == first else f"{over} / {names[place]}"
         else:
             factor, name = coefficient * size / (each.scale / each.per_unit), names[place]
             term = name if abs(abs(factor) - 1) < 1e-4 else f"{abs(factor):.4g} {name}"

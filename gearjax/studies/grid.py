@@ -144,6 +144,7 @@ def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]
         number = round(period / spacing)
         if number < 1 or abs(number * spacing - period) > 1e-9 * period:
             raise ParameterError(f"step of {path}", spacing, f"must divide the period {period:.6g}")
+        _check_levels(path, spacing, number)
         return -period / 2 + spacing * np.arange(number)
     low, high = free.bounds[index]
     if not free.searchable[index]:
@@ -151,9 +152,13 @@ def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]
     if not (math.isfinite(low) and math.isfinite(high) and high >= low):
         raise ParameterError(f"bounds of {path}", (low, high), "must be finite, lowest first")
     number = math.floor((high - low) / spacing + 1e-9) + 1
+    _check_levels(path, spacing, number)
+    return low + spacing * np.arange(number)
+
+
+def _check_levels(path: str, spacing: float, number: int) -> None:
     if number > MOST_COMBINATIONS:
         raise ParameterError(f"step of {path}", spacing, f"gives {number:.3g} levels, more than {MOST_COMBINATIONS:g}")
-    return low + spacing * np.arange(number)
 
 
 Kept = tuple[list[tuple[float, np.ndarray]], int]  # the best (objective and numbers each), and how many were evaluated

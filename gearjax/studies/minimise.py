@@ -99,7 +99,12 @@ class Minimisation(eqx.Module):
         return int((self.objectives <= self.objective + share * abs(self.objective)).sum())
 
 
-@arguments.checked(starts=arguments.starts, polish_steps=arguments.whole(0), temperatures=arguments.numbers)
+@arguments.checked(
+    starts=arguments.starts,
+    polish_steps=arguments.whole(0),
+    temperatures=arguments.numbers,
+    key=arguments.a_key,
+)
 def minimise(
     loss: str | Callable[[Scene], Any] | Term | Sequence[Term] | Objective,
     scene: Scene,
@@ -113,7 +118,7 @@ def minimise(
     steps: int = 30,
     polish_steps: int = 12,
     temperatures: tuple[float, float] = (0.1, 0.0015),
-    key: Array | None = None,
+    key: Array | int = 0,
     progress: Progress | None = None,
 ) -> Minimisation:
     r"""Minimise an objective over numbers of a scene, from many starts at once.
@@ -139,7 +144,7 @@ def minimise(
         steps: number of steps of the descent.
         polish_steps: number of steps of the polish, 0 for none.
         temperatures: first and last temperature of the descent, as shares of the objective at the start.
-        key: random key of the starts.
+        key: seed of the starts, or a random key.
         progress: called with a line of text now and then.
 
     Returns:
@@ -209,11 +214,11 @@ def _check(steps: int, polish_steps: int, temperatures: tuple[float, float]) -> 
     for name, number in (("steps", steps), ("polish_steps", polish_steps)):
         if number < 0:
             raise ParameterError(name, number, "must be at least 0")
-    if not (np.isfinite(temperatures).all() and min(temperatures) > 0):
-        raise ParameterError("temperatures", temperatures, "must be above 0")
+    if np.shape(temperatures) != (2,) or not min(temperatures) > 0:
+        raise ParameterError("temperatures", temperatures, "must be above 0, two numbers: the first and the last")
 
 
-def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | None) -> np.ndarray:
+def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | int) -> np.ndarray:
     if not isinstance(starts, int):
         given = np.asarray(starts, dtype=float)
         if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != len(free.paths):
@@ -221,7 +226,7 @@ def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | None) -
         return np.where(np.isfinite(given), free.wrapped(given), given)
     if starts < 1:
         raise ParameterError("starts", starts, "must be at least 1")
-    key = jax.random.key(0) if key is None else key
+    key = key if isinstance(key, jax.Array) else jax.random.key(key)
     share = np.asarray(jax.random.uniform(key, (starts, len(free.paths))), dtype=float)
     low, high = free.box
     points = low + share * (high - low)

@@ -142,13 +142,14 @@ def pick(scene: Scene, where: Where, bounds: Bounds | None = None) -> Free:
     known = numbers(scene)
     paths = _paths(scene, where, known)
     narrower = {name: limits for path, limits in (bounds or {}).items() for name in members(path, known)}
+    for path in paths:
+        if path not in known:
+            raise ParameterError("where", path, f"is no number of this scene; {nearest(path, known)}")
     for path, limits in narrower.items():
         if path not in paths:
             raise ParameterError(f"bounds of {path}", limits, f"is not free; {nearest(path, paths)}")
     periods, limits, searchable = [], [], []
     for path in paths:
-        if path not in known:
-            raise ParameterError("where", path, f"is no number of this scene; {nearest(path, known)}")
         if paths.count(path) > 1:
             raise ParameterError("where", path, "is listed twice")
         parameter = known[path]

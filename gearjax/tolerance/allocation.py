@@ -66,7 +66,7 @@ class AllocatedTolerances:
 @arguments.checked(
     tolerances=a_population,
     measure=arguments.an(Measure, 'must be a Measure with a limit: Measure("no_load", "peak_to_peak", limit=...)'),
-    required=arguments.one_number,
+    required=arguments.a_share,
     tightest=arguments.one_positive,
     loosest=arguments.one_positive,
     n=arguments.whole(1),
@@ -114,6 +114,8 @@ def allocate(
             raise ParameterError("costs", path, f"is no tolerance; {nearest(path, tolerances.tolerated)}")
     if not costs:
         raise ParameterError("costs", dict(costs), "names no tolerance")
+    if tightest > loosest:
+        raise ParameterError("tightest", tightest, f"must be at most loosest, {loosest:g}")
     tables = [_table(path, given) for path, given in costs.items()]
     paths = tuple(costs)
     places = np.array([tolerances.paths.index(path) for path in paths])

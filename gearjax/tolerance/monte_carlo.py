@@ -119,6 +119,8 @@ class Study:
             ParameterError: the measure has no limit.
         """
         column = self.column(name)
+        if limit is not None and np.isnan(limit):
+            raise ParameterError("limit", limit, "must be a number")
         if limit is not None:
             return statistics.share(column <= limit, self.sizes)
         measure = next((m for m in self.measures if m.name == name and m.is_limited), None)
@@ -295,7 +297,7 @@ class Work:
         return Study(self.names, values, result, self.sizes, self.measures, *seconds)
 
 
-@arguments.checked(n=arguments.whole(1), chunk=arguments.whole(1))
+@arguments.checked(n=arguments.whole(1), chunk=arguments.whole(1), key=arguments.a_key)
 def monte_carlo(
     sample: Any,
     measure: Any,
