@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from tests.conftest import ROOT
 
 METRICS = ("peak_to_peak", "amplitude", "mean", "std")
 # the smooth laws take long to compile
@@ -150,3 +151,24 @@ def test_the_check_can_fail(scene, angles):
 
     with pytest.raises(AssertionError):
         check(wrong, scene, ["amplitude"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "torque"),
+    [("two_kv/wang_2020", 100.0), ("rv_cycloidal/hu_2020", 784.0), ("helical/two_stage", 100.0)],
+)
+@pytest.mark.parametrize("law", [gj.SoftplusContact, gj.QuadraticContact])
+def test_the_width_of_a_smooth_law(name, torque, law):
+    """In reverse mode too, where a search finds the equilibrium: in closed form, of many contacts, of several meshes."""
+    width = 5e-7
+    scene = dataclasses.replace(gj.load(ROOT / "configs" / f"{name}.toml"), contact=law(width))
+
+    def mean(width):
+        own = eqx.tree_at(lambda s: s.contact.width, scene, width)
+        return gj.transmission_error(own, jnp.array([0.5, 1.3]), torque).te.sum()
+
+    forward, reverse = jax.jit(jax.jacfwd(mean))(width), jax.jit(jax.grad(mean))(width)
+    central = (mean(width * 1.001) - mean(width * 0.999)) / (0.002 * width)
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-9, abs=1e-9)
+    assert float(reverse) == pytest.approx(float(central), rel=1e-4, abs=1e-6)

@@ -92,23 +92,23 @@ def search(contacts: ContactSet, applied: Scalar, law: AbstractContact) -> tuple
         law: contact law.
     """
 
-    def sums(contacts: ContactSet, applied: Scalar, position: Scalar) -> tuple[Scalar, Scalar]:
+    def sums(contacts: ContactSet, law: AbstractContact, applied: Scalar, position: Scalar) -> tuple[Scalar, Scalar]:
         lever, force = contacts.lever, spring_forces(contacts, law)
         overlap = lever * position - contacts.gap
         pressed, stiffness = jax.jvp(force, (overlap,), (jnp.ones_like(overlap),))
         return (lever * pressed).sum() - applied, (lever * lever * stiffness).sum()
 
-    frozen, weight = jax.lax.stop_gradient((contacts, applied))
+    frozen, still, weight = jax.lax.stop_gradient((contacts, law, applied))
     side = jnp.where(weight > 0, frozen.lever > 0, frozen.lever < 0)
     overlap = jnp.full_like(frozen.gap, TYPICAL)
-    stiffness = jax.jvp(spring_forces(frozen, law), (overlap,), (jnp.ones_like(overlap),))[1]
+    stiffness = jax.jvp(spring_forces(frozen, still), (overlap,), (jnp.ones_like(overlap),))[1]
     steepness = jnp.where(side, frozen.lever * frozen.lever * stiffness, 0.0).sum()
     safe = jnp.where(steepness > 0, steepness, 1.0)
     begin = jnp.where(steepness > 0, weight / safe, jnp.nan)
-    position, ended = newton(lambda position: _ratio(*sums(frozen, weight, position), safe), begin, jnp.abs(begin))
+    position, ended = newton(lambda at: _ratio(*sums(frozen, still, weight, at), safe), begin, jnp.abs(begin))
     position = jnp.where(ended, position, 0.0)
     for _ in range(last_steps(contacts, law)):
-        excess, slope = sums(contacts, applied, position)
+        excess, slope = sums(contacts, law, applied, position)
         # without a closed contact there is no load, and the first contact just touches at zero
         position = jnp.where(slope > 0, position - excess / jnp.where(slope > 0, slope, 1.0), 0.0)
     forces = spring_forces(contacts, law)(contacts.lever * position - contacts.gap)

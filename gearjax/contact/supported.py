@@ -60,19 +60,19 @@ def supported(
         no contact can carry the load, 3 if the search did not end. With 1 and 3 the displacements are nan and the
         forces zero.
     """
-    frozen, weight = jax.lax.stop_gradient((contacts, applied))
+    frozen, weight, still = jax.lax.stop_gradient((contacts, applied, law))
     unloaded = weight == 0
     weight = jnp.where(unloaded, -1.0, weight)
     loaded = frozen.loaded(weight)
     able = jnp.stack([loaded[own].any() for _, own in frozen.stages]).all()
     typical = jnp.full_like(frozen.gap, TYPICAL)
-    stiffness = jax.jvp(spring_forces(frozen, law), (typical,), (jnp.ones_like(typical),))[1]
+    stiffness = jax.jvp(spring_forces(frozen, still), (typical,), (jnp.ones_like(typical),))[1]
     whole = _bending(frozen, jnp.where(loaded, stiffness, 0.0))
     scale = jnp.sqrt(jnp.where(able, jnp.diagonal(whole), 1.0))
     pull = jnp.zeros_like(scale).at[0].set(weight)
     closed = pull + frozen.jacobian.T @ jnp.where(loaded, stiffness * frozen.gap, 0.0)
     start = _solve(whole, closed, scale)
-    place, ended = _search(frozen, weight, law, jnp.where(able, start, 0.0), whole, scale)
+    place, ended = _search(frozen, weight, still, jnp.where(able, start, 0.0), whole, scale)
     for _ in range(last_steps(contacts, law)):
         excess, stiffness = _excess(contacts, applied, law, place)
         step = _solve(_bending(contacts, stiffness) + SLIGHTLY**2 * whole, excess, scale)
