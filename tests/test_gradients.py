@@ -160,7 +160,7 @@ def test_the_check_can_fail(scene, angles):
 )
 @pytest.mark.parametrize("law", [gj.SoftplusContact, gj.QuadraticContact])
 def test_the_width_of_a_smooth_law(name, torque, law):
-    """In reverse mode too, where a search finds the equilibrium: in closed form, of many contacts, of several meshes."""
+    """In reverse mode too: equilibria in closed form, by a search of many contacts, and of several meshes."""
     width = 5e-7
     scene = dataclasses.replace(gj.load(ROOT / "configs" / f"{name}.toml"), contact=law(width))
 

@@ -88,8 +88,9 @@ def torque_sweep(
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
     turns = scene.system.orders[order]
     _check_periods(theta, turns, order, harmonics)
-    if is_concrete(theta):
-        angle = float(theta[-1] + theta[1] - 2 * theta[0])
+    if is_concrete((theta, scene)):
+        known = np.asarray(theta)
+        angle = float(known[-1] + known[1] - 2 * known[0])
         words = what_differs(scene.physics("backlash", "compliance"), angle)
         if words is not None:
             again = f"after theta's {angle:.6g} rad {words}: the harmonics contain the jump at the end of the record"
