@@ -83,8 +83,7 @@ def test_against_differences_of_gradients(case):
     slope, step = jax.jit(jax.grad(of)), 1e-3 * float(abs(here))
     near, far = ((slope(here + n * step) - slope(here - n * step)) / (2 * n * step) for n in (1, 2))
     difference = (4 * near - far) / 3  # of fourth order
-    # second derivatives of exact levers, which forces depend on, are third ones of distances between flanks
-    exact = pytest.approx(float(difference), rel=1e-3 if case.endswith("force") else 1e-4)
+    exact = pytest.approx(float(difference), rel=1e-4)
     assert float(jax.jit(jax.hessian(of))(here)) == exact
     assert float(jax.jacfwd(jax.jacfwd(of))(here)) == exact
 

@@ -282,8 +282,8 @@ class PitchCurves(eqx.Module):
 
         The derivative is by the driven gear's angle. The flanks of one side are parallel curves, so that the distance
         is the same for all teeth. Newton's method finds two unknowns: the parameters of both pitch curves at which the
-        normals of the flanks lie on one line. The distance is stationary in both parameters. One more step carries
-        their derivatives.
+        normals of the flanks lie on one line. The distance is stationary in both parameters, its derivative is not. One
+        more step carries their first derivatives, `_feet` carries all.
 
         Args:
             placed: positions of both gears.
@@ -298,8 +298,8 @@ class PitchCurves(eqx.Module):
         start = jnp.broadcast_to(frozen[1].driver, jnp.broadcast_shapes(jnp.shape(placed.driver), side.shape))
         place = jax.lax.fori_loop(0, STEPS, search, (start, start))
         lines = _Lines(self, placed, side, *place)
-        own, other = lines.stepped(jax.lax.stop_gradient(lines.slopes))
-        return _Lines(self, placed, side, own, other).distance
+        place = _feet(lines.stepped(jax.lax.stop_gradient(lines.slopes)), (self, placed), side=side)
+        return _Lines(self, placed, side, *place).distance
 
 
 class Placed(NamedTuple):
@@ -368,3 +368,27 @@ class _Lines:
         passed = self.side * jnp.cos(self.curves.pressure_angle) * self.curves.between(*self.place)
         (x, y), (carried_x, carried_y) = self.normal, self.placed.carried
         return self.along + passed, (self.arm[1] + carried_x) * x + (self.arm[0] + carried_y) * y
+
+
+@eqx.filter_custom_jvp
+def _feet(place: tuple[Array, Array], given: tuple, *, side: Array) -> tuple[Array, Array]:
+    """The parameters of both pitch curves at which the normals lie on one line, with derivatives of any order."""
+    del given, side
+    return place
+
+
+@_feet.def_jvp
+def _feet_jvp(primals: tuple, tangents: tuple, *, side: Array) -> tuple[tuple, tuple]:
+    """The change of a Newton step from the place itself, which moves too when this is differentiated."""
+    (place, given), (_, moves) = primals, tangents
+    own, other = place = _feet(place, given, side=side)
+    curves, placed = given
+    slopes = _Lines(curves, placed, side, own, other).slopes
+    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
+    moving, still = eqx.partition(given, is_moved)
+
+    def stepped(moving: tuple) -> tuple[Array, Array]:
+        curves, placed = eqx.combine(moving, still)
+        return _Lines(curves, placed, side, own, other).stepped(slopes)
+
+    return place, jax.jvp(stepped, (moving,), (moves,))[1]
