@@ -26,7 +26,7 @@ from gearjax.tolerance.curves import FINE
 from gearjax.tolerance.measures import TOGETHER
 from gearjax.tolerance.population import EXAMPLES
 
-PROGRAM = 0.5 * GIB  # bytes of Python, JAX, and programs of few contacts while they are compiled
+PROGRAM = 0.625 * GIB  # bytes of Python, JAX, and programs of few contacts while they are compiled
 PROGRAM_PER_CONTACT = 4e6
 NUMBER = 8.0  # bytes
 JUDGED = 5  # numbers for each sample in the statistics of a measure: values, good ones, sorted, below, drawn
