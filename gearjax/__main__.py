@@ -5,7 +5,6 @@ from gearjax import stopping
 
 def main() -> None:
     """Listen to Ctrl-C, then import the command line, which takes seconds, and run it."""
-    stopping.say_when_stopped(stopping.nothing_kept)
     stopping.listen()
     from gearjax.cli import main as command  # not before: Ctrl-C would show where the import was
 

@@ -181,7 +181,7 @@ def whole(least: int) -> Checker:
 
 def a_key(name: str, value: Any) -> None:
     """Refuse anything but a seed, or a random key of JAX."""
-    if value is None or isinstance(value, jax.Array):
+    if isinstance(value, jax.Array):
         return
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
         raise ParameterError(name, value, "must be a whole number, at least 0, or a key such as jax.random.key(0)")

@@ -1,8 +1,9 @@
-"""Which results of a program depend on its argument, found in the program itself (its jaxpr)."""
+"""Which results of a program depend on its argument, found in the program itself (its jaxpr), and how they change."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 from jax.extend.core import Jaxpr, Literal
 
@@ -13,6 +14,19 @@ def depends(function: Callable[[Any], Any], argument: Any) -> list[bool]:
     """For each result of a function, a leaf of its output tree, whether it depends on the argument."""
     program = jax.make_jaxpr(function)(argument).jaxpr
     return _touched(program, [True] * len(program.invars))
+
+
+def changes(function: Callable[[Any], Any], argument: Any, moves: Any) -> tuple[Any, Any]:
+    """Results of a function of a tree, and their changes as its leaves move.
+
+    Args:
+        function: the function.
+        argument: its argument.
+        moves: tangent of each leaf; ``None`` for leaves that do not move, as in a rule of `equinox.filter_custom_jvp`.
+    """
+    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
+    moving, still = eqx.partition(argument, is_moved)
+    return jax.jvp(lambda moving: function(eqx.combine(moving, still)), (moving,), (moves,))
 
 
 def _touched(program: Jaxpr, given: Sequence[bool]) -> list[bool]:

@@ -189,6 +189,11 @@ def test_the_default_takes_windows_where_they_pay(scene):
     assert suitable_step(dataclasses.replace(scene, load=gj.SinusoidalLoad("mesh")), 3.0).windows is None
 
 
+def turned(scene: gj.Scene, phase) -> gj.Scene:
+    """The scene with another eccentricity of planet 2, at a phase [rad]."""
+    return dataclasses.replace(scene, errors={**scene.errors, "planet_2": gj.Eccentricity("planet_2", 20e-6, phase)})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("windows", [None, gj.Windows(4, 0.01)])
 def test_hessians(scene, windows):
@@ -197,8 +202,7 @@ def test_hessians(scene, windows):
     stepper = gj.FixedStep(per_sample=16, windows=windows)
 
     def square(numbers):
-        errors = {**scene.errors, "planet_2": gj.Eccentricity("planet_2", 20e-6, numbers[0])}
-        motion = gj.simulate(dataclasses.replace(scene, errors=errors), ts, 100.0 * numbers[1], stepper=stepper)
+        motion = gj.simulate(turned(scene, numbers[0]), ts, 100.0 * numbers[1], stepper=stepper)
         return ((motion.te / arcmin) ** 2).mean()
 
     points = jnp.array([[0.3, 1.0], [2.0, 0.7]])
@@ -218,9 +222,7 @@ def test_gradients_of_statistics(scene, windows):
     stepper = gj.FixedStep(per_sample=32, windows=windows)
 
     def metrics(phase):
-        errors = dict(scene.errors)
-        errors["planet_2"] = gj.Eccentricity("planet_2", 20e-6, phase)
-        motion = gj.simulate(dataclasses.replace(scene, errors=errors), ts, 100.0, stepper=stepper)
+        motion = gj.simulate(turned(scene, phase), ts, 100.0, stepper=stepper)
         return jnp.stack([motion.std, motion.mean]) / arcmin
 
     phases = jnp.array([0.3, 2.0])

@@ -28,7 +28,7 @@ def test_a_stiffness_and_a_length(unknowns):
     weights = np.array([FORCE / scales[0] / scales[1], 1.0])  # per unit of the search
     first = _leading(unknowns, np.arange(2))
     assert unknowns.names[first] == "backlash.initial"
-    told = _told(unknowns, weights, first, float(weights @ values), 0.5 / um * um)
+    told = _told(unknowns, weights, first, float(weights @ values), 0.5)
     assert told.words == "1277 N / compliance.mean + backlash.initial"
     assert told.unit == "um"
     assert told.value == pytest.approx((play + FORCE / stiffness) / um, rel=1e-12)

@@ -25,8 +25,14 @@ def cycloidal(clearance: str = "linear") -> gj.Scene:
     return shipped("rv_cycloidal/hu_2020.toml", clearance=clearance)
 
 
-PHASE = lambda s: s.errors["planet_1"].phase  # noqa: E731
-ECCENTRICITY = lambda s: s.system.eccentricity  # noqa: E731
+def phase(scene: gj.Scene):
+    return scene.errors["planet_1"].phase
+
+
+def eccentricity(scene: gj.Scene):
+    return scene.system.eccentricity
+
+
 WHERE = np.linspace(0.0, 6.28, 201)
 
 
@@ -39,34 +45,34 @@ CASES = {
     "elliptic, exact, loaded": (lambda: elliptic("exact"), lambda s: s.system.module, lambda s: static(s, 10.0).te[0]),
     "elliptic, exact, force": (
         lambda: elliptic("exact"),
-        ECCENTRICITY,
+        eccentricity,
         lambda s: (static(s, 10.0).forces ** 2).sum() / 1e4,
     ),
     "elliptic, exact, backlash": (
         lambda: elliptic("exact"),
-        ECCENTRICITY,
+        eccentricity,
         lambda s: gj.backlash(s, np.array([1.3])).upper[0],
     ),
     "RV, exact, no load": (
         lambda: cycloidal("exact"),
-        ECCENTRICITY,
+        eccentricity,
         lambda s: gj.transmission_error(s, np.array([1.3])).te[0],
     ),
-    "RV, exact, loaded": (lambda: cycloidal("exact"), ECCENTRICITY, lambda s: static(s, 784.0).te[0]),
-    "RV, exact, zero torque": (lambda: cycloidal("exact"), ECCENTRICITY, lambda s: static(s, 0.0).te[0]),
+    "RV, exact, loaded": (lambda: cycloidal("exact"), eccentricity, lambda s: static(s, 784.0).te[0]),
+    "RV, exact, zero torque": (lambda: cycloidal("exact"), eccentricity, lambda s: static(s, 0.0).te[0]),
     "2K-V, kink": (
         lambda: shipped("two_kv/wang_2020.toml"),
-        PHASE,
+        phase,
         lambda s: gj.transmission_error(s, np.linspace(0.0, 40.0, 801)).amplitude,
     ),
     "2K-V, loaded": (
         lambda: shipped("two_kv/wang_2020.toml"),
-        PHASE,
+        phase,
         lambda s: gj.transmission_error(s, np.linspace(0.0, 40.0, 801), 100.0).peak_to_peak,
     ),
-    "elliptic, highest": (elliptic, ECCENTRICITY, lambda s: gj.transmission_error(s, WHERE, 10.0).extremes.maximum),
-    "elliptic, lowest": (elliptic, ECCENTRICITY, lambda s: gj.transmission_error(s, WHERE, 10.0).extremes.minimum),
-    "elliptic, speed": (elliptic, ECCENTRICITY, lambda s: gj.separation_speed(s, 10.0)),
+    "elliptic, highest": (elliptic, eccentricity, lambda s: gj.transmission_error(s, WHERE, 10.0).extremes.maximum),
+    "elliptic, lowest": (elliptic, eccentricity, lambda s: gj.transmission_error(s, WHERE, 10.0).extremes.minimum),
+    "elliptic, speed": (elliptic, eccentricity, lambda s: gj.separation_speed(s, 10.0)),
 }
 
 

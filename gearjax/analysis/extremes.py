@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gearjax.dependence import changes
 from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_BRACKETS = 32
@@ -205,13 +206,11 @@ def _slopes(curve: Curve, physics: Any, points: Float[Array, "side sign"]) -> Fl
 
 def _along(curve: Curve, physics: Any, moves: Any, points: Float[Array, "side sign"]) -> Float[Array, "side sign"]:
     """Change of the curve at fixed angles, as the parameters that have a tangent move."""
-    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
-    moving, still = eqx.partition(physics, is_moved)
 
-    def values(moving: Any) -> Array:
-        return jax.vmap(curve, (None, 0))(eqx.combine(moving, still), points.reshape(-1)).reshape(points.shape)
+    def values(physics: Any) -> Array:
+        return jax.vmap(curve, (None, 0))(physics, points.reshape(-1)).reshape(points.shape)
 
-    return jax.jvp(values, (moving,), (moves,))[1]
+    return changes(values, physics, moves)[1]
 
 
 @eqx.filter_custom_jvp

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from gearjax.contact import ContactSet, Equilibrium, Overlap, Pose, equilibrium, first_contact, least_overlap
 from gearjax.contact.search import spring_forces
+from gearjax.dependence import changes
 from gearjax.scene import Scene
 from gearjax.typing import Array, Float, Int, Scalar
 from gearjax.units import deg, um
@@ -125,7 +126,7 @@ def rest(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Equilibrium:
 
     # a Newton step in which the levers change too; it has right first derivatives
     given = scene, angle, torque
-    (total, _, touching, contacts), (slope, *_) = _along(lambda at: _balance(at, given), place)
+    (total, _, touching, contacts), (slope, *_) = _with_slopes(lambda at: _balance(at, given), place)
     slope = jax.lax.stop_gradient(slope)
     position = jnp.where(slope > 0, place - total / jnp.where(slope > 0, slope, 1.0), touching)
     forces = spring_forces(contacts, scene.contact)(contacts.lever * position - contacts.gap)
@@ -162,7 +163,7 @@ def clash(scene: Scene, angle: Scalar | Pose) -> Overlap:
 # derivatives of positions in exact geometry, of any order ---------------------------------------------------------
 
 
-def _along(function: Callable[[Scalar], tuple], at: Scalar) -> tuple[tuple, tuple]:
+def _with_slopes(function: Callable[[Scalar], tuple], at: Scalar) -> tuple[tuple, tuple]:
     """Values of a function of the position, and their slopes."""
     return jax.jvp(function, (at,), (jnp.ones_like(at),))
 
@@ -188,16 +189,17 @@ class _Touch(eqx.Module):
 
 @eqx.filter_custom_jvp
 def _held(found: tuple[Scalar, tuple], given: Any, *, whole: Callable[..., tuple]) -> tuple[Scalar, tuple]:
-    """A position and what follows from it, as they are, with derivatives of any order.
+    """A position and the results that depend on it, unchanged, with right derivatives of any order.
 
-    Those of the Newton step that ``found`` comes from are right to first order only. Here the implicit function theorem
-    gives the change of the position, evaluated at the position with its own derivatives.
+    The Newton step that ``found`` comes from has right first derivatives only. Here the implicit function theorem gives
+    the change of the position. It is evaluated at the position with its own derivatives, so that it can be
+    differentiated again.
 
     Args:
         found: the position, and the further results of ``whole`` there.
         given: what they depend on, a tree of arrays.
-        whole: function of the position and of ``given``: what has to vanish, further results, the position at which
-            bodies touch, which counts where nothing carries, and anything else.
+        whole: function of the position and of ``given``, with four results: what is zero at the position; the further
+            results; where bodies touch, which is the position if nothing carries; and one that is not used here.
     """
     del given, whole
     return found
@@ -207,13 +209,8 @@ def _held(found: tuple[Scalar, tuple], given: Any, *, whole: Callable[..., tuple
 def _held_jvp(primals: tuple, tangents: tuple, *, whole: Callable[..., tuple]) -> tuple[Any, Any]:
     (found, given), (_, moves) = primals, tangents
     found = _held(found, given, whole=whole)
-    moving, still = eqx.partition(
-        given, jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda m: m is None)
-    )
-    (_, _, _, _), (slope, by_position, _, _) = _along(lambda at: whole(at, given), found[0])
-    _, (lacking, by_rest, touching, _) = jax.jvp(
-        lambda moving: whole(found[0], eqx.combine(moving, still)), (moving,), (moves,)
-    )
+    _, (slope, by_position, _, _) = _with_slopes(lambda at: whole(at, given), found[0])
+    _, (lacking, by_rest, touching, _) = changes(lambda given: whole(found[0], given), given, moves)
     change = jnp.where(slope > 0, -lacking / jnp.where(slope > 0, slope, 1.0), touching)
     return found, (change, jax.tree.map(lambda rest, own: rest + own * change, by_rest, by_position))
 

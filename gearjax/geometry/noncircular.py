@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.dependence import changes
 from gearjax.typing import Array, Float, Scalar
 
 NODES = 8  # nodes of a Gauss-Legendre rule
@@ -371,24 +372,22 @@ class _Lines:
 
 
 @eqx.filter_custom_jvp
-def _feet(place: tuple[Array, Array], given: tuple, *, side: Array) -> tuple[Array, Array]:
+def _feet(place: tuple[Array, Array], given: tuple[PitchCurves, Placed], *, side: Array) -> tuple[Array, Array]:
     """The parameters of both pitch curves at which the normals lie on one line, with derivatives of any order."""
     del given, side
     return place
 
 
 @_feet.def_jvp
-def _feet_jvp(primals: tuple, tangents: tuple, *, side: Array) -> tuple[tuple, tuple]:
+def _feet_jvp(
+    primals: tuple[tuple[Array, Array], tuple[PitchCurves, Placed]], tangents: tuple, *, side: Array
+) -> tuple[tuple, tuple]:
     """The change of a Newton step from the place itself, which moves too when this is differentiated."""
     (place, given), (_, moves) = primals, tangents
     own, other = place = _feet(place, given, side=side)
-    curves, placed = given
-    slopes = _Lines(curves, placed, side, own, other).slopes
-    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
-    moving, still = eqx.partition(given, is_moved)
+    slopes = _Lines(*given, side, own, other).slopes
 
-    def stepped(moving: tuple) -> tuple[Array, Array]:
-        curves, placed = eqx.combine(moving, still)
-        return _Lines(curves, placed, side, own, other).stepped(slopes)
+    def stepped(given: tuple[PitchCurves, Placed]) -> tuple[Array, Array]:
+        return _Lines(*given, side, own, other).stepped(slopes)
 
-    return place, jax.jvp(stepped, (moving,), (moves,))[1]
+    return place, changes(stepped, given, moves)[1]

@@ -205,10 +205,11 @@ def _told(unknowns: Unknowns, weights: np.ndarray, first: int, value: float, err
 
 
 def _over(lead: Unknown, stiffness: Unknown) -> str:
-    """Unit of the numerator of a term with a stiffness in a sum whose unit is that of ``lead``."""
+    """SI unit of the number that is divided by a stiffness in a sum in the unit of ``lead``."""
     if lead.kind == "reciprocal":
         return "" if lead.unit == stiffness.unit else f"{stiffness.unit} / ({lead.unit})"
-    return "N" if (lead.unit, stiffness.unit) == ("um", "N/m") else f"SI ({lead.unit} in SI x {stiffness.unit})"
+    unit = {"um": "m", "arcmin": "rad", "deg": "rad"}.get(lead.unit, lead.unit)
+    return "N" if (unit, stiffness.unit) == ("m", "N/m") else f"{unit}*{stiffness.unit}"
 
 
 def hidden_in_words(unknowns: Unknowns, hidden: np.ndarray) -> list[str]:

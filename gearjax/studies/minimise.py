@@ -118,7 +118,7 @@ def minimise(
     steps: int = 30,
     polish_steps: int = 12,
     temperatures: tuple[float, float] = (0.1, 0.0015),
-    key: Array | int = 0,
+    key: Array | int | None = None,
     progress: Progress | None = None,
 ) -> Minimisation:
     r"""Minimise an objective over numbers of a scene, from many starts at once.
@@ -144,7 +144,7 @@ def minimise(
         steps: number of steps of the descent.
         polish_steps: number of steps of the polish, 0 for none.
         temperatures: first and last temperature of the descent, as shares of the objective at the start.
-        key: seed of the starts, or a random key.
+        key: seed of the starts, or a random key; by default the seed 0.
         progress: called with a line of text now and then.
 
     Returns:
@@ -218,7 +218,7 @@ def _check(steps: int, polish_steps: int, temperatures: tuple[float, float]) -> 
         raise ParameterError("temperatures", temperatures, "must be above 0, two numbers: the first and the last")
 
 
-def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | int) -> np.ndarray:
+def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | int | None) -> np.ndarray:
     if not isinstance(starts, int):
         given = np.asarray(starts, dtype=float)
         if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != len(free.paths):
@@ -226,7 +226,7 @@ def _starting_points(free: Free, scene: Scene, starts: Any, key: Array | int) ->
         return np.where(np.isfinite(given), free.wrapped(given), given)
     if starts < 1:
         raise ParameterError("starts", starts, "must be at least 1")
-    key = key if isinstance(key, jax.Array) else jax.random.key(key)
+    key = key if isinstance(key, jax.Array) else jax.random.key(key or 0)
     share = np.asarray(jax.random.uniform(key, (starts, len(free.paths))), dtype=float)
     low, high = free.box
     points = low + share * (high - low)
