@@ -88,7 +88,9 @@ class DampingRatio(eqx.Module):
 
     Each slice of a contact line has a damper in proportion to its stiffness, ``c = b k``, with
     ``b K = ratio sqrt(2 eps_gamma K m)``. K is the mean stiffness of the mesh and eps_gamma the total contact ratio, so
-    that the mesh has, on average, the dampers of as many pairs as touch.
+    that the mesh has, on average, the dampers of as many pairs as touch. The stiffness of a line contact grows slowly
+    with its force. Its dampers are those of the stiffness under the mean force, which contacts have that share the
+    torque evenly at input angle 0.
 
     Args:
         ratio: damping ratio [-] of a pair in ``c = ratio sqrt(2 k m)``, with the mean stiffness k of the pair and the

@@ -8,7 +8,6 @@ import numpy as np
 
 from gearjax.checks import ParameterError, SceneError, is_concrete, nearest, with_article
 from gearjax.compliance import (
-    AbstractLineContact,
     AbstractSliceCompliance,
     AbstractToothCompliance,
     couples,
@@ -172,18 +171,12 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         raise SceneError(f'"{what}" needs {listed}, which this scene does not list')
     if "inertia" not in slots:
         return
-    if isinstance(scene.compliance, AbstractLineContact):
-        raise SceneError(
-            f'"{what}" needs linear springs, such as [compliance] kind = "harmonic_stiffness": the force of '
-            f"{scene.compliance.kind} is nonlinear"
-        )
     if scene.compliance is not None and couples(scene.compliance):
         hint = "" if scene.is_train else "; gj.one_contact(scene, torque) reduces them to one"
         raise SceneError(f'"{what}" needs independent springs: {scene.compliance.kind} couples the contacts{hint}')
     own = scene.compliance
-    if scene.system.has_slices and own is not None and not (isinstance(own, AbstractSliceCompliance) and own.linear):
-        words = "[compliance] of slices that are linear springs, such as line_stiffness, or tooth_slices with contact ="
-        words = f'{words} "constant"'
+    if scene.system.has_slices and own is not None and not isinstance(own, AbstractSliceCompliance):
+        words = "[compliance] of slices, such as line_stiffness or tooth_slices"
         if not scene.is_train:
             words += "; gj.one_contact(scene, torque) reduces all to one contact"
         raise SceneError(f'"{what}" of a {scene.system.kind} needs {words}')

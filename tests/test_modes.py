@@ -204,7 +204,7 @@ def test_energy_is_kept():
     np.testing.assert_allclose(place, q, rtol=0, atol=1e-15)
     kinetic = 0.5 * np.einsum("ni,ij,nj->n", velocity, np.asarray(parts.mass), velocity)
     springs = 0.5 * np.einsum("ni,ij,nj->n", place, np.asarray(parts.stiffness), place)
-    teeth = 0.5 * (forces**2 / np.asarray(now.stiffness)).sum(axis=1)
+    teeth = 0.5 * (forces**2 / np.asarray(now.springs.stiffness)).sum(axis=1)
     work = place @ np.asarray(equation.given(now))
     whole = kinetic + springs + teeth - work
     assert np.ptp(kinetic) > 1e-5

@@ -356,11 +356,6 @@ def test_parts_that_do_not_go_together_are_refused(rv_text, config_text):
     with pytest.raises(gj.SceneError, match=r"\[backlash\] is not for an rv_cycloidal"):
         gj.loads(rv_text + '\n[backlash]\ninitial = "1 um"\n')
     line = 'kind = "hertz_line_contact"\nyoungs_modulus = "206 GPa"\npoissons_ratio = 0.3\nface_width = "11 mm"\n'
-    old = 'kind = "harmonic_stiffness"     # or'
-    assert old in rv_text
-    begin, end = rv_text.index("[compliance]"), rv_text.index("[inertia]")
-    with pytest.raises(gj.SceneError, match='"dynamic" needs linear springs'):
-        gj.loads(rv_text[:begin] + "[compliance]\n" + line + rv_text[end:])
     begin, end = config_text.index("[compliance]"), config_text.index("[inertia]")
     with pytest.raises(gj.SceneError, match="does not offer"):
         gj.loads(config_text[:begin] + "[compliance]\n" + line + config_text[end:])

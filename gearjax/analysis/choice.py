@@ -18,7 +18,7 @@ from gearjax.analysis.integrate import Even
 from gearjax.analysis.modes import Spacing, StructureEquation
 from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, RungeKutta4, Stepper, Windows
 from gearjax.checks import SceneError, is_batched, is_concrete
-from gearjax.compliance import AbstractCompliance
+from gearjax.compliance import AbstractCompliance, AbstractLineContact
 from gearjax.evaluate import evaluated
 from gearjax.scene import Scene
 from gearjax.scene_checks import require_springs_apart
@@ -213,7 +213,9 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
     if isinstance(method, Modes):
         if scene.output_alone:
             reason = "the contacts are slices of contact lines"
-            if scene.springs_apart:
+            if isinstance(scene.compliance, AbstractLineContact):
+                reason = "the force of a line contact is not linear"
+            elif scene.springs_apart:
                 turning = scene.system.by_constant_modes
                 reason = (
                     "the levers of many contacts change with the angle" if turning else "the stiffness has many waves"
@@ -241,7 +243,7 @@ def _load_changes(scene: Scene) -> bool:
 
 
 def stiffness_order(scene: Scene) -> float:
-    """Order of the highest harmonic of the stiffness; 0 if it is constant or is not given per pair."""
+    """Order of the highest harmonic of the stiffness; 0 if it is constant or depends on more than the mesh angle."""
     compliance = scene.compliance
     if not isinstance(compliance, AbstractCompliance):
         return 0.0
@@ -249,7 +251,10 @@ def stiffness_order(scene: Scene) -> float:
 
 
 def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
-    """Phase per step of the fastest excitation of a scene [rad]; ``None`` if it is not known."""
+    """Phase per step of the fastest excitation of a scene [rad]; ``None`` if it is not known.
+
+    It is not known where the curvature of flanks acts, which passes through zero, or where slices enter the mesh.
+    """
     assert scene.load is not None
     system = scene.system
     if not isinstance(scene.compliance, AbstractCompliance) or not is_concrete((ts, system.input_speed, scene.load)):

@@ -124,7 +124,7 @@ class Balance(eqx.Module):
 
         def at(time: Scalar) -> tuple[Driving, Array, Array]:
             now = equation.excitation(time)
-            return lines.driving(time), *equation.resting(now.jacobian, now.gap, now.stiffness, now.torque)
+            return lines.driving(time), *equation.resting(now.jacobian, now.gap, now.springs, now.torque)
 
         times = places(samples, period.dtype) * period
         table, rest, forces = in_batches(at, times, AT_ONCE)

@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from gearjax.contact.slices import by_side
-from gearjax.typing import Array, Float
+from gearjax.typing import Array, Float, Scalar
 
-STEPS = 6  # steps of Newton's method, from a start within a few per cent
+STEPS = 2  # steps of Newton's method before those that carry derivatives: rounding is all that is left of 2 %
+NEAR = 2.6  # ``y - ln y`` at which two series of the Lambert function are equally good
 LAST = 1.5  # smallest ``level - ln F`` at which the formula is used; at higher forces it is continued linearly
+ELASTIC = 6.0  # ``level - ln F`` at which a contact is as wide as a quarter of its radius; steel yields before
 SHALLOWEST = 1e-26  # m, smallest approach that makes a force
 
 
@@ -26,6 +28,11 @@ class LinearSprings(eqx.Module):
     def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Force at an approach [N]."""
         return self.stiffness * penetration
+
+    def secant(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Force per approach at an approach [N/m]."""
+        del penetration
+        return self.stiffness
 
 
 class CoupledSprings(eqx.Module):
@@ -75,21 +82,50 @@ class LineSprings(eqx.Module):
     def force(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Force at an approach [N]; zero if the bodies do not touch.
 
-        Newton's method solves for the logarithm of the force. Its last two steps carry first and second derivatives. At
-        forces far beyond the elastic range the formula's approach would decrease; there the force is continued
-        linearly.
+        Newton's method solves for the logarithm of the force, from series of the Lambert function W_-1 (Corless et al.
+        1996, eqs. 4.19 and 4.22). Its last two steps carry first and second derivatives. At forces far beyond the
+        elastic range the formula's approach would decrease; there the force is continued linearly.
         """
         end = jnp.exp(self.level - LAST)
         furthest = LAST * self.slope * end
         touching, beyond = penetration > SHALLOWEST, penetration > furthest
         inside = jnp.where(touching & ~beyond, penetration, jnp.where(beyond, furthest, SHALLOWEST))
         target = jnp.log(inside / self.slope)  # F (level - ln F)
-        x = jax.lax.stop_gradient(target - jnp.log(self.level - target + jnp.log(self.level)))
         known = jax.lax.stop_gradient((target, self.level))
-        for end_at, level in (*[known] * (STEPS - 1), *[(target, self.level)] * 2):
+        x = known[1] - _lambert(known[1] - known[0])
+        for end_at, level in (*[known] * STEPS, *[(target, self.level)] * 2):
             x = x - (x + jnp.log(level - x) - end_at) / (1.0 - 1.0 / (level - x))
         straight = end + (penetration - furthest) / ((LAST - 1.0) * self.slope)
         return jnp.where(beyond, straight, jnp.where(touching, jnp.exp(x), 0.0))
+
+    def secant(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Force per approach at an approach [N/m]; zero if the bodies do not touch."""
+        touching = penetration > SHALLOWEST
+        return self.force(penetration) / jnp.where(touching, penetration, 1.0)
+
+    @property
+    def stiffest(self) -> Float[Array, " contact"]:
+        """Change of force per change of approach at the end of the elastic range [N/m]."""
+        return 1 / (self.slope * (ELASTIC - 1.0))
+
+    def tangent(self, indentation: Scalar) -> Float[Array, " contact"]:
+        """Change of force per change of approach, where ``slope F`` of all contacts is the same number [N/m].
+
+        Args:
+            indentation: ``slope F``, above zero [m].
+        """
+        left = self.level - jnp.log(indentation / self.slope)
+        return 1 / (self.slope * (jnp.maximum(left, LAST) - 1.0))
+
+
+def _lambert(c: Array) -> Array:
+    """Solution y > 1 of ``y - ln y = c``, ``-W_-1(-exp(-c))``, to 2 %."""
+    near = c < NEAR
+    p = jnp.sqrt(2 * (jnp.where(near, c, NEAR) - 1))  # series about y = 1
+    far = jnp.where(near, NEAR, c)
+    log = jnp.log(far)
+    series = far + log + log / far + log * (2 - log) / (2 * far * far)
+    return jnp.where(near, 1 + p * (1 + p * (1 / 3 + p * (1 / 36 - p / 270))), series)
 
 
 Springs = LinearSprings | LineSprings | CoupledSprings

@@ -60,9 +60,10 @@ def _followed(scene: Scene, torque: Scalar, times: Array) -> tuple[Array, Array]
 
     def at(time: Scalar) -> tuple[Scalar, Scalar]:
         now = equation.excitation(time)
+        stiffness = equation.springs.linear(now.springs)
 
         def held(closed: Bool[Array, " contact"]) -> tuple[Array, Array]:
-            springs = jnp.where(closed, now.stiffness, 0.0)
+            springs = jnp.where(closed, stiffness, 0.0)
             pull = equation.given(now) + now.jacobian.T @ (springs * now.gap)
             return parts.stiffness + now.jacobian.T @ (springs[:, None] * now.jacobian), pull
 
@@ -70,12 +71,12 @@ def _followed(scene: Scene, torque: Scalar, times: Array) -> tuple[Array, Array]
             return now.jacobian @ jnp.linalg.solve(*held(closed)) - now.gap > 0
 
         closed = jax.lax.fori_loop(0, TURNS, next_closed, driving)
-        stiffness, pull = held(closed)
-        overlap = now.jacobian @ jnp.linalg.solve(stiffness, pull) - now.gap
+        matrix, pull = held(closed)
+        overlap = now.jacobian @ jnp.linalg.solve(matrix, pull) - now.gap
         rows = now.jacobian[equation.springs.damped]
-        drag = equation.drag(now.stiffness) * equation.engaged(overlap)
+        drag = equation.drag(now.springs) * equation.engaged(overlap)
         damping = parts.damping + rows.T @ (drag[:, None] * rows)
-        follow = jnp.concatenate([jnp.ones(1), -jnp.linalg.solve(stiffness[1:, 1:], stiffness[1:, 0])])
+        follow = jnp.concatenate([jnp.ones(1), -jnp.linalg.solve(matrix[1:, 1:], matrix[1:, 0])])
         return follow @ damping @ follow, follow @ parts.mass @ follow
 
     return jax.lax.map(at, times)

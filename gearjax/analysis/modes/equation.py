@@ -1,14 +1,14 @@
 """The equation of motion of bodies on supports, in all their coordinates, and its rates.
 
-    M q'' + C q' + K q + J^T f = Q(t) - M r phi'',     f_i = k_i(t) penetration(overlap_i),  overlap = J(t) q - gap(t)
+    M q'' + C q' + K q + J^T f = Q(t) - M r phi'',     f_i = F_i(penetration(overlap_i), t),  overlap = J(t) q - gap(t)
 
-with one damper per pair along the flank that touches, ``c overlap'``, or one damper per slice of a contact line, in
-proportion to the stiffness of the slice. Coordinates are scaled by `LENGTH_SCALE` on the line of action, time by the
-highest natural frequency. `gearjax.analysis.equation` is the special case of one coordinate and of springs of pairs of
-teeth.
+where F is the force of a linear spring or of a line contact. One damper per pair acts along the flank that touches,
+``c overlap'``, or one damper per slice of a contact line, in proportion to the stiffness of the slice. Coordinates are
+scaled by `LENGTH_SCALE` on the line of action, time by the highest natural frequency. `gearjax.analysis.equation` is
+the special case of one coordinate and of linear springs of pairs of teeth.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from gearjax.analysis.equation import LENGTH_SCALE, longest_arms, turning_rate
 from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.modes.springs import MeanSprings
-from gearjax.contact import ContactSet, Layout, LinearSprings, equilibrium
+from gearjax.contact import ContactSet, Layout, LinearSprings, LineSprings, equilibrium
 from gearjax.dependence import depends
 from gearjax.impact import Pulses
 from gearjax.scene import Scene
@@ -36,7 +36,7 @@ class Excitation(NamedTuple):
         jacobian: Jacobian of the contacts, shape (contact, coordinate) [m/rad, -].
         gap: gaps, shape (contact,) [m].
         jacobian_rate, gap_rate: rates of Jacobian and gaps; ``None`` without dampers.
-        stiffness: stiffness of the contacts, shape (contact,) [N/m].
+        springs: springs of the contacts, which do not influence each other.
         torque: load torque [N m].
         struck: force of the impacts [N]; ``None`` without.
     """
@@ -45,7 +45,7 @@ class Excitation(NamedTuple):
     gap: Array
     jacobian_rate: Array | None
     gap_rate: Array | None
-    stiffness: Array
+    springs: LinearSprings | LineSprings
     torque: Array
     struck: Array | None
 
@@ -153,17 +153,18 @@ class StructureEquation(eqx.Module):
     def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
         """Contacts and load at a time [s], with rates if dampers need them or ``moving`` asks for them."""
 
-        def contacts(time: Scalar) -> tuple[Array, Array, Array]:
+        def contacts(time: Scalar) -> tuple[tuple[Array, Array], LinearSprings | LineSprings]:
             candidates = self.scene.contacts(self.scene.system.input_speed * time, "varying")
-            assert candidates.linear is not None
-            return candidates.jacobian, candidates.gap, candidates.linear
+            assert isinstance(candidates.springs, LinearSprings | LineSprings)
+            return (candidates.jacobian, candidates.gap), candidates.springs
 
         if self.coefficient is None and not moving:
-            jacobian, gap, stiffness = contacts(time)
-            return Excitation(jacobian, gap, None, None, stiffness, self.torque_at(time), self.struck_at(time))
-        (jacobian, gap, stiffness), rates = jax.jvp(contacts, (time,), (jnp.ones_like(time),))
+            (jacobian, gap), springs = contacts(time)
+            return Excitation(jacobian, gap, None, None, springs, self.torque_at(time), self.struck_at(time))
+        along: Any = jax.jvp(contacts, (time,), (jnp.ones_like(time),), has_aux=True)
+        (jacobian, gap), (jacobian_rate, gap_rate), springs = along
         loads = self.torque_at(time), self.struck_at(time)
-        return Excitation(jacobian, gap, rates[0], rates[1], stiffness, *loads)
+        return Excitation(jacobian, gap, jacobian_rate, gap_rate, springs, *loads)
 
     def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
         """Elastic forces, shape (contact,), and damper forces, shape (damper,), of the contacts [N].
@@ -173,11 +174,11 @@ class StructureEquation(eqx.Module):
             place, speed: coordinates and velocities, shape (coordinate,).
         """
         overlap = now.jacobian @ place - now.gap
-        return self.elastic(now, overlap), self.resistance(now.stiffness, overlap, self.approach(now, place, speed))
+        return self.elastic(now, overlap), self.resistance(now.springs, overlap, self.approach(now, place, speed))
 
     def elastic(self, now: Excitation, overlap: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Elastic force of each contact from its overlap [N]."""
-        return now.stiffness * self.scene.contact.penetration(overlap)
+        return now.springs.force(self.scene.contact.penetration(overlap))
 
     def approach(self, now: Excitation, place: Array, speed: Array) -> Float[Array, " damper"] | None:
         """Rate of overlap of the contacts with dampers [m/s]; ``None`` without dampers."""
@@ -188,17 +189,19 @@ class StructureEquation(eqx.Module):
         first = self.springs.damped
         return now.jacobian[first] @ speed + now.jacobian_rate[first] @ place - now.gap_rate[first]
 
-    def resistance(self, stiffness: Array, overlap: Array, approach: Array | None) -> Float[Array, " damper"] | None:
+    def resistance(
+        self, springs: LinearSprings | LineSprings, overlap: Array, approach: Array | None
+    ) -> Float[Array, " damper"] | None:
         """Forces of the dampers [N]; ``None`` without dampers."""
         if approach is None or self.coefficient is None:
             return None
-        return self.drag(stiffness) * self.engaged(overlap) * approach
+        return self.drag(springs) * self.engaged(overlap) * approach
 
-    def drag(self, stiffness: Float[Array, " contact"]) -> Float[Array, " damper"]:
+    def drag(self, springs: LinearSprings | LineSprings) -> Float[Array, " damper"]:
         """Coefficients of the dampers [N s/m]."""
         assert self.coefficient is not None
         if self.springs.sliced:
-            return self.springs.per_mesh(self.coefficient) * stiffness
+            return self.springs.per_mesh(self.coefficient) * self.springs.linear(springs)
         return self.layout.per_contact(self.coefficient) if self.springs.all_damped else self.coefficient
 
     def engaged(self, overlap: Float[Array, " contact"]) -> Float[Array, " damper"]:
@@ -237,7 +240,7 @@ class StructureEquation(eqx.Module):
     def forces(self, time: Scalar, place: Float[Array, " coordinate"]) -> Float[Array, " contact"]:
         """Elastic force of each contact [N]."""
         now = self.excitation(time)
-        return now.stiffness * self.scene.contact.penetration(now.jacobian @ place - now.gap)
+        return self.elastic(now, now.jacobian @ place - now.gap)
 
     def loaded(self, jacobian: Array, torque: Scalar) -> Bool[Array, " contact"]:
         """Whether each contact can carry a load torque [N m]."""
@@ -250,20 +253,20 @@ class StructureEquation(eqx.Module):
         return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.torque_at(time))
 
     def resting(
-        self, jacobian: Array, gap: Array, stiffness: Array, torque: Scalar
+        self, jacobian: Array, gap: Array, springs: LinearSprings | LineSprings, torque: Scalar
     ) -> tuple[Float[Array, " coordinate"], Float[Array, " contact"]]:
         """Static equilibrium [rad, m] with centrifugal forces, and the contact forces [N].
 
         The position is nan if there is no equilibrium.
         """
-        free, supports, springs = self.free, None, LinearSprings(stiffness)
+        free, supports = self.free, None
         pushed = self.structure.push
         if free < len(pushed):
             supports = self.structure.stiffness[free:, free:]
             pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
         gap = gap - jacobian @ pushed
         if self.springs.sliced:  # off the path of contact a slice touches nothing
-            gap = gap + jnp.where(stiffness > 0, 0.0, OFF)
+            gap = gap + jnp.where(self.springs.linear(springs) > 0, 0.0, OFF)
         contacts = ContactSet(jacobian, gap, springs, self.layout, supports, self.holds)
         rest = equilibrium(contacts, -torque, self.scene.contact)
         moved = jnp.zeros(0, gap.dtype) if rest.moved is None else rest.moved
@@ -276,7 +279,7 @@ class StructureEquation(eqx.Module):
             return jnp.zeros((2, len(self.scale)), time.dtype)
         now = self.excitation(time, moving=True)
         place, speed = jax.jvp(
-            lambda jacobian, gap: self.resting(jacobian, gap, now.stiffness, now.torque)[0],
+            lambda jacobian, gap: self.resting(jacobian, gap, now.springs, now.torque)[0],
             (now.jacobian, now.gap),
             (now.jacobian_rate, now.gap_rate),
         )

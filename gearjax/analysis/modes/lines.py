@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.contact import LinearSprings, LineSprings
 from gearjax.typing import Array, Bool, Float, Scalar
 
 
@@ -25,7 +26,7 @@ class Driving(NamedTuple):
         lever_rate: rate of J for contacts with dampers, shape (coordinate, damper) [m/rad s, 1/s]; ``None`` if
             ``lever`` is ``None``, or without dampers.
         gap_rate: rate of the gaps of contacts with dampers, shape (damper,) [m/s]; ``None`` without dampers.
-        stiffness: stiffness of the contacts, shape (contact,) [N/m].
+        springs: springs of the contacts.
         torque: load torque [N m].
         struck: force of the impacts [N]; ``None`` without.
     """
@@ -34,7 +35,7 @@ class Driving(NamedTuple):
     gap: Array
     lever_rate: Array | None
     gap_rate: Array | None
-    stiffness: Array
+    springs: LinearSprings | LineSprings
     torque: Array
     struck: Array | None
 
@@ -72,7 +73,7 @@ class Lines(eqx.Module):
             damping = None if coefficient is None else jnp.tensordot(coefficient, springs.matrices, 1)
             return cls(equation, unit, unit, held, damping, apart)
         if layout.sides_turn:
-            carries = equation.resting(jacobian, now.gap, now.stiffness, now.torque)[1] > 0
+            carries = equation.resting(jacobian, now.gap, now.springs, now.torque)[1] > 0
         else:
             carries = equation.loaded(jacobian, now.torque)
         held, first = jnp.where(carries, springs.mean, 0.0), layout.flanks[0]
@@ -125,9 +126,9 @@ class Lines(eqx.Module):
         now, first = self.equation.excitation(time), self.equation.springs.damped
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
-            return Driving(None, now.gap, None, heard, now.stiffness, now.torque, now.struck)
+            return Driving(None, now.gap, None, heard, now.springs, now.torque, now.struck)
         rate = None if now.jacobian_rate is None else now.jacobian_rate[first].T
-        return Driving(now.jacobian.T, now.gap, rate, heard, now.stiffness, now.torque, now.struck)
+        return Driving(now.jacobian.T, now.gap, rate, heard, now.springs, now.torque, now.struck)
 
     def overlap(self, now: Driving, sight: Array) -> Float[Array, " contact"]:
         """Overlap of the contacts [m]."""
@@ -164,16 +165,16 @@ class Lines(eqx.Module):
         Args:
             now: excitation at this time.
             sight: a vector as from `sights`.
-            carries: contacts that carry, whatever their overlap is; ``None`` for those that touch.
+            carries: contacts that carry, whatever their overlap is, by linear springs; ``None`` for those that touch.
         """
         equation, seen = self.equation, sight[: len(self.seen)]
         overlap = self.overlap(now, sight)
         if carries is None:
-            force = now.stiffness * equation.scene.contact.penetration(overlap)
+            force = now.springs.force(equation.scene.contact.penetration(overlap))
         else:
-            force = jnp.where(carries, now.stiffness * overlap, 0.0)
+            force = jnp.where(carries, equation.springs.linear(now.springs) * overlap, 0.0)
             overlap = jnp.where(carries, jnp.inf, -jnp.inf).astype(overlap.dtype)
-        damping = equation.resistance(now.stiffness, overlap, self.approach(now, sight))
+        damping = equation.resistance(now.springs, overlap, self.approach(now, sight))
         if damping is not None:
             force = force + equation.springs.at_contacts(damping)
         kept = self._of_mean(self.stiffness, seen)
@@ -205,12 +206,13 @@ class Lines(eqx.Module):
         crossed = (before > 0) != (overlap > 0)
         size = jnp.abs(overlap - before)
         share = jnp.where(crossed, jnp.abs(before) / jnp.where(crossed, size, 1.0), 1.0)
-        kink = jnp.where(crossed, -now.stiffness * size * (1 / 12 - 0.5 * share * (1 - share)), 0.0)
+        stiffness = now.springs.secant(jnp.maximum(before, overlap))
+        kink = jnp.where(crossed, -stiffness * size * (1 / 12 - 0.5 * share * (1 - share)), 0.0)
         if equation.scene.damping is not None and equation.scene.damping.acting == "contact":
             turn = equation.engaged(before) - equation.engaged(overlap)
             approach = self.approach(now, sight)
             assert approach is not None
-            push = equation.drag(now.stiffness) * turn * approach * (0.5 - equation.springs.earliest(share))
+            push = equation.drag(now.springs) * turn * approach * (0.5 - equation.springs.earliest(share))
             kink = kink + equation.springs.at_contacts(push)
         return kink if now.lever is None else now.lever @ kink
 
