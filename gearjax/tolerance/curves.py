@@ -42,7 +42,8 @@ class Curves(eqx.Module):
     """Data for curves that are common to all gear sets of a population.
 
     Args:
-        poses: poses at the angles that determine a curve, or at all angles.
+        poses: poses at the angles that determine a curve, or at all angles; if numbers of the system vary, poses are
+            those of each gear set, and this is all the input angles [rad].
         weights: weights that give all angles, in the order of `in_search_order`, from these, shape (n, angle); ``None``
             if all angles are evaluated.
         checks: weights of the angles that are checked, shape (check, angle).
@@ -53,7 +54,7 @@ class Curves(eqx.Module):
         stiffness: ``"rigid"``, or ``"mean"`` for curves under torque.
     """
 
-    poses: Pose
+    poses: Pose | Float[Array, " n"]
     weights: Float[Array, "n angle"] | None
     checks: Float[Array, "check angle"] | None
     allowed: float = eqx.field(static=True)
@@ -76,7 +77,7 @@ class Curves(eqx.Module):
         side = first.layout.side
 
         def everywhere() -> Curves:
-            return cls(_poses(first, theta), None, None, 0.0, None, side, stiffness)
+            return cls(_poses(first, theta) if fixed_system else theta, None, None, 0.0, None, side, stiffness)
 
         if not fixed_system or not isinstance(first.contact, HardContact) or len(theta) < 3:
             return everywhere()
@@ -124,7 +125,7 @@ class Curves(eqx.Module):
     def _looked_at(self, scene: Scene) -> tuple[Array, Array | None]:
         anchored = scene.anchored()
 
-        def at(pose: Pose) -> tuple[Array, Array | None]:
+        def at(pose: Pose | Scalar) -> tuple[Array, Array | None]:
             contacts = anchored.contacts(pose, self.stiffness)
             lever, stiffness = contacts.lever, contacts.linear
             return contacts.gap / lever, None if stiffness is None else stiffness * lever * lever
