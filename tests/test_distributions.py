@@ -157,3 +157,22 @@ def test_graded_run_out_holds_its_limit_in_997_of_1000():
 def test_a_tolerance_in_the_middle_is_rounded_up():
     """Exactly 4.15 um by the formula, a little less in binary numbers."""
     assert gj.flank_tolerance("f_f_alpha", 3, 6e-3, 0.1157, 0.075) * 1e6 == pytest.approx(4.2, abs=1e-9)
+
+
+def test_moments_of_a_normal_distribution_between_close_limits_are_those_of_a_uniform_one():
+    for mean, std, low, high in ((0.15e-3, 0.1, 0.149e-3, 0.151e-3), (0.0, 1e9, 2.0, 3.0), (5.0, 1e3, 5.0, 6.0)):
+        one = gj.TruncatedNormal(mean, std, low, high)
+        assert one.expected == pytest.approx(0.5 * (low + high), rel=1e-5)
+        assert one.deviation == pytest.approx((high - low) / 12**0.5, rel=1e-5)
+
+
+@pytest.mark.parametrize("ends", [(-8.0, 0.5), (7.9, 30.0), (-1e5, 1e5), (-3.0, 1e6), (-9.0, -7.5)])
+def test_moments_of_truncated_normals_are_those_of_an_integral(ends):
+    one = gj.TruncatedNormal(0.0, 1.0, *ends)
+    near = max(ends[0], min(ends[1], 0.0))  # the most frequent value
+    x = near + np.linspace(max(ends[0] - near, -12.0), min(ends[1] - near, 12.0), 2_000_001)
+    weights = np.exp(0.5 * (near**2 - x**2))
+    weights /= weights.sum()
+    mean = (weights * x).sum()
+    assert one.expected == pytest.approx(mean, rel=1e-5, abs=1e-6)
+    assert one.deviation == pytest.approx(np.sqrt((weights * (x - mean) ** 2).sum()), rel=1e-4)

@@ -106,6 +106,7 @@ def test_levenberg_and_marquardt_end_where_a_line_is_fitted(rng):
         return Normal((residual**2).sum(axis=1), matrix, residual @ design)
 
     mean, precision = np.array([1.0, 0.0, 0.0]), np.array([4.0, 0.0, 0.0])
-    ends, _ = descend(sums, rng.standard_normal((5, 3)), Known(mean, precision), np.zeros(3, bool), 50.0)
+    free = np.array([[-np.inf] * 3, [np.inf] * 3])
+    ends, _ = descend(sums, rng.standard_normal((5, 3)), Known(mean, precision), free, 50.0)
     best = np.linalg.solve(design.T @ design + np.diag(precision), design.T @ measured + precision * mean)
     np.testing.assert_allclose(ends, np.broadcast_to(best, (5, 3)), atol=1e-4)

@@ -218,6 +218,24 @@ def test_vibration_has_gradients_under_jit_and_vmap(periodic):
 
 
 @pytest.mark.slow
+def test_steps_are_the_same_where_errors_are_traced():
+    """By default; of a pair so quick that the steps for unknown scenes are too long."""
+    scene = turning(GUO_1, 9000 * rpm, RELIEFS, slices=4)
+    ts = np.linspace(0.0, 2e-3, 41)
+
+    def motion(amount, law=LINES):
+        errors = RELIEFS | {"tip": gj.TipRelief("pinion", amount, 8 * mm)}
+        return gj.simulate(dataclasses.replace(scene, errors=errors, compliance=law), ts, TORQUE)
+
+    known = motion(20 * um)
+    for traced in (jax.jit(motion)(20 * um), jax.tree.map(lambda x: x[0], jax.vmap(motion)(jnp.asarray([20 * um])))):
+        assert int(traced.result) == 0
+        np.testing.assert_allclose(traced.te, known.te, rtol=0, atol=1e-12 * np.ptp(known.te))
+    of_stiffness = jax.jit(lambda stiffness: motion(20 * um, gj.LineStiffness(stiffness)))(1.2e10)
+    assert int(of_stiffness.result) == 2  # the fastest motion is not known: the result says so
+
+
+@pytest.mark.slow
 def test_what_does_not_move_as_slices_is_refused_in_one_line():
     for compliance in (
         gj.HarmonicStiffness(1e9, [], []),

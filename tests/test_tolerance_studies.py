@@ -111,6 +111,34 @@ def test_allocation_of_a_single_tolerance_is_the_quantile(scene):
     assert found.before.low < stats.rayleigh.cdf(1.0) < found.before.high
 
 
+@pytest.mark.slow
+def test_a_search_that_ends_at_a_bound_without_the_yield_goes_on(scene):
+    """With few gear sets the yield's slope at the bound leads nowhere; the search starts again from proved factors."""
+    spread = {f"errors.planet_{i}.phase": gj.UniformPhase() for i in (1, 2)}
+    spread |= {
+        "errors.planet_1.amplitude": gj.Rayleigh(6 * um),
+        "errors.planet_2.amplitude": gj.Iso1328RunOut(grade=6, module=2.5e-3, diameter=125e-3),
+    }
+    found = gj.allocate(
+        gj.Tolerances(scene, spread),
+        gj.Measure("no_load", "peak_to_peak", limit=2.5 * arcmin),
+        required=0.8,
+        costs={"errors.planet_1.amplitude": 1.0},
+        n=128,
+        judged=512,
+        theta=jnp.linspace(0.0, scene.system.cycle, 401),
+    )
+    assert found.met
+    assert found.factors[0] == pytest.approx(1.92, rel=0.15)  # of 20,000 gear sets
+
+
+def test_linear_shares_of_a_measure_that_does_not_vary_are_right(scene, angles):
+    alone = gj.Tolerances(scene, {"backlash.initial": gj.Normal(1.5e-4, 5e-6)})
+    found = gj.sensitivities(alone, ["no_load.peak_to_peak"], n=8, theta=angles)[0]
+    assert not found.total.any()
+    assert found.linear_fails == ""
+
+
 @pytest.mark.parametrize("cost", [0.0, -1.0, float("nan"), (), ((1.0, 2.0), (0.5, 3.0)), ((0.5, 1.0), (1.0, 2.0))])
 def test_costs_that_mean_nothing_are_refused(population, angles, cost):
     measure = gj.Measure("no_load", "peak_to_peak", limit=2 * arcmin)

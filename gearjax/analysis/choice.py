@@ -3,9 +3,11 @@
 The choice uses the numbers of the scene and the sample times as far as they are known, that is, not traced.
 """
 
+import functools
 import math
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -81,6 +83,33 @@ def known_limits(physics: Scene) -> Limits | None:
     return evaluated(limits_of, physics)
 
 
+def _known_step(physics: Scene) -> float | None:
+    """Default step [s] of a scene of which only errors and backlash are traced, on which the limits do not depend."""
+    tightened = _with_nothing((physics.errors, physics.backlash, physics.reference))
+    rest = eqx.tree_at(lambda scene: (scene.errors, scene.backlash, scene.reference), physics, tightened, is_leaf=_none)
+    limits = known_limits(rest)
+    return None if limits is None else STEP * LONGEST_STEP / float(limits.fastest)
+
+
+def _none(leaf: Any) -> bool:
+    return leaf is None
+
+
+def _with_nothing(parts: Any) -> Any:
+    """Parts of a scene with zeros for all numbers that are traced."""
+
+    def known(leaf: Any) -> Any:
+        return leaf if is_concrete(leaf) else _zeros(leaf.shape, leaf.dtype)
+
+    return jax.tree.map(known, parts)
+
+
+@functools.cache  # always the same array, so that results of `evaluated` are found again
+def _zeros(shape: tuple[int, ...], dtype: Any) -> Array:
+    with jax.ensure_compile_time_eval():
+        return jnp.zeros(shape, dtype)
+
+
 def limits_of(physics: Scene) -> Limits:
     nothing = jnp.zeros((), physics.dtype)
     if not physics.springs_apart:  # the decay is not known, hence no windows
@@ -141,6 +170,8 @@ def method_of(
     even = not is_concrete(ts) or _are_even(np.asarray(ts))
     if stepper is None:
         stepper = _suitable_step(scene, float(np.ptp(np.asarray(ts))), limits) if limits else FixedStep()
+        if limits is None and is_concrete(ts) and (step := _known_step(scene)) is not None:
+            stepper = FixedStep(step)
         if not even:
             shorter = 1.0 if limits is None or limits.whole is None else float(limits.fastest / limits.whole)
             stepper = FixedStep(stepper.step * shorter, solver=RungeKutta4())

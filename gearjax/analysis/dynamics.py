@@ -76,7 +76,9 @@ def simulate(
         stepper: `FixedStep`, `AdaptiveStep`, or `QuasiStatic` for a motion without integration. By default fixed steps
             that resolve the fastest motion: of the exponentially fitted scheme or of constant modes, long damped
             records in parallel windows of time (`chosen_steps` reports the choice and its reason); for uneven samples
-            of Runge-Kutta.
+            of Runge-Kutta. Where the scene is traced, by ``jax.jit``, ``jax.grad`` or ``jax.vmap``, the fastest motion
+            is known if only errors and backlash are traced. Otherwise steps are those of ``FixedStep()``, and
+            ``result`` is 2 if they are too long: then give those that `chosen_steps` reports for known numbers.
 
     Returns:
         The motion. If the scene is traced, faults are reported in its ``result``; otherwise they raise. If windows

@@ -28,6 +28,7 @@ ROUNDS = 4  # of reweighting
 NEAR_ZERO = 0.05  # spread of every second start, over that of the others
 LARGEST = 1e4  # units of the search: spread of the starts, at most
 LEAST = 1e-6  # of the span of the TE: least standard deviation of a row
+SAME_OFFSET = 1e-11  # relative information below which offsets of all and of single recordings are not told apart
 SAME = 12.0  # squared standard errors within which two ends count as one, apart from hidden directions
 CLEARLY = 1.1  # ratio of the errors of two solutions above which one has clearly smaller ones
 AS_GOOD = 12.0  # variances of a row by which the sum of squares of an equally good end may exceed the least one
@@ -120,17 +121,18 @@ def fitted(
 
     unknowns = model.unknowns
     beside = np.zeros(starts.shape[1] - len(unknowns.each), bool)
-    positive = np.concatenate([unknowns.reciprocals, beside])
+    free = np.full((2, len(beside)), [[-np.inf], [np.inf]])
+    allowed = np.concatenate([unknowns.allowed, free], axis=1)
     errors = np.concatenate([[each.path.startswith("errors.") for each in unknowns.each], beside])
     sigma = noise_of(rows)
     known = Known(precision[0], precision[1] * sigma**2)
     problem = Problem(model, rows)
     if rough is not None and len(starts) > 1:
-        starts = _best_on_means(rough, starts, known, positive, sigma)
+        starts = _best_on_means(rough, starts, known, allowed, sigma)
     weight, share = rows.weight.copy(), np.ones(rows.weight.shape)
     ends, sums = starts, None
     for turn in range(ROUNDS):
-        ends, sums = descend(sums_with(weight), ends, known, positive, weight.sum())
+        ends, sums = descend(sums_with(weight), ends, known, allowed, weight.sum())
         best = int(np.argmin(sums.cost))
         residual = rows.te - problem.curve(ends[best])[0]
         of_records = rows.weight * of_recordings(residual, rows)
@@ -146,7 +148,7 @@ def fitted(
     sigma = float(np.sqrt((weight * residual**2).sum() / max(weight.sum() - ends.shape[1], 1.0)))
     sigma = max(sigma, LEAST * float(np.ptp(rows.te)))
     known = Known(precision[0], precision[1] * sigma**2)
-    ends, sums = descend(sums_with(weight), ends, known, positive, weight.sum())
+    ends, sums = descend(sums_with(weight), ends, known, allowed, weight.sum())
     if not np.isfinite(sums.cost).any():
         raise GearjaxError(
             "the model is not finite at any start: give the scene numbers nearer to the measured gear set"
@@ -154,17 +156,15 @@ def fitted(
     order = np.argsort(sums.cost)
     order = order[sums.cost[order] - sums.cost[order[0]] < AS_GOOD * sigma**2]
     ends, sums = ends[order], Normal(*(part[order] for part in sums))
-    values, others, within = _flattest(sums_with(weight), ends, sums, known, errors, positive, sigma)
+    values, others, within = _flattest(sums_with(weight), ends, sums, known, errors, allowed, sigma)
     there = problem.normal(values[None], weight)
     return Fit(values, float(there.cost[0]), sigma, weight, share, there.matrix[0], others, within, problem, known)
 
 
-def _best_on_means(rough: Problem, starts: np.ndarray, known: Known, positive: np.ndarray, sigma: float) -> np.ndarray:
+def _best_on_means(rough: Problem, starts: np.ndarray, known: Known, allowed: np.ndarray, sigma: float) -> np.ndarray:
     """The best of the starts' ends on the means, and those of the good ones whose sums have the lowest rank."""
     bins = rough.rows
-    ends, sums = descend(
-        lambda v: rough.normal(v, bins.weight), starts, known, positive, bins.weight.sum(), ROUGH_STEPS
-    )
+    ends, sums = descend(lambda v: rough.normal(v, bins.weight), starts, known, allowed, bins.weight.sum(), ROUGH_STEPS)
     order = np.argsort(sums.cost)
     good = order[sums.cost[order] <= (1 + NEAR) * sums.cost[order[0]] + 100 * sigma**2]
     apart = good[_apart(ends[good], sums.matrix[good], sigma)]
@@ -179,7 +179,7 @@ def _flattest(
     at_ends: Normal,
     known: Known,
     errors: np.ndarray,
-    positive: np.ndarray,
+    allowed: np.ndarray,
     sigma: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of equally good points the one that is taken, the ends that are other solutions, and those in its flat valley.
@@ -187,7 +187,7 @@ def _flattest(
     The sums of the one that is taken have the lowest rank: a search may stop at the rim of a flat valley, where the
     recordings seem to determine more than they do. Where that leaves a choice, its errors are the smallest.
     """
-    valley = between(sums, ends, at_ends, known, errors, positive, sigma**2)
+    valley = between(sums, ends, at_ends, known, errors, allowed, sigma**2)
     points, matrix = np.concatenate([ends, valley.points]), np.concatenate([at_ends.matrix, valley.matrix])
     ranks = [rank_of(part - np.diag(known.precision)) for part in matrix]
     sizes = np.where(ranks == np.min(ranks), np.linalg.norm(points[:, errors], axis=1), np.inf)
@@ -222,9 +222,14 @@ def rank_of(matrix: np.ndarray) -> int:
 
 
 def without_further(matrix: np.ndarray, size: int) -> np.ndarray:
-    """Matrix of the first numbers with the further ones (offsets and free orders) eliminated: the Schur complement."""
-    own, cross, beside = matrix[:size, :size], matrix[:size, size:], matrix[size:, size:]
-    left = own - cross @ np.linalg.pinv(beside, hermitian=True) @ cross.T
+    """Matrix of the first numbers with the further ones (offsets and free orders) eliminated: the Schur complement.
+
+    The offset of all recordings and those of single ones differ only by the priors; with wide ones, by rounding alone.
+    """
+    own, cross = matrix[:size, :size], matrix[:size, size:]
+    beside, scale = scaled(matrix[size:, size:])
+    cross = cross / scale
+    left = own - cross @ np.linalg.pinv(beside, rcond=SAME_OFFSET, hermitian=True) @ cross.T
     return 0.5 * (left + left.T)
 
 

@@ -26,6 +26,7 @@ from gearjax.progress import Progress, Searching, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
+WIDE_OFFSET = 4.0  # offset of a recording over `offset_spread` that is no chance
 OFFSET_SPREAD = 0.02 * arcmin  # standard deviation of the encoders' offset between recordings
 STARTS = 64
 MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion starts from
@@ -126,7 +127,7 @@ def identify(
         *model.unknowns.names,
         *names_of_further(records, free or [each.column for each in known], _drifts(records)),
     )
-    _remark(fit, model, told, records, notes)
+    _remark(fit, model, told, records, offset_spread, notes)
     further = suggestions(model, fit, told, records, progress) if suggest else []
     finished = model.unknowns.finished(fit.values[: len(model.unknowns.each)])
     if moves:
@@ -362,7 +363,20 @@ def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> 
     return moved if after < before + STAYS * fit.sigma**2 else values
 
 
-def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], notes: list[str]) -> None:
+def _wide_offsets(records: list[Measurement], offsets: np.ndarray, spread: float) -> list[str]:
+    """A remark if the offsets of recordings differ by more than they are assumed to; offsets and spread in arcmin."""
+    own = dict(zip([record.name for record in records], offsets, strict=False))
+    worst = max(own, key=lambda name: abs(own[name]))
+    if abs(own[worst]) < WIDE_OFFSET * spread:
+        return []
+    return [
+        f"the encoders' offset of {worst} differs by {own[worst]:.2g} arcmin from that of all recordings, "
+        f"{abs(own[worst]) / spread:.0f} times offset_spread: if the encoders were zeroed anew between recordings, "
+        "values and errors are wrong: give a larger offset_spread"
+    ]
+
+
+def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], spread: float, notes: list[str]) -> None:
     """Add remarks on the fit to the notes."""
     size = len(model.unknowns.each)
     outlying = int((fit.share < OUTLYING).sum())
@@ -381,6 +395,8 @@ def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], n
                 f"{record.name}: the encoder's steps of {step:.3g} arcmin are larger than its noise: their rounding is "
                 "no noise, and intervals may be too narrow"
             )
+    if _drifts(records):
+        notes += _wide_offsets(records, fit.values[size + 1 :], spread / arcmin)
     for unknown, value in zip(model.unknowns.each, fit.values[:size], strict=True):
         if unknown.kind == "reciprocal" and value < 0.02:
             notes.append(f"{unknown.name}: the recordings show no deflection under torque: is the torque right?")

@@ -12,6 +12,7 @@ SETTLED = 1e-3  # variances of a row: a start ends at a step that gains less, a 
 RATTLING = 0.1  # variances of a row: after some failed steps a start ends if a step promises less (curves have kinks)
 MOST_FAILED = 3
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e10
+UNSEEN = 1e-16  # of the sum of squares: a number that changes it by less if it doubles, or moves by one, stays
 SHORTEST = 1e-2  # share of a positive number that a step leaves at least
 Sums = Callable[[np.ndarray], Normal]
 
@@ -36,7 +37,7 @@ class Known(NamedTuple):
 
 
 def descend(
-    sums: Sums, starts: np.ndarray, known: Known, positive: np.ndarray, rows: float, steps: int = STEPS
+    sums: Sums, starts: np.ndarray, known: Known, allowed: np.ndarray, rows: float, steps: int = STEPS
 ) -> tuple[np.ndarray, Normal]:
     """Minimise the least-squares cost from all starts.
 
@@ -44,7 +45,7 @@ def descend(
         sums: function of points, shape (start, number), that returns their least-squares sums.
         starts: points to start from, shape (start, number).
         known: the priors.
-        positive: whether each number stays above zero, shape (number,).
+        allowed: lowest and highest value of each number, shape (2, number).
         rows: number of rows in the sums.
         steps: largest number of steps.
 
@@ -61,10 +62,12 @@ def descend(
         own = np.flatnonzero(~done)
         if not own.size:
             break
-        step = _steps(matrix[own], slope[own], damping[own])
+        seen = np.einsum("spp->sp", matrix[own]) * np.maximum(values[own] ** 2, 1.0) > UNSEEN * cost[own, None]
+        step = _steps(matrix[own], slope[own], damping[own], seen)
         trial = values[own] + step
         floor = np.maximum(values[own] * SHORTEST, 1e-6)
-        trial = np.where(positive & (trial < floor), floor, trial)
+        trial = np.where((allowed[0] >= 0) & (trial < floor), floor, trial)
+        trial = np.clip(trial, *allowed)
         new = known.added(sums(trial), trial)
         promised = np.einsum("sp,sp->s", slope[own], step)
         variance = np.where(np.isfinite(cost[own]), cost[own], 0.0) / rows
@@ -81,11 +84,11 @@ def descend(
     return values, Normal(cost, matrix, slope)
 
 
-def _steps(matrix: np.ndarray, slope: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """Steps of all starts, each with its own damping; numbers without influence stay."""
+def _steps(matrix: np.ndarray, slope: np.ndarray, damping: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Steps of all starts, each with its own damping; numbers that are not seen stay."""
     diagonal = np.einsum("spp->sp", matrix)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = np.sqrt(np.where(seen, diagonal, 1.0))
     scaled = matrix / scale[:, :, None] / scale[:, None, :]
     eye = np.eye(matrix.shape[1])
-    held = scaled + (damping[:, None] + 1e-13)[:, :, None] * eye + np.where(diagonal > 0, 0.0, 1.0)[:, :, None] * eye
+    held = scaled + (damping[:, None] + 1e-13)[:, :, None] * eye + np.where(seen, 0.0, 1.0)[:, :, None] * eye
     return np.linalg.solve(held, (slope / scale)[..., None])[..., 0] / scale

@@ -51,7 +51,9 @@ def check_signs(
         found.append((again.sigma, f"{what} seems to have the wrong sign: with the other sign {words}", right))
     sigma, words, right = min(found, default=(np.inf, "", ""))
     if sigma < max(noisy, CLEAR * fit.sigma):
-        raise GearjaxError(f"{words} ({right}; give sign = -1 in the TOML file)")
+        zeroed = "; or the encoders were zeroed anew between recordings: give a larger offset_spread"
+        again = zeroed if len(records) > 1 else ""
+        raise GearjaxError(f"{words} ({right}; give sign = -1 in the TOML file{again})")
 
 
 def _size_of_errors(fit: Fit, scales: np.ndarray) -> float:

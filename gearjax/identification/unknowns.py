@@ -91,6 +91,21 @@ class Unknowns:
         return np.array([unknown.kind == "reciprocal" for unknown in self.each], bool)
 
     @functools.cached_property
+    def allowed(self) -> np.ndarray:
+        """Lowest and highest values of a search, in its units, shape (2, unknown).
+
+        Numbers may be below zero in a fit, unless they are of the gear set and zero means nothing.
+        """
+        declared, ends = numbers(self.scene), []
+        for unknown in self.each:
+            low, high = (0.0, math.inf) if unknown.kind == "reciprocal" else (-math.inf, math.inf)
+            if unknown.kind == "number":
+                low, high = (end / unknown.scale for end in declared[unknown.path].range)
+                low = low if low > 0 else -math.inf
+            ends.append((low, high))
+        return np.array(ends).T
+
+    @functools.cached_property
     def start(self) -> np.ndarray:
         """Values in the scene, in units of the search, shape (unknown,)."""
         return self.columns(self.scene)
@@ -192,6 +207,8 @@ def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, 
         if callable(where):
             raise ParameterError("where", where, 'must be paths such as "errors.planet_1" or "compliance.mean"')
         paths = [where] if isinstance(where, str) else list(where)
+        if not paths:
+            raise ParameterError("where", (), 'is empty: give paths such as "errors.planet_1" or "compliance.mean"')
     each: list[Unknown] = []
     for path in paths:
         if not isinstance(path, str):

@@ -33,7 +33,7 @@ def between(
     best: Normal,
     known: Known,
     errors: np.ndarray,
-    positive: np.ndarray,
+    allowed: np.ndarray,
     variance: float,
 ) -> Valley:
     """Look for points between ends that fit equally well.
@@ -48,7 +48,7 @@ def between(
         best: sums of the best end with the priors.
         known: the priors.
         errors: whether each number is an error, whose nominal value is zero, shape (number,).
-        positive: whether each number stays above zero, shape (number,).
+        allowed: lowest and highest value of each number, shape (2, number).
         variance: variance of a row of weight one [arcmin^2].
     """
     most = FLAT * variance
@@ -57,7 +57,7 @@ def between(
     precision = known.precision + np.where(errors, pull, 0.0)
     mean = known.mean * known.precision / np.where(precision > 0, precision, 1.0)
     held = Known(np.where(errors, mean, known.mean), precision)
-    slid, _ = descend(sums, first[None], held, positive, max(float(best.cost[0]) / variance, 1.0), STEPS)
+    slid, _ = descend(sums, first[None], held, allowed, max(float(best.cost[0]) / variance, 1.0), STEPS)
     others = np.concatenate([ends[1:], slid])
     middles = first + 0.5 * (others - first)
     there = known.added(sums(middles), middles)

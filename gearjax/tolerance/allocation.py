@@ -138,8 +138,9 @@ def allocate(
     best: tuple = ((before.low >= required, -given), before, ones)
     if not best[0][0]:
         best = ((False, before.value), before, ones)
-    left = Left(CORRECTIONS, "at most")
-    for turn in range(1, CORRECTIONS + 1):
+
+    def cheapest(target: float, start: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Cheapest factors whose smooth yield reaches a target, and whether it does."""
         solution = optimize.minimize(
             lambda logs: tuple(part / scale for part in price(np.exp(logs))),
             start,
@@ -148,12 +149,21 @@ def allocate(
             method="SLSQP",
             constraints={
                 "type": "ineq",
-                "fun": lambda logs, target=target: smooth(np.exp(logs))[0] - target,
+                "fun": lambda logs: smooth(np.exp(logs))[0] - target,
                 "jac": lambda logs: smooth(np.exp(logs))[1] * np.exp(logs),
             },
             options={"maxiter": 60, "ftol": SAME_COST},
         )
         factors = np.exp(np.clip(solution.x, *bounds.T))
+        return factors, smooth(factors)[0] >= target - SAME_YIELD
+
+    left = Left(CORRECTIONS, "at most")
+    for turn in range(1, CORRECTIONS + 1):
+        factors, reaches = cheapest(target, start)
+        for other in (np.log(best[2]), 0 * ones):  # at a bound the slope of a yield of few gear sets may lead nowhere
+            if not reaches:
+                again = cheapest(target, np.clip(other, *bounds.T))
+                factors, reaches = again if again[1] else (factors, reaches)
         after = judge(factors, turn)
         cost = price(factors)[0]
         reached = f"cost {cost:.4g}, yield {after.value:.4f} [{after.low:.4f}, {after.high:.4f}]"
@@ -166,7 +176,7 @@ def allocate(
         if met and after.low < required + 0.25 * (after.high - after.low):
             break  # the yield is proved with little to spare, so the cost can hardly fall further
         moved = np.abs(np.log(factors) - start).max()
-        if moved < STUCK and smooth(factors)[0] < target - SAME_YIELD:
+        if moved < STUCK and not reaches:
             break  # the search cannot reach its target from here, and the next target would be higher
         target = float(np.clip(target + (required - after.low) * 1.05, 0.0, 1 - 1e-4))
         start = np.log(factors)

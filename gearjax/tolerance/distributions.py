@@ -18,6 +18,7 @@ from gearjax.parameters import Parameter, check_value
 from gearjax.units import RATIO
 
 T = TypeVar("T")
+FURTHEST = 10.0  # standard deviations from the most frequent value, beyond which a normal distribution has no weight
 
 
 def declared_number(
@@ -127,6 +128,12 @@ class Normal(AbstractDistribution):
         return self.mean
 
 
+@functools.cache
+def _gauss() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights of a Gaussian quadrature between -1 and 1."""
+    return np.polynomial.legendre.leggauss(200)
+
+
 @formerly(scale="std")
 @dataclasses.dataclass(frozen=True)
 class TruncatedNormal(AbstractDistribution):
@@ -179,18 +186,26 @@ class TruncatedNormal(AbstractDistribution):
 
     @property
     def _moments(self) -> tuple[float, float]:
-        from scipy import stats  # takes a second to import
-
-        mean, variance = stats.truncnorm.stats(*self._ends, loc=self.mean, scale=self.std)
-        return float(mean), float(variance)
+        """Mean and standard deviation by Gaussian quadrature: closed forms lose all digits if the limits are close."""
+        lower, upper = self._ends
+        lower, upper = max(lower, min(upper, 0.0) - FURTHEST), min(upper, max(lower, 0.0) + FURTHEST)
+        nodes, weights = _gauss()
+        apart = 0.5 * (upper - lower) * (1 + nodes)  # from the lower end
+        start = lower if lower > 0 else 0.0  # where the density is 1, so that it does not underflow
+        start = upper if upper < 0 else start
+        weights = weights * np.exp(0.5 * (start**2 - (lower + apart) ** 2))
+        weights = weights / weights.sum()
+        mean = float((weights * apart).sum())
+        variance = float((weights * (apart - mean) ** 2).sum())
+        return self.mean + self.std * lower + self.std * mean, self.std * math.sqrt(variance)
 
     @property
     def deviation(self):
-        return math.sqrt(self._moments[1])
+        return self._moments[1]
 
     @property
     def expected(self):
-        return self._moments[0]
+        return min(max(self._moments[0], self.low), self.high)
 
 
 @dataclasses.dataclass(frozen=True)

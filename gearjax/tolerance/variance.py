@@ -64,6 +64,8 @@ class Sensitivities:
     def linear_fails(self) -> str:
         """Why the linear shares mislead; empty if they do not."""
         whole = float(self.linear.sum())
+        if whole == 0 and not self.total.any():
+            return ""  # the measure does not vary
         apart = np.abs(self.linear - self.total) - self.total_error
         worst = int(np.argmax(apart))
         if apart[worst] > OFF:
