@@ -244,6 +244,21 @@ def spacing(name: str, value: Any) -> None:
         one_number(f"{name} of {path}" if path else name, step)
 
 
+def a_result(name: str, value: Any, words: str = "") -> Any:
+    """The result of a user's function, an array or the shape of one, if it is one real number."""
+    kind = getattr(value, "dtype", np.result_type(value) if isinstance(value, int | float) else None)
+    returned = ""
+    if kind is None:
+        returned = "None" if value is None else type(value).__name__
+    elif jnp.issubdtype(kind, jnp.complexfloating):
+        returned = "complex number"
+    elif shape := getattr(value, "shape", ()):
+        returned = f"array of shape {shape}"
+    if returned:
+        raise ParameterError(name, returned, f"is what the function returns, must be one real number{words}")
+    return value
+
+
 def a_loss(name: str, value: Any) -> None:
     """Refuse anything but the name of an objective, terms, or a function of the scene."""
     terms = value if isinstance(value, Sequence) else [value]  # their classes are of a higher layer

@@ -301,6 +301,10 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
         return
     if parameter.kind != "count" and not is_numeric(value):
         raise ParameterError(key, value, "must be a number, in SI")
+    if parameter.kind == "number" and np.ndim(value):
+        raise ParameterError(
+            key, value, f"has shape {np.shape(value)}, must be one number: jax.vmap makes many of a part"
+        )
     if parameter.kind == "count" and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
         raise ParameterError(key, value, "must be a whole number")
     if parameter.kind == "count" and abs(int(value)) > 2**62:

@@ -199,6 +199,14 @@ def test_populations(scene):
     refuses(r"n = 2\.5: must be a whole number", gj.monte_carlo, own, "no_load.std", n=2.5)
     refuses(r"measure = 3\.0: must be a name", gj.monte_carlo, own, [3.0])
     refuses("theta must increase", gj.monte_carlo, own, "no_load.std", theta=[1.0, 0.0])
+    refuses(r"devices = \[\]: is empty", gj.monte_carlo, own, "no_load.std", devices=[], theta=[0.0, 1.0])
+    for result, words in (
+        (lambda _: None, '"None"'),
+        (lambda _: np.zeros(3), r'"array of shape \(3,\)"'),
+        (lambda _: {"one": np.zeros(2)}, "must be one real number, 'one' too"),
+    ):
+        refuses(words, gj.monte_carlo, own, result, n=4)
+    refuses('loss = "array of shape', gj.minimise, lambda _: jnp.ones(2), scene, where=PHASE)
 
 
 @pytest.mark.parametrize(
@@ -207,6 +215,8 @@ def test_populations(scene):
         (lambda: gj.Eccentricity("planet_1", np.nan, 0.0), "amplitude = nan"),
         (lambda: gj.Eccentricity("planet_1", "10 um", 0.0), 'expected a number in SI, got "10 um"'),
         (lambda: gj.InitialBacklash(1j), "expected a number in SI"),
+        (lambda: gj.InitialBacklash(np.array([1e-6, 2e-6])), r"initial = .*: has shape \(2,\), must be one number"),
+        (lambda: gj.EllipticPair(47, 3e-3, np.array([0.1, 0.2]), 10.0), r"eccentricity = .* must be one number"),
         (lambda: gj.Normal("1 um", 1e-6), 'mean = "1 um": must be a number'),
         (lambda: gj.Normal(0.0, None), "std = None: must be a number"),
         (lambda: gj.Measure("no_load", "std", limit=np.nan), "limit = nan"),

@@ -270,7 +270,9 @@ def _measures(given: Any) -> tuple[Measure, ...]:
 
 def _correlations(given: Any) -> list[Correlation]:
     if not isinstance(given, list):
-        raise ParameterError("correlated", given, "must be a list of {between = [path, path], coefficient = 0.5}")
+        raise ParameterError(
+            "tolerance.correlated", given, "must be a list of {between = [path, path], coefficient = 0.5}"
+        )
     correlations = []
     for index, entry in enumerate(given):
         key = f"tolerance.correlated[{index}]"

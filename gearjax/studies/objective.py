@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis import FixedStep, Motion, backlash, simulate, transmission_error
 from gearjax.analysis.choice import suitable_step
 from gearjax.analysis.extremes import highest
@@ -204,8 +205,13 @@ class Objective(eqx.Module):
         if self.scatter is not None:
             return self._mean(Objective.hard, scene)
         if self.function is not None:
-            return self.function(scene)
+            return self._own(scene)
         return self._sum(lambda term: self._metric(scene, term))
+
+    def _own(self, scene: Scene) -> Scalar:
+        """The user's own function of the scene."""
+        assert self.function is not None
+        return arguments.a_result("loss", self.function(scene))
 
     def _sum(self, metric: Callable[[Term], Scalar]) -> Scalar:
         """The weighted sum of a metric of all terms."""
@@ -262,7 +268,7 @@ class Objective(eqx.Module):
 
     def _of_samples(self, scene: Scene, largest: Callable[[Float[Array, " n"]], Scalar]) -> Scalar:
         if self.function is not None:
-            return self.function(scene)
+            return self._own(scene)
         anchored = scene.anchored()
 
         def metric(term: Term) -> Scalar:
@@ -301,7 +307,7 @@ class Objective(eqx.Module):
         if self.scatter is not None:
             return [Pieces(jnp.atleast_1d(self.refined(scene)), jnp.ones((), self.theta.dtype))]
         if self.function is not None:
-            return [Pieces(jnp.atleast_1d(self.function(scene)), jnp.ones((), self.theta.dtype))]
+            return [Pieces(jnp.atleast_1d(self._own(scene)), jnp.ones((), self.theta.dtype))]
         anchored = scene.anchored()
 
         def measure(term: Term) -> tuple[Float[Array, " m"], ...]:

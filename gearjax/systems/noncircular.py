@@ -15,7 +15,7 @@ from gearjax import units
 from gearjax.checks import ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, Layout, Moved, Movements, Pose, Request
 from gearjax.evaluate import evaluated
-from gearjax.geometry import ratio_table
+from gearjax.geometry import ratio_function, ratio_table
 from gearjax.geometry.noncircular import AbstractRatio, EllipseRatio, PitchCurves, Placed, TabulatedRatio
 from gearjax.geometry.noncircular_outline import Teeth, tooth_points
 from gearjax.geometry.noncircular_teeth import closing_centre_distance, closing_eccentricity, faults
@@ -75,6 +75,7 @@ class AbstractNoncircularPair(AbstractSystem):
             words = f"the driven gear would have {driven / self.driver_lobes:.6g} teeth, must be a whole number"
             multiple = self.driver_lobes // math.gcd(self.driver_lobes, self.driven_lobes)
             raise ParameterError("teeth", self.teeth, f"{words}: give a multiple of {multiple}")
+        self._check_ratio()
         shape = self.ratio_function, self.module, self.pressure_angle, self.addendum, self.centre_distance
         if not is_concrete(shape):
             return
@@ -83,6 +84,19 @@ class AbstractNoncircularPair(AbstractSystem):
             self._check_closure()
             for key, shown, words in faults(curves, float(self.module), float(self.addendum)):
                 raise ParameterError(key, shown, words)
+
+    def _check_ratio(self) -> None:
+        """Refuse a ratio function of one's own whose pitch curves do not close."""
+        ratio = self.ratio_function
+        if isinstance(ratio, EllipseRatio | TabulatedRatio):
+            return
+        words = ratio_function.shape_fault(ratio)
+        if words is not None:
+            raise ParameterError("ratio_function", ratio, words)
+        if is_concrete(ratio):
+            numbers = evaluated(ratio_function.sampled, ratio)
+            for words in ratio_function.faults(ratio, (self.driver_lobes, self.driven_lobes), numbers):
+                raise ParameterError("ratio_function", ratio, words)
 
     def _check_closure(self) -> None:
         """Refuse pitch curves whose length is not the sum of the pitches of their teeth."""

@@ -174,6 +174,8 @@ class Work:
             self.one = self._of_functions(sample, measure, seed, theta, extremes)
             self.sizes = np.array([self.number])
         self.devices = tuple(jax.local_devices() if devices is None else devices)
+        if not self.devices:
+            raise ParameterError("devices", devices, "is empty: give some of jax.local_devices(), or None for all")
         if self.devices[0].platform != "cpu":
             self.together = max(self.together, ACCELERATED)
         self.chunk = min(_whole("chunk", chunk), self.number)  # the same on every machine
@@ -386,7 +388,10 @@ def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[
     """Names of the numbers that a function returns: the keys of a dict, or the function's own name."""
     shape = jax.eval_shape(function, of)
     if isinstance(shape, dict):
+        for name, part in shape.items():
+            arguments.a_result("measure", part, f", {name!r} too")
         return tuple(sorted(shape))
+    arguments.a_result("measure", shape, ", or a dict of numbers by their names")
     return (getattr(named or function, "__name__", "measure"),)
 
 
@@ -394,6 +399,4 @@ def _coded(measured: Any) -> tuple[Array, Array]:
     """Numbers in the order of their names, and the result code of a sample."""
     parts = [measured[name] for name in sorted(measured)] if isinstance(measured, dict) else [measured]
     values = jnp.stack([jnp.asarray(part) for part in parts])
-    if values.ndim != 1:
-        raise ParameterError("measure", values.shape[1:], "must return numbers, not arrays")
     return values, jnp.where(jnp.isfinite(values).all(), 0, 2)
