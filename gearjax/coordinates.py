@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from gearjax.checks import ParameterError, SceneError, check_name, nearest
+from gearjax.checks import ParameterError, SceneError, check_name, nearest, with_article
 from gearjax.inertia import OF_WAY
 from gearjax.shafts import Shaft
 from gearjax.supports import TURNS, Support
@@ -144,7 +144,7 @@ def check_offered(
     """
     for slot, name in (*(("supports", name) for name in supports), *(("shafts", name) for name in shafts)):
         if not offered:
-            raise SceneError(f"[{slot}.{name}] is not for a {kind}: its bodies have no coordinates")
+            raise SceneError(f"[{slot}.{name}] is not for {with_article(kind)}: its bodies have no coordinates")
     for body, support in supports.items():
         if body not in offered:
             raise ParameterError("supports", body, nearest(body, offered))
@@ -157,7 +157,7 @@ def check_offered(
             raise ParameterError("shafts", name, "is the name of the output's rotation: give another name")
         turning = [body for body, ways in offered.items() if "rz" in ways]
         if not turning:
-            raise SceneError(f"[shafts.{name}] is not for a {kind}: its bodies are on no shafts")
+            raise SceneError(f"[shafts.{name}] is not for {with_article(kind)}: its bodies are on no shafts")
         for body in shaft.bodies:
             if body not in turning:
                 raise ParameterError(f"shafts.{name}.bodies", body, nearest(body, turning))

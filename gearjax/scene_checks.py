@@ -105,7 +105,7 @@ def check_coupled(scene: Scene) -> None:
     if not isinstance(scene.contact, HardContact):
         raise SceneError(f'[compliance] kind = "{compliance.kind}" couples the contacts: use contact "hard"')
     if isinstance(compliance, AbstractToothCompliance) and not scene.system.has_places:
-        words = f"needs the places of contacts on their teeth, which a {scene.system.kind} does not offer"
+        words = f"needs the places of contacts on their teeth, which {with_article(scene.system.kind)} does not offer"
         raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
     if not is_concrete((compliance, scene.system)):
         return
@@ -130,7 +130,7 @@ def check_coupled(scene: Scene) -> None:
 def _check_slices(scene: Scene, compliance: AbstractSliceCompliance) -> None:
     """Refuse a compliance of slices if the gear set has no slices, or if the compliance does not suit its gears."""
     if not scene.system.has_slices:
-        words = f"needs slices of contact lines, which a {scene.system.kind} does not offer"
+        words = f"needs slices of contact lines, which {with_article(scene.system.kind)} does not offer"
         raise SceneError(f'[compliance] kind = "{compliance.kind}" {words}')
     if is_concrete((compliance, scene.system)):
         slices = evaluated(_at_start, scene.system, Request(slices=True)).slices
@@ -179,7 +179,7 @@ def require(scene: Scene, what: str, *slots: str) -> None:
         words = "[compliance] of slices, such as line_stiffness or tooth_slices"
         if not scene.is_train:
             words += "; gj.one_contact(scene, torque) reduces all to one contact"
-        raise SceneError(f'"{what}" of a {scene.system.kind} needs {words}')
+        raise SceneError(f'"{what}" of {with_article(scene.system.kind)} needs {words}')
     coordinates = scene.moving.coordinates
     if not scene.system.turns_evenly and (scene.shafts or scene.system.orbits):
         raise SceneError(f'"{what}" of an output that turns unevenly is only possible without shafts and cranks')

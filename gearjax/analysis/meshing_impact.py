@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from gearjax import arguments
 from gearjax.analysis.resting import rest
 from gearjax.batches import in_batches
-from gearjax.checks import SceneError
+from gearjax.checks import SceneError, with_article
 from gearjax.contact import ContactSet, CoupledSprings
 from gearjax.impact import AT_ONCE, MeshingImpact, Pulses, of_pair, pitch_of
 from gearjax.scene import Scene
@@ -114,7 +114,7 @@ def _require_meshing_in(scene: Scene) -> None:
         SceneError: the gear set does not say how its teeth come into mesh.
     """
     if scene.system.meshing_in is None:
-        raise SceneError(f'"meshing impact" is for a helical_pair, not for a {scene.system.kind}')
+        raise SceneError(f'"meshing impact" is for a helical_pair, not for {with_article(scene.system.kind)}')
 
 
 def pulses_of(scene: Scene, torque: Scalar) -> Pulses | None:

@@ -12,7 +12,7 @@ from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.resting import resistance
-from gearjax.checks import ParameterError, SceneError, is_concrete
+from gearjax.checks import ParameterError, SceneError, is_concrete, with_article
 from gearjax.clearance import InitialBacklash
 from gearjax.compliance.wave_stiffness import WaveStiffness
 from gearjax.geometry.waves import Waves
@@ -109,7 +109,8 @@ def one_contact(
     require(scene, "one contact", "compliance")
     system = scene.system
     if not system.turns_evenly:
-        raise SceneError(f'"one contact" needs an output that turns evenly; that of a {system.kind} does not')
+        words = f"that of {with_article(system.kind)} does not"
+        raise SceneError(f'"one contact" needs an output that turns evenly; {words}')
     mesh = 2 * math.pi / system.orders["mesh"]
     period = mesh if period is None else float(period)
     _check(scene, torque, period, mesh, samples, harmonics)

@@ -8,7 +8,7 @@ from gearjax import arguments
 from gearjax.analysis.extremes import extremes
 from gearjax.analysis.quasi_static import angles_of, torque_on
 from gearjax.analysis.resting import edge
-from gearjax.checks import ParameterError, SceneError, is_concrete
+from gearjax.checks import ParameterError, SceneError, is_concrete, with_article
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
@@ -101,9 +101,8 @@ def separation_speed(scene: Scene, torque: float | Scalar) -> Scalar:
         296.354
     """
     if scene.system.turns_evenly:
-        raise SceneError(
-            f'"separation_speed" needs an output that turns unevenly; that of a {scene.system.kind} does not'
-        )
+        words = f"that of {with_article(scene.system.kind)} does not"
+        raise SceneError(f'"separation_speed" needs an output that turns unevenly; {words}')
     require(scene, "separation_speed", "inertia")
     if is_concrete(torque) and float(torque) == 0.0:
         raise ParameterError("torque", torque, "must not be zero: without load teeth separate at any speed")

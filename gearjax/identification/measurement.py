@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax.checks import GearjaxError, ParameterError, nearest, with_article
 from gearjax.scene import Scene
 from gearjax.units import arcmin, deg
 
@@ -216,7 +216,7 @@ def _check_ratio(measured: Measurement, scene: Scene) -> None:
     if off * np.ptp(expected) < 2 * deg or off < RATIO_TOLERANCE:  # a short recording hardly determines the slope
         return
     order = robust_slope(expected, measured.theta)
-    words = f"{measured.name}: the output turns {slope:.6g} times as far as a {scene.system.kind}'s should"
+    words = f"{measured.name}: the output turns {slope:.6g} times as far as {with_article(scene.system.kind)}'s should"
     for factor, meaning in FACTORS.items():
         if abs(abs(slope) / factor - 1) < 0.02:
             raise GearjaxError(f"{words}: {meaning}")

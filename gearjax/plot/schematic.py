@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
-from gearjax.checks import SceneError
+from gearjax.checks import SceneError, with_article
 from gearjax.contact import Request
 from gearjax.errors import Eccentricity
 from gearjax.plot.axes import COLOURS
@@ -40,7 +40,7 @@ def schematic_figure(scene: Scene) -> Figure:
     """
     sketch = scene.system.sketch()
     if sketch is None:
-        raise SceneError(f"a {scene.system.kind} gives no sketch: add a method sketch to its class")
+        raise SceneError(f"{with_article(scene.system.kind)} gives no sketch: add a method sketch to its class")
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     ax = figure.subplots()
     colours = {body.name: COLOURS[index % len(COLOURS)] for index, body in enumerate(sketch.bodies)}
