@@ -85,8 +85,8 @@ def known_limits(physics: Scene) -> Limits | None:
 
 def _known_step(physics: Scene) -> float | None:
     """Default step [s] of a scene of which only errors and backlash are traced, on which the limits do not depend."""
-    tightened = _with_nothing((physics.errors, physics.backlash, physics.reference))
-    rest = eqx.tree_at(lambda scene: (scene.errors, scene.backlash, scene.reference), physics, tightened, is_leaf=_none)
+    parts = _with_nothing((physics.errors, physics.backlash, physics.reference))
+    rest = eqx.tree_at(lambda scene: (scene.errors, scene.backlash, scene.reference), physics, parts, is_leaf=_none)
     limits = known_limits(rest)
     return None if limits is None else STEP * LONGEST_STEP / float(limits.fastest)
 

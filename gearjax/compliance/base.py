@@ -154,6 +154,11 @@ class AbstractSliceCompliance(eqx.Module):
         """
         return self
 
+    @property
+    def linear(self) -> bool:
+        """Whether the force of each slice is proportional to its own overlap."""
+        return not self.couples
+
     @abc.abstractmethod
     def springs(self, slices: Slices) -> Springs:
         """Springs of the contacts along the normals of the flanks.

@@ -102,6 +102,10 @@ class ToothSlices(AbstractSliceCompliance):
         return self.coupling_length is not None
 
     @property
+    def linear(self) -> bool:
+        return self.contact == "constant" and not self.couples
+
+    @property
     def line_contact(self) -> HertzLineContact:
         return HertzLineContact(self.youngs_modulus, self.poissons_ratio, jnp.ones_like(self.youngs_modulus))
 

@@ -78,6 +78,7 @@ class MeanSprings(eqx.Module):
 
     @classmethod
     def _of_slices(cls, scene: Scene, torque: Scalar) -> "MeanSprings":
+        assert isinstance(scene.compliance, AbstractSliceCompliance)
         layout = scene.layout
         period = 2 * math.pi / np.array(scene.system.mesh_orders)
         angles = jnp.asarray(period[:, None] / ANGLES * np.arange(ANGLES), scene.dtype)
@@ -87,7 +88,7 @@ class MeanSprings(eqx.Module):
             drives = drives == (torque >= 0)
         back = np.asarray(layout.side) < 0
         indentation, firmer = None, 1.0
-        if isinstance(scene.contacts(angles[0, 0], "varying").springs, LineSprings):
+        if not scene.compliance.linear:
             springs, indentation = _indented(scene, torque)
             firmer = (springs.tangent(HEAVIEST * indentation) / springs.tangent(indentation)).max()
 
