@@ -40,8 +40,8 @@ def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
     """Natural frequencies and modes of a scene about its loaded position at input angle 0.
 
     The stiffness is the mean stiffness of the contacts that carry the torque; for slices of contact lines it is the
-    mean of the whole mesh, and for line contacts that under the mean force (`DampingRatio`). Gyroscopic forces of bodies
-    on cranks are neglected.
+    mean of the whole mesh, and for line contacts that under the mean force (`DampingRatio`). Gyroscopic forces of
+    bodies on cranks are neglected.
 
     Args:
         scene: the scene, with compliance and inertia.
