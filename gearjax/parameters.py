@@ -270,9 +270,15 @@ def check_parameters(part: Any) -> None:
     Raises:
         ParameterError: a value is not allowed; the message names the field, the value and what would be right.
     """
-    for key, parameter in declared(part).items():
-        if getattr(part, key) is not None:
-            check_value(key, parameter, getattr(part, key))
+    given = {key: getattr(part, key) for key in declared(part) if getattr(part, key) is not None}
+    for key, value in given.items():
+        check_value(key, declared(part)[key], value)
+    numbers = {key: value for key, value in given.items() if declared(part)[key].kind == "number"}
+    shapes = {key: value.shape for key, value in numbers.items() if isinstance(value, jax.Array | np.ndarray)}
+    if len(set(shapes.values())) > 1:  # many parts at once have the same leading axes everywhere
+        key = next(key for key, shape in shapes.items() if shape)
+        words = f"has shape {shapes[key]}, must be one number as the others are: make many parts by jax.vmap"
+        raise ParameterError(key, given[key], words)
 
 
 def check_value(key: str, parameter: Parameter, value: Any) -> None:
@@ -301,10 +307,6 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
         return
     if parameter.kind != "count" and not is_numeric(value):
         raise ParameterError(key, value, "must be a number, in SI")
-    if parameter.kind == "number" and np.ndim(value):
-        raise ParameterError(
-            key, value, f"has shape {np.shape(value)}, must be one number: jax.vmap makes many of a part"
-        )
     if parameter.kind == "count" and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
         raise ParameterError(key, value, "must be a whole number")
     if parameter.kind == "count" and abs(int(value)) > 2**62:

@@ -215,8 +215,14 @@ def test_populations(scene):
         (lambda: gj.Eccentricity("planet_1", np.nan, 0.0), "amplitude = nan"),
         (lambda: gj.Eccentricity("planet_1", "10 um", 0.0), 'expected a number in SI, got "10 um"'),
         (lambda: gj.InitialBacklash(1j), "expected a number in SI"),
-        (lambda: gj.InitialBacklash(np.array([1e-6, 2e-6])), r"initial = .*: has shape \(2,\), must be one number"),
-        (lambda: gj.EllipticPair(47, 3e-3, np.array([0.1, 0.2]), 10.0), r"eccentricity = .* must be one number"),
+        (
+            lambda: gj.Eccentricity("driver", np.array([1e-6, 2e-6]), 0.0),
+            r"amplitude = .*: has shape \(2,\), must be one",
+        ),
+        (
+            lambda: gj.EllipticPair(47, 3e-3, np.array([0.1, 0.2]), 10.0),
+            r"eccentricity = .*: has shape \(2,\), must be one number",
+        ),
         (lambda: gj.Normal("1 um", 1e-6), 'mean = "1 um": must be a number'),
         (lambda: gj.Normal(0.0, None), "std = None: must be a number"),
         (lambda: gj.Measure("no_load", "std", limit=np.nan), "limit = nan"),

@@ -220,3 +220,23 @@ def test_pins_of_a_body_on_supports_move_as_by_other_steps():
         np.testing.assert_allclose(motion.te, other.te, rtol=0, atol=2e-3 * np.ptp(other.te))
         apart.append(float(jnp.abs(motion.te - rigid).max()))
     assert 5 < apart[0] / apart[1] < 20
+
+
+@pytest.mark.slow
+def test_steps_of_uneven_samples_are_the_same_where_errors_are_traced():
+    """Steps of Runge-Kutta resolve stiff supports too, and records that are too long are refused."""
+    scene = pins(damping=None, law=gj.HarmonicStiffness(1.6e8, [], []))
+    held = dataclasses.replace(
+        scene, supports={"disc_1": gj.Support(x=1e11, y=1e11)}, body_inertia={"disc_1": gj.BodyInertia(0.8)}
+    )
+
+    def motion(amplitude, ts):
+        errors = ERRORS | {"disc": gj.Eccentricity("disc_1", amplitude, 0.4)}
+        return gj.simulate(dataclasses.replace(held, errors=errors), ts, 300.0)
+
+    uneven = np.linspace(0.0, 1.0, 31) ** 1.1 * 1e-3
+    known, traced = motion(2 * um, uneven), jax.jit(lambda amplitude: motion(amplitude, uneven))(2 * um)
+    assert int(traced.result) == 0
+    np.testing.assert_allclose(traced.te, known.te, rtol=0, atol=1e-12 * np.ptp(known.te))
+    with pytest.raises(gj.SceneError, match="needs .* steps"):
+        jax.jit(lambda amplitude: motion(amplitude, np.linspace(0.0, 1e6, 11)).te)(2 * um)

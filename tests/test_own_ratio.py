@@ -31,6 +31,10 @@ class Waves(AbstractRatio):
             return t + 0.3 * np.sin(t)
         if self.wrong == "shape":
             return jnp.sum(t)
+        if self.wrong == "whole":
+            return jnp.floor(t).astype(int)
+        if self.wrong == "complex":
+            return jax.lax.complex(t, t)
         return self.mean * t + self.first * jnp.sin(t) + self.second * (1 - jnp.cos(2 * t)) + self.offset
 
     def rates(self, t):
@@ -96,7 +100,10 @@ def test_a_function_may_be_traced():
         ({"lobes": 2, "driver_lobes": 2, "driven_lobes": 2}, "one lobe later by 0.*, must repeat"),
         ({"wrong": "rates"}, "rates gives another ratio than the slope of driven_angle"),
         ({"wrong": "numpy"}, r"must be made of functions of jax\.numpy"),
-        ({"wrong": "shape"}, "must return an array of the shape of its angles"),
+        ({"wrong": "shape"}, "must return real numbers, an array of the shape of its angles"),
+        ({"wrong": "whole"}, "must return real numbers"),
+        ({"wrong": "complex"}, "must return real numbers"),
+        ({"first": 1.0001, "second": 0.0}, "the ratio is -0.0001 at 180 deg, must be above 0 everywhere"),
     ],
 )
 def test_functions_that_are_no_ratios_are_refused(changes, words):

@@ -83,12 +83,11 @@ def known_limits(physics: Scene) -> Limits | None:
     return evaluated(limits_of, physics)
 
 
-def _known_step(physics: Scene) -> float | None:
-    """Default step [s] of a scene of which only errors and backlash are traced, on which the limits do not depend."""
+def _limits_without_errors(physics: Scene) -> Limits | None:
+    """The limits of a scene of which only errors and backlash are traced, on which they do not depend."""
     parts = _with_nothing((physics.errors, physics.backlash, physics.reference))
     rest = eqx.tree_at(lambda scene: (scene.errors, scene.backlash, scene.reference), physics, parts, is_leaf=_none)
-    limits = known_limits(rest)
-    return None if limits is None else STEP * LONGEST_STEP / float(limits.fastest)
+    return known_limits(rest)
 
 
 def _none(leaf: Any) -> bool:
@@ -169,11 +168,14 @@ def method_of(
     limits = limits if is_concrete(ts) else None
     even = not is_concrete(ts) or _are_even(np.asarray(ts))
     if stepper is None:
-        stepper = _suitable_step(scene, float(np.ptp(np.asarray(ts))), limits) if limits else FixedStep()
-        if limits is None and is_concrete(ts) and (step := _known_step(scene)) is not None:
-            stepper = FixedStep(step)
+        known = limits
+        if limits is None and is_concrete(ts):
+            known = _limits_without_errors(scene)
+        stepper = _suitable_step(scene, float(np.ptp(np.asarray(ts))), known) if known else FixedStep()
+        if limits is None:  # windows are for motions whose defect can be looked at
+            stepper = FixedStep(stepper.step)
         if not even:
-            shorter = 1.0 if limits is None or limits.whole is None else float(limits.fastest / limits.whole)
+            shorter = 1.0 if known is None or known.whole is None else float(known.fastest) / float(known.whole)
             stepper = FixedStep(stepper.step * shorter, solver=RungeKutta4())
     if isinstance(stepper, QuasiStatic):
         require_springs_apart(scene, "QuasiStatic")

@@ -9,7 +9,7 @@ import numpy as np
 from gearjax.geometry.noncircular import AbstractRatio
 from gearjax.typing import Array
 
-PLACES = 64  # angles over one lobe, at uneven steps, at which a function is looked at
+PLACES = 64  # angles over one lobe at which a function is looked at, at even steps and at others
 ROUNDED = 100.0  # spacings of the dtype that a difference by rounding has at most
 SAME = 1e-6  # difference of ratios and of angles that rounding, or a short series, may cause [-], [rad]
 
@@ -18,22 +18,25 @@ def shape_fault(ratio: AbstractRatio) -> str | None:
     """What prevents a function from being evaluated, in words; ``None`` if nothing does."""
     angles = jax.ShapeDtypeStruct((2, 3), jnp.result_type(float))
     try:
-        given = jax.eval_shape(ratio.driven_angle, angles), jax.eval_shape(ratio.rates, angles)
+        given = jax.eval_shape(ratio.driven_angle, angles)
+        if jnp.issubdtype(getattr(given, "dtype", angles.dtype), jnp.floating):
+            given = given, jax.eval_shape(ratio.rates, angles)
     except (TypeError, ValueError, jax.errors.JAXTypeError) as fault:
         words = str(fault).partition("\n")[0][:120]
         return f"driven_angle must be made of functions of jax.numpy, for angles of any shape: {words}"
-    shapes = [getattr(each, "shape", None) for each in jax.tree.leaves(given)]
-    if shapes != [(2, 3)] * 4:
-        return "driven_angle must return an array of the shape of its angles, rates three of them"
+    right = all(each.shape == (2, 3) and jnp.issubdtype(each.dtype, jnp.floating) for each in jax.tree.leaves(given))
+    if not right or len(jax.tree.leaves(given)) != 4:
+        return "driven_angle must return real numbers, an array of the shape of its angles, and rates three of them"
     return None
 
 
 def sampled(ratio: AbstractRatio) -> tuple[Array, ...]:
     """Numbers of a function that show its faults: angles at the ends of a lobe, and rates in it and a lobe later."""
     lobe = 2 * jnp.pi / ratio.driver_lobes
-    places = lobe * np.modf(np.arange(1, PLACES + 1) * (np.sqrt(5) - 1) / 2)[0]
+    places = lobe * np.modf(np.arange(PLACES) * (np.sqrt(5) - 1) / 2)[0]
+    places = np.concatenate([places, lobe * np.arange(PLACES) / PLACES])
     ends = ratio.driven_angle(jnp.asarray([0.0, 1.0]) * lobe)
-    slope = jax.jvp(ratio.driven_angle, (jnp.asarray(places),), (jnp.ones(PLACES),))[1]
+    slope = jax.jvp(ratio.driven_angle, (jnp.asarray(places),), (jnp.ones(len(places)),))[1]
     here, later = ratio.rates(jnp.asarray(places))[0], ratio.rates(jnp.asarray(places) + lobe)[0]
     return ends, slope, here, later, jnp.asarray(places)
 

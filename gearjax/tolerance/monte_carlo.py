@@ -387,7 +387,7 @@ def _whole(name: str, given: Any) -> int:
 def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[str, ...]:
     """Names of the numbers that a function returns: the keys of a dict, or the function's own name."""
     shape = jax.eval_shape(function, of)
-    if isinstance(shape, dict):
+    if isinstance(shape, dict) and shape:
         for name, part in shape.items():
             arguments.a_result("measure", part, f", {name!r} too")
         return tuple(sorted(shape))
