@@ -238,5 +238,5 @@ def test_steps_of_uneven_samples_are_the_same_where_errors_are_traced():
     known, traced = motion(2 * um, uneven), jax.jit(lambda amplitude: motion(amplitude, uneven))(2 * um)
     assert int(traced.result) == 0
     np.testing.assert_allclose(traced.te, known.te, rtol=0, atol=1e-12 * np.ptp(known.te))
-    with pytest.raises(gj.SceneError, match="needs .* steps"):
+    with pytest.raises(gj.SceneError, match=r"needs .* steps"):
         jax.jit(lambda amplitude: motion(amplitude, np.linspace(0.0, 1e6, 11)).te)(2 * um)
