@@ -270,15 +270,18 @@ def check_parameters(part: Any) -> None:
     Raises:
         ParameterError: a value is not allowed; the message names the field, the value and what would be right.
     """
-    given = {key: getattr(part, key) for key in declared(part) if getattr(part, key) is not None}
-    for key, value in given.items():
-        check_value(key, declared(part)[key], value)
-    numbers = {key: value for key, value in given.items() if declared(part)[key].kind == "number"}
-    shapes = {key: value.shape for key, value in numbers.items() if isinstance(value, jax.Array | np.ndarray)}
+    shapes = {}
+    for key, parameter in declared(part).items():
+        value = getattr(part, key)
+        if value is None:
+            continue
+        check_value(key, parameter, value)
+        if parameter.kind == "number" and isinstance(value, jax.Array | np.ndarray):
+            shapes[key] = value.shape
     if len(set(shapes.values())) > 1:  # many parts at once have the same leading axes everywhere
         key = next(key for key, shape in shapes.items() if shape)
         words = f"has shape {shapes[key]}, must be one number as the others are: make many parts by jax.vmap"
-        raise ParameterError(key, given[key], words)
+        raise ParameterError(key, getattr(part, key), words)
 
 
 def check_value(key: str, parameter: Parameter, value: Any) -> None:

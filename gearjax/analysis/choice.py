@@ -85,22 +85,15 @@ def known_limits(physics: Scene) -> Limits | None:
 
 def _limits_without_errors(physics: Scene) -> Limits | None:
     """The limits of a scene of which only errors and backlash are traced, on which they do not depend."""
-    parts = _with_nothing((physics.errors, physics.backlash, physics.reference))
-    rest = eqx.tree_at(lambda scene: (scene.errors, scene.backlash, scene.reference), physics, parts, is_leaf=_none)
-    return known_limits(rest)
 
-
-def _none(leaf: Any) -> bool:
-    return leaf is None
-
-
-def _with_nothing(parts: Any) -> Any:
-    """Parts of a scene with zeros for all numbers that are traced."""
+    def parts(scene: Scene) -> tuple[Any, ...]:
+        return scene.errors, scene.backlash, scene.reference
 
     def known(leaf: Any) -> Any:
         return leaf if is_concrete(leaf) else _zeros(leaf.shape, leaf.dtype)
 
-    return jax.tree.map(known, parts)
+    known_parts = jax.tree.map(known, parts(physics))
+    return known_limits(eqx.tree_at(parts, physics, known_parts, is_leaf=lambda leaf: leaf is None))
 
 
 @functools.cache  # always the same array, so that results of `evaluated` are found again

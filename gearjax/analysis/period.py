@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import SceneError, is_concrete
-from gearjax.contact import LineSprings
+from gearjax.contact import LinearSprings, LineSprings
 from gearjax.evaluate import evaluated
 from gearjax.scene import Scene
 from gearjax.typing import Array, Scalar
 
 ANGLES = 5  # input angles, at uneven places, at which the contacts are compared
-LINE_FORCE = 100.0  # N, force under which the stiffness of line contacts is compared
+DEEP = 1e-6  # m, approach at which the stiffness of contacts is compared
 NOTHING = 1e-9  # difference of gaps that counts as none [m]; and of stiffness and load, over their sizes
 
 
@@ -57,11 +57,10 @@ def _compared(scene: Scene, before: Array, after: Array) -> tuple[tuple[Array, A
 
     def at(theta: Scalar) -> tuple[Array, Array, Array]:
         contacts = scene.contacts(theta, "varying")
-        springs = contacts.springs
-        if isinstance(springs, LineSprings):
-            stiffness = springs.tangent(LINE_FORCE * springs.slope.min())
-        else:
-            stiffness = jnp.zeros_like(contacts.gap) if contacts.linear is None else contacts.linear
+        stiffness = jnp.zeros_like(contacts.gap)
+        if contacts.springs is not None:
+            assert isinstance(contacts.springs, LinearSprings | LineSprings)
+            stiffness = contacts.springs.force(jnp.full_like(contacts.gap, DEEP)) / DEEP
         load = jnp.ones_like(theta)
         if scene.load is not None:
             turns, time = theta / (2 * jnp.pi), theta / scene.system.input_speed

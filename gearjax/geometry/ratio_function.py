@@ -17,16 +17,15 @@ SAME = 1e-6  # difference of ratios and of angles that rounding, or a short seri
 def shape_fault(ratio: AbstractRatio) -> str | None:
     """What prevents a function from being evaluated, in words; ``None`` if nothing does."""
     angles = jax.ShapeDtypeStruct((2, 3), jnp.result_type(float))
-    try:
-        given = jax.eval_shape(ratio.driven_angle, angles)
-        if jnp.issubdtype(getattr(given, "dtype", angles.dtype), jnp.floating):
-            given = given, jax.eval_shape(ratio.rates, angles)
-    except (TypeError, ValueError, jax.errors.JAXTypeError) as fault:
-        words = str(fault).partition("\n")[0][:120]
-        return f"driven_angle must be made of functions of jax.numpy, for angles of any shape: {words}"
-    right = all(each.shape == (2, 3) and jnp.issubdtype(each.dtype, jnp.floating) for each in jax.tree.leaves(given))
-    if not right or len(jax.tree.leaves(given)) != 4:
-        return "driven_angle must return real numbers, an array of the shape of its angles, and rates three of them"
+    for function, number in ((ratio.driven_angle, 1), (ratio.rates, 3)):
+        try:
+            given = jax.tree.leaves(jax.eval_shape(function, angles))
+        except (TypeError, ValueError, jax.errors.JAXTypeError) as fault:
+            words = str(fault).partition("\n")[0][:120]
+            return f"driven_angle must be made of functions of jax.numpy, for angles of any shape: {words}"
+        right = [each.shape == angles.shape and jnp.issubdtype(each.dtype, jnp.floating) for each in given]
+        if right != [True] * number:
+            return "driven_angle must return real numbers, an array of the shape of its angles, and rates three of them"
     return None
 
 

@@ -94,7 +94,8 @@ class Unknowns:
     def allowed(self) -> np.ndarray:
         """Lowest and highest values of a search, in its units, shape (2, unknown).
 
-        Numbers may be below zero in a fit, unless they are of the gear set and zero means nothing.
+        They are the declared bounds, except a lower bound of zero: noise may make the best value of a small backlash
+        negative.
         """
         declared, ends = numbers(self.scene), []
         for unknown in self.each:
