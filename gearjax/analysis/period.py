@@ -60,7 +60,7 @@ def _compared(scene: Scene, before: Array, after: Array) -> tuple[tuple[Array, A
         stiffness = jnp.zeros_like(contacts.gap)
         if contacts.springs is not None:
             assert isinstance(contacts.springs, LinearSprings | LineSprings)
-            stiffness = contacts.springs.force(jnp.full_like(contacts.gap, DEEP)) / DEEP
+            stiffness = contacts.springs.secant(jnp.full_like(contacts.gap, DEEP))
         load = jnp.ones_like(theta)
         if scene.load is not None:
             turns, time = theta / (2 * jnp.pi), theta / scene.system.input_speed

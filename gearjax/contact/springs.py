@@ -29,6 +29,11 @@ class LinearSprings(eqx.Module):
         """Force at an approach [N]."""
         return self.stiffness * penetration
 
+    def secant(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Force per approach at an approach [N/m]."""
+        del penetration
+        return self.stiffness
+
 
 class CoupledSprings(eqx.Module):
     """Coupled springs: a force on one contact moves the others too, such as teeth of one body or slices of one face.
@@ -92,6 +97,11 @@ class LineSprings(eqx.Module):
             x = x - (x + jnp.log(level - x) - end_at) / (1.0 - 1.0 / (level - x))
         straight = end + (penetration - furthest) / ((LAST - 1.0) * self.slope)
         return jnp.where(beyond, straight, jnp.where(touching, jnp.exp(x), 0.0))
+
+    def secant(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Force per approach at an approach [N/m]; zero if the bodies do not touch."""
+        touching = penetration > SHALLOWEST
+        return self.force(penetration) / jnp.where(touching, penetration, 1.0)
 
     @property
     def stiffest(self) -> Float[Array, " contact"]:

@@ -206,7 +206,8 @@ class Lines(eqx.Module):
         crossed = (before > 0) != (overlap > 0)
         size = jnp.abs(overlap - before)
         share = jnp.where(crossed, jnp.abs(before) / jnp.where(crossed, size, 1.0), 1.0)
-        stiffness = equation.springs.linear(now.springs)  # that of a line contact at its overlap takes 40 % longer
+        # the mean stiffness would take a third less time with line contacts, but lose the third order
+        stiffness = now.springs.secant(jnp.maximum(before, overlap))
         kink = jnp.where(crossed, -stiffness * size * (1 / 12 - 0.5 * share * (1 - share)), 0.0)
         if equation.scene.damping is not None and equation.scene.damping.acting == "contact":
             turn = equation.engaged(before) - equation.engaged(overlap)
