@@ -12,9 +12,7 @@ SETTLED = 1e-3  # variances of a row: a start ends at a step that gains less, a 
 RATTLING = 0.1  # variances of a row: after some failed steps a start ends if a step promises less (curves have kinks)
 MOST_FAILED = 3
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e10
-UNSEEN = (
-    1e-16  # share of the sum of squares that a number changes at least, if it doubles or moves by one unit, to move
-)
+UNSEEN = 1e-16  # a number stays if doubling it, or moving it by a unit, changes a smaller share of the sum of squares
 SHORTEST = 1e-2  # share of a positive number that a step leaves at least
 Sums = Callable[[np.ndarray], Normal]
 
