@@ -79,7 +79,8 @@ def shown(value: object) -> str:
     if isinstance(value, (dict, list, tuple)) and len(value) > 8:
         return f"(a {type(value).__name__} of {len(value)})"
     if isinstance(value, (np.ndarray, np.floating, jax.Array)) and np.ndim(value) == 0:
-        return f"{float(value):.12g}"
+        with contextlib.suppress(TypeError, ValueError):  # a complex number, a key of random numbers, a word
+            return f"{float(value):.12g}"
     try:
         text = repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, tables in tables

@@ -165,11 +165,14 @@ def strong(value: Any) -> Any:
     return jnp.asarray(leaf, dtype=leaf.dtype) if leaf.weak_type else leaf
 
 
-def as_leaf_or_named(value: Any) -> Any:
+def leaf_or_given(value: Any) -> Any:
+    """A number as an array; anything else stays as it is, for `check_parameters` to refuse by the name of its field."""
+    return value if is_concrete(value) and not is_numeric(value) else as_leaf(value)
+
+
+def leaf_or_named(value: Any) -> Any:
     """A number as an array, or a word as a `Named`."""
-    if isinstance(value, Named):
-        return value
-    return Named(value) if isinstance(value, str) else as_leaf(value)
+    return Named(value) if isinstance(value, str) else leaf_or_given(value)
 
 
 def _field(parameter: Parameter, **keywords: Any) -> Any:
@@ -182,7 +185,7 @@ def number(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **
     ``names=`` or ``words=True`` allow words in place of the number; ``default=None`` makes the number optional.
     """
     parameter = Parameter(dimension, **bounds)
-    converter = as_leaf_or_named if parameter.names or parameter.words else as_leaf
+    converter = leaf_or_named if parameter.names or parameter.words else leaf_or_given
     if default is None:
         return _field(parameter, converter=lambda value: None if value is None else converter(value), default=None)
     keywords = {} if default is dataclasses.MISSING else {"default": default}
@@ -203,7 +206,7 @@ def series(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **
     """A field for a list of numbers of the given dimension, of any length; one number becomes a list of one."""
 
     def listed(given: Any) -> Any:
-        leaf = as_leaf(given)
+        leaf = leaf_or_given(given)
         return leaf.reshape(1) if isinstance(leaf, jax.Array) and not leaf.ndim else leaf
 
     keywords = {} if default is dataclasses.MISSING else {"default": default}
@@ -265,15 +268,16 @@ def declared(part: Any) -> dict[str, Parameter]:
 def check_parameters(part: Any) -> None:
     """Refuse values that the declarations of the fields do not allow.
 
-    Traced values pass, because they cannot be read, and so do absent ones.
+    Traced values pass, because they cannot be read, and so do absent ones of fields that may be left out.
 
     Raises:
         ParameterError: a value is not allowed; the message names the field, the value and what would be right.
     """
     shapes = {}
+    optional = {field.name for field in dataclasses.fields(part) if field.default is None}
     for key, parameter in declared(part).items():
         value = getattr(part, key)
-        if value is None:
+        if value is None and key in optional:
             continue
         check_value(key, parameter, value)
         if parameter.kind == "number" and isinstance(value, jax.Array | np.ndarray):

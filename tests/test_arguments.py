@@ -204,6 +204,8 @@ def test_populations(scene):
         (lambda _: None, '"None"'),
         (lambda _: np.zeros(3), r'"array of shape \(3,\)"'),
         (lambda _: {"one": np.zeros(2)}, "must be one real number, 'one' too"),
+        (lambda _: "text", 'measure = "str"'),
+        (lambda _: {"one": "text"}, "must be one real number, 'one' too"),
     ):
         refuses(words, gj.monte_carlo, own, result, n=4)
     refuses('loss = "array of shape', gj.minimise, lambda _: jnp.ones(2), scene, where=PHASE)
@@ -213,8 +215,8 @@ def test_populations(scene):
     ("part", "words"),
     [
         (lambda: gj.Eccentricity("planet_1", np.nan, 0.0), "amplitude = nan"),
-        (lambda: gj.Eccentricity("planet_1", "10 um", 0.0), 'expected a number in SI, got "10 um"'),
-        (lambda: gj.InitialBacklash(1j), "expected a number in SI"),
+        (lambda: gj.Eccentricity("planet_1", "10 um", 0.0), 'amplitude = "10 um": must be a number, in SI'),
+        (lambda: gj.InitialBacklash(1j), "initial = 1j: must be a number, in SI"),
         (
             lambda: gj.Eccentricity("driver", np.array([1e-6, 2e-6]), 0.0),
             r"amplitude = .*: has shape \(2,\), must be one",

@@ -1,6 +1,7 @@
 """Yang, Tang and Liang (2019): what `gearjax reproduce involute_rv` prints, and the methods behind it."""
 
 import json
+import math
 import sys
 import time
 
@@ -11,9 +12,11 @@ import pytest
 import gearjax as gj
 from gearjax.cli import main
 from gearjax.cli.commands import _papers
+from gearjax.plot import figures_kept
 from gearjax.reproduce import NAMES, PAPERS, involute_rv
 from gearjax.reproduce import involute_rv_methods as methods
 from gearjax.reproduce import involute_rv_pair as own
+from gearjax.reproduce.figures import save_deviations_figure
 from gearjax.reproduce.rows import Row
 from gearjax.units import mm, um
 from tests import involute_pair
@@ -191,6 +194,31 @@ def test_square_brackets_are_printed_as_they_are(monkeypatch, capsys, tmp_path):
         assert words in printed.out
     assert "computing: Paper [x]" in printed.err
     assert (tmp_path / "published.csv").read_text().splitlines()[-1] == '"Paper [x]","alone",,2,,N,not published'
+    assert (tmp_path / "two_kv_deviations.png").stat().st_size > 10_000
+
+
+def test_deviations_are_drawn_over_the_published_values_beside_their_limits(tmp_path):
+    rows = [
+        Row("within", "2.0", 2.1, "N", 0.2),
+        Row("beyond", "-4.0", -3.0, "N", 0.2),
+        Row("inferred beyond", "1.0", 1.5, "N", 0.2, inferred=True),
+        Row("printed as zero", "0", 1.0, "N", 0.2),
+        Row("not computed", "1.0", math.nan, "N", 0.2),
+        Row("not printed", "", 1.0, "N", 0.2),
+    ]
+    with figures_kept() as figures:
+        save_deviations_figure("a paper", rows, tmp_path / "a.png")
+    (ax,) = figures["a.png"].axes
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["within", "beyond", "inferred beyond"]
+    points = {line.get_label(): line.get_xydata().tolist() for line in ax.lines if len(line.get_xdata()) == 1}
+    assert points == {
+        "reproduced": [[pytest.approx(5.0), 0.0]],
+        "not reproduced": [[pytest.approx(25.0), 1.0]],
+        "inferred": [[pytest.approx(50.0), 2.0]],
+    }
+    low, high = ([bar.get_width() for bar in bars] for bars in ax.containers)
+    assert low == pytest.approx([-10.0, -5.0, 0.0])
+    assert high == pytest.approx([10.0, 5.0, 0.0])
 
 
 # slow: finite elements
@@ -261,5 +289,6 @@ def test_figure_and_json(rows, monkeypatch, capsys, tmp_path):
         main(["reproduce", "involute_rv", "--json", "--out", str(tmp_path)])
     printed = json.loads(capsys.readouterr().out)
     assert len(printed["rows"]) == len(rows)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["involute_rv_loads.png", "published.csv"]
+    written = ["involute_rv_deviations.png", "involute_rv_loads.png", "published.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == written
     assert (tmp_path / "involute_rv_loads.png").stat().st_size > 10_000

@@ -542,7 +542,14 @@ def test_contacts_take_numbers_of_python(gear_set):
     traced, known = jax.jit(lambda at: scene.contacts(at))(1), scene.contacts(1)  # whole numbers stay no integers
     np.testing.assert_allclose(traced.gap, known.gap, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(traced.jacobian, known.jacobian, rtol=1e-9, atol=1e-15)
-    for wrong in (1j, np.nan, np.array([0.1, 0.2]), jnp.array([0.1, 0.2])):
+    with pytest.raises(gj.ParameterError, match=r'^theta = "poses at 2 angles": must be one pose'):
+        scene.contacts(jax.vmap(scene.pose)(jnp.array([0.1, 0.2])))
+    other = Case("elliptic_pair" if gear_set != "elliptic_pair" else "two_kv", "system").scene
+    with pytest.raises(
+        gj.ParameterError, match='^theta = "a pose .*: must be scene.pose.angle, stiffness. of this scene'
+    ):
+        scene.contacts(other.pose(0.3))
+    for wrong in (1j, np.nan, np.array([0.1, 0.2]), jnp.array([0.1, 0.2]), jax.random.key(0)):
         for name, ask in {"theta": scene.contacts, "position": lambda at: scene.contacts(0.3, position=at)}.items():
             with pytest.raises(gj.ParameterError, match=f"^{name} = .*: must be one finite angle in rad$"):
                 ask(wrong)

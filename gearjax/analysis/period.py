@@ -12,6 +12,8 @@ from gearjax.typing import Array, Scalar
 
 ANGLES = 5  # input angles, at uneven places, at which the contacts are compared
 DEEP = 1e-6  # m, approach at which the stiffness of contacts is compared
+ROUNDED = 4.0  # spacings of the dtype by which an angle may be rounded
+ROUNDINGS = 1e3  # spacings of the dtype by which gaps, stiffness and load may be rounded, over their sizes
 NOTHING = 1e-9  # difference of gaps that counts as none [m]; and of stiffness and load, over their sizes
 
 
@@ -40,20 +42,28 @@ def what_differs(scene: Scene, angle: float) -> str | None:
     places = angle * np.modf(np.arange(1, ANGLES + 1) * (np.sqrt(5) - 1) / 2)[0]
     with jax.ensure_compile_time_eval():  # also inside the trace of something else
         physics = scene.physics("backlash", "compliance", "load")
-    both = evaluated(_compared, physics, places, places + angle)
-    (gap, after), (stiffness, stiffer), (load, other) = ([np.asarray(part) for part in each] for each in both)
-    rounding = 1e3 * float(jnp.finfo(scene.dtype).eps)
-    off = float(np.abs(after - gap).max(initial=0.0))
-    if off > NOTHING + rounding * np.abs(gap).max(initial=0.0):
+    eps = float(jnp.finfo(scene.dtype).eps)
+    later = places + angle
+    beside = later * (1 + ROUNDED * eps)  # what differs by the rounding of the angle alone does not count
+    compared = evaluated(_compared, physics, places, later, beside)
+    gap, stiffness, load = ([np.asarray(part) for part in each] for each in compared)
+
+    def differs(parts: list[np.ndarray], least: float) -> float:
+        first, then, rounded = parts
+        off = np.abs(then - first).max(initial=0.0)
+        allowed = least + ROUNDINGS * eps * np.abs(first).max(initial=0.0) + np.abs(rounded - then).max(initial=0.0)
+        return float(off) if off > allowed else 0.0
+
+    if off := differs(gap, NOTHING):
         return f"gaps differ by {off * 1e6:.3g} um"
-    for name, before, then in (("stiffness", stiffness, stiffer), ("load", load, other)):
-        if np.abs(then - before).max(initial=0.0) > (NOTHING + rounding) * np.abs(before).max(initial=0.0):
+    for name, parts in (("stiffness", stiffness), ("load", load)):
+        if differs(parts, NOTHING * float(np.abs(parts[0]).max(initial=0.0))):
             return f"its {name} differs"
     return None
 
 
-def _compared(scene: Scene, before: Array, after: Array) -> tuple[tuple[Array, Array], ...]:
-    """Gaps, stiffness and shape of the load at input angles and a period later; contacts may have changed places."""
+def _compared(scene: Scene, *angles: Array) -> tuple[tuple[Array, ...], ...]:
+    """Gaps, stiffness and shape of the load, at each series of input angles; contacts may have changed places."""
 
     def at(theta: Scalar) -> tuple[Array, Array, Array]:
         contacts = scene.contacts(theta, "varying")
@@ -67,5 +77,4 @@ def _compared(scene: Scene, before: Array, after: Array) -> tuple[tuple[Array, A
             load = jnp.broadcast_to(scene.load.shape(turns, time, scene.system.orders), theta.shape)
         return jnp.sort(contacts.gap), jnp.sort(stiffness), load
 
-    angles = (jnp.asarray(part, scene.dtype) for part in (before, after))
-    return tuple(zip(*(jax.vmap(at)(part) for part in angles), strict=True))
+    return tuple(zip(*(jax.vmap(at)(jnp.asarray(part, scene.dtype)) for part in angles), strict=True))

@@ -183,8 +183,8 @@ def reproduce(
 ) -> None:
     """Compare the published values of a paper with ours.
 
-    With --out a table of the values and figures are written. With --all every paper is written as one page in Markdown,
-    to standard output or to validation.md in --out.
+    With --out a table of the values is written, and figures of every paper. With --all every paper is written as one
+    page in Markdown, to standard output or to validation.md in --out.
     """
     if name is not None and name not in NAMES:
         raise ParameterError("reproduce", name, f"unknown paper; {nearest(name, NAMES)}")
@@ -193,7 +193,7 @@ def reproduce(
     from gearjax.reproduce import PAPERS, validation_page
 
     reports = []
-    for paper in [PAPERS[name]] if name is not None else PAPERS.values():
+    for key, paper in PAPERS.items() if name is None else [(name, PAPERS[name])]:
         say(f"computing: {paper.title}")
         try:
             reports.append((paper.title, paper.rows(say)))
@@ -202,8 +202,8 @@ def reproduce(
                 raise
             _progress.print(f"left out: {paper.title}: {fault}", soft_wrap=True)
             continue
-        if out is not None and paper.save_figures is not None:
-            paper.save_figures(reports[-1][1], out)
+        if out is not None:
+            paper.save_all_figures(reports[-1][1], out, key)
     if out is not None:
         _write_rows(out, reports)
         if all_:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.checks import ParameterError
 from gearjax.contact.slices import Slices
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.geometry.line_contact import Radii
@@ -67,6 +68,26 @@ class Pose(eqx.Module):
     radii: Radii | None = None
     places: "Places | None" = None
     slices: tuple[Slices, ...] | None = None
+
+    def require(self, request: Request, contacts: int) -> None:
+        """Refuse a pose that is not of one angle, or of another gear set or request.
+
+        Raises:
+            ParameterError: tells what is wrong.
+        """
+        has = {name: getattr(self, name) is not None for name in ("mesh_angle", "radii", "places", "slices")}
+        needs = dict(zip(has, (request.mesh, request.radii, request.places, request.slices), strict=True))
+        missing = [body for body in request.bodies if body not in self.views] + [
+            key for key in has if needs[key] > has[key]
+        ]
+        if self.theta.ndim:
+            given, right = f"poses at {self.theta.size} angles", "must be one pose: give them one by one, by jax.vmap"
+        elif missing or len(self.gap) != contacts:
+            given = f"a pose without {missing[0]}" if missing else f"a pose of {len(self.gap)} contacts"
+            right = "must be scene.pose(angle, stiffness) of this scene, with the same stiffness"
+        else:
+            return
+        raise ParameterError("theta", given, right)
 
 
 class Places(eqx.Module):

@@ -1,5 +1,6 @@
 """Figures of published values next to ours."""
 
+import math
 from pathlib import Path
 
 from gearjax.reproduce.involute_rv_pair import PHASE, POINTS, RIM
@@ -12,6 +13,42 @@ SERIES = (  # item of the rows, label, whether to draw the printed value or ours
     ("Table 5, ANSYS, tooth {}", "paper, ANSYS", True),
     ("Table 5, tooth {}", f"gearjax, rim {RIM / mm:g} mm and phase {PHASE} fitted", False),
 )
+STATUS_COLOURS = {"reproduced": "C0", "inferred": "C1", "not reproduced": "C3"}
+
+
+def save_deviations_figure(title: str, rows: list[Row], path: Path) -> Path:
+    """Draw by how many per cent each of our values deviates from the published one, and its limit as a grey bar.
+
+    Args:
+        title: title of the figure.
+        rows: rows of a paper; those without a published value, with one of zero, or without ours are left out.
+        path: path of the file.
+
+    Raises:
+        GearjaxError: the file cannot be written.
+    """
+    from gearjax.plot import finish, new_figure, save_figure  # the import of matplotlib takes a second
+
+    rows = [row for row in rows if row.published and float(row.published) and math.isfinite(row.computed)]
+    places = range(len(rows))
+    size = [100 / abs(float(row.published)) for row in rows]
+    figure, (ax,) = new_figure(width=9.0, height=1.5 + 0.16 * len(rows))
+    for label, side in (("limit", -1), (None, 1)):  # values that rest on inferred constants need not be within a limit
+        limits = [0.0 if row.inferred and row.is_beyond else side * row.tolerance for row in rows]
+        widths = [limit * each for limit, each in zip(limits, size, strict=True)]
+        ax.barh(places, widths, height=0.8, color="0.85", label=label)
+    for status, colour in STATUS_COLOURS.items():
+        shown = [place for place in places if rows[place].status == status]
+        off = [rows[place].deviation * size[place] for place in shown]
+        if shown:
+            ax.plot(off, shown, "o", color=colour, markersize=3.5, label=status)
+    ax.axvline(0.0, color="black", linewidth=0.8)
+    ax.set_xscale("symlog", linthresh=0.1)
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.set_yticks(places, [row.item for row in rows], fontsize="x-small")
+    finish(ax, title, x="deviation from the published value [%]", y="")
+    ax.set_ylim(len(rows) - 0.4, -0.6)
+    return save_figure(figure, path)
 
 
 def save_loads_figure(rows: list[Row], folder: Path) -> list[Path]:

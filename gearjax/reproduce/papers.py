@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from gearjax.progress import Progress
 from gearjax.reproduce import elliptic, helical, involute_rv, rv_cycloidal, two_kv
-from gearjax.reproduce.figures import save_loads_figure
+from gearjax.reproduce.figures import save_deviations_figure, save_loads_figure
 from gearjax.reproduce.rows import Row
 
 
@@ -16,12 +16,22 @@ class Paper(NamedTuple):
     Args:
         title: authors, year and title of the paper.
         rows: function that computes the values of the paper next to ours, and reports its progress.
-        save_figures: function that draws these values into a folder and returns the files; ``None`` for no figure.
+        save_figures: function that draws the paper's own curves into a folder and returns the files; ``None`` for none.
     """
 
     title: str
     rows: Callable[[Progress], list[Row]]
     save_figures: Callable[[list[Row], Path], list[Path]] | None = None
+
+    def save_all_figures(self, rows: list[Row], folder: Path, name: str) -> list[Path]:
+        """Draw the deviations of the values, into ``NAME_deviations.png``, and the paper's own curves.
+
+        Raises:
+            GearjaxError: a file cannot be written.
+        """
+        authors = self.title.partition(")")[0] + ")"
+        deviations = save_deviations_figure(authors, rows, folder / f"{name}_deviations.png")
+        return [deviations] + ([] if self.save_figures is None else self.save_figures(rows, folder))
 
 
 PAPERS = {

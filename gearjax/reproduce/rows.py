@@ -41,7 +41,12 @@ class Row:
             return "not reproduced"
         if self.inferred:
             return "inferred"
-        return "reproduced" if abs(self.deviation) <= self.tolerance else "not reproduced"
+        return "not reproduced" if self.is_beyond else "reproduced"
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the deviation is beyond the limit."""
+        return not abs(self.deviation) <= self.tolerance
 
     @property
     def inferred_if_close(self) -> "Row":

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax import arguments
+from gearjax import arguments, units
 from gearjax.checks import MISSING, ParameterError
 from gearjax.contact import HardContact
 from gearjax.progress import Progress, silent
@@ -143,7 +143,9 @@ def _levels(path: str, free: Free, index: int, step: float | Mapping[str, float]
     if period is not None:
         number = round(period / spacing)
         if number < 1 or abs(number * spacing - period) > 1e-9 * period:
-            raise ParameterError(f"step of {path}", spacing, f"must divide the period {period:.6g}")
+            given, turn = spacing / units.deg, period / units.deg
+            words = f"is {given:.6g} deg, must divide the period of {turn:g} deg"
+            raise ParameterError(f"step of {path}", spacing, words)
         _check_levels(path, spacing, number)
         return -period / 2 + spacing * np.arange(number)
     low, high = free.bounds[index]

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from gearjax.checks import ParameterError
-from gearjax.parameters import Parameter, check_value
+from gearjax.parameters import Parameter, check_value, is_numeric
 from gearjax.units import RATIO
 
 T = TypeVar("T")
@@ -318,6 +318,13 @@ class Lognormal(AbstractDistribution):
         return self.median * math.exp(0.5 * self.sigma**2)
 
 
+def _numbers(key: str, given: Any) -> tuple[float, ...]:
+    """The numbers of a list, one number being a list of one, in Python's own type."""
+    if not is_numeric(given):
+        raise ParameterError(key, given, "must be a list of numbers, in SI")
+    return tuple(np.ravel(np.asarray(given, dtype=float)).tolist())
+
+
 @dataclasses.dataclass(frozen=True)
 class Discrete(AbstractDistribution):
     """A few values, each with its probability.
@@ -332,8 +339,8 @@ class Discrete(AbstractDistribution):
     probabilities: tuple[float, ...] = declared_number(RATIO, kind="series", default=(), at_least=0.0, at_most=1.0)
 
     def __post_init__(self):
-        object.__setattr__(self, "values", tuple(float(value) for value in self.values))
-        object.__setattr__(self, "probabilities", tuple(float(value) for value in self.probabilities))
+        object.__setattr__(self, "values", _numbers("values", self.values))
+        object.__setattr__(self, "probabilities", _numbers("probabilities", self.probabilities))
         check_declared(self)
         if not self.values:
             raise ParameterError("values", [], "needs at least one value")
@@ -377,7 +384,7 @@ class Empirical(AbstractDistribution):
     values: tuple[float, ...] = declared_number(kind="series")
 
     def __post_init__(self):
-        object.__setattr__(self, "values", tuple(sorted(float(value) for value in self.values)))
+        object.__setattr__(self, "values", tuple(sorted(_numbers("values", self.values))))
         check_declared(self)
         if not self.values:
             raise ParameterError("values", [], "needs at least one value")

@@ -386,13 +386,15 @@ def _whole(name: str, given: Any) -> int:
 
 def _names(function: Callable[[Any], Any], of: Any, named: Any = None) -> tuple[str, ...]:
     """Names of the numbers that a function returns: the keys of a dict, or the function's own name."""
-    shape = jax.eval_shape(function, of)
-    if isinstance(shape, dict) and shape:
-        for name, part in shape.items():
-            arguments.a_result("measure", part, f", {name!r} too")
-        return tuple(sorted(shape))
-    arguments.a_result("measure", shape, ", or a dict of numbers by their names")
-    return (getattr(named or function, "__name__", "measure"),)
+
+    def looked_at(of: Any) -> Any:  # within the trace, which refuses what it does not know in words of its own
+        returned = function(of)
+        if not (isinstance(returned, dict) and returned):
+            return arguments.a_result("measure", returned, ", or a dict of numbers by their names")
+        return {name: arguments.a_result("measure", part, f", {name!r} too") for name, part in returned.items()}
+
+    shape = jax.eval_shape(looked_at, of)
+    return tuple(sorted(shape)) if isinstance(shape, dict) else (getattr(named or function, "__name__", "measure"),)
 
 
 def _coded(measured: Any) -> tuple[Array, Array]:
