@@ -232,3 +232,16 @@ def test_the_record_that_is_told_has_all_errors_in_it(capsys, fast):
     told = command(capsys, "run", fast)[1]
     cycle, whole = (float(told.partition(words)[2].split(" s")[0]) for words in ("s of the ", 'duration = "'))
     assert whole == pytest.approx(cycle + 0.05, rel=1e-5)  # settle of the example
+
+
+@pytest.mark.slow
+def test_a_wrong_unit_is_noticed_by_how_far_the_output_is_off(capsys, fast):
+    words = "the output is off by 9.23 mm at the teeth, more than a quarter of system.module"
+    for unit, noticed in (("N*m", False), ("kN*m", True)):
+        text = FAST.replace(', "static", "dynamic"]', ', "static"]').replace(
+            '"30 N*m", "100 N*m", "300 N*m"', f'"100 {unit}"'
+        )
+        fast.write_text(text, encoding="utf-8")
+        code, _, told = command(capsys, "run", fast, "--json")
+        assert code == 0
+        assert (words in " ".join(told.split())) == noticed

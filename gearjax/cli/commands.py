@@ -106,6 +106,9 @@ def _run(
         if remark is not None:
             noted(page, remark)
         cases.append(case)
+    remark = results.displacement_remark(scene, cases)
+    if remark is not None:
+        noted(page, remark, "warning")
     overlap = results.clash_of(scene, cases)
     words = None if overlap is None else overlap.told(scene)
     if words is not None:

@@ -2,6 +2,7 @@ from .accuracy import GradedGear, graded_gears
 from .cases import (
     Case,
     clash_of,
+    displacement_remark,
     growth_remark,
     highest_load_sharing,
     remarks,
@@ -23,6 +24,7 @@ __all__ = [
     "OrderLines",
     "against_torque",
     "clash_of",
+    "displacement_remark",
     "face_load_factors",
     "forces_on_bearings",
     "graded_gears",

@@ -30,6 +30,7 @@ from gearjax.analysis.metrics import few_angles
 from gearjax.checks import GearjaxError, SceneError
 from gearjax.compliance import couples
 from gearjax.coordinates import unit_of
+from gearjax.evaluate import evaluated
 from gearjax.files import write_file
 from gearjax.results.loads_on_parts import forces_on_bearings
 from gearjax.results.profile import FORMATS, export_profile
@@ -37,8 +38,10 @@ from gearjax.run import METRICS, Published, Run
 from gearjax.scene import Scene
 from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
-from gearjax.units import arcmin
+from gearjax.units import arcmin, mm
 
+FARTHEST = 0.25  # of the size of the teeth, beyond which displacements are surely not small
+LITTLE = 2e-3  # angle of the output [rad] with which no gear set gets that far
 FEWEST_PER_WAVE = 4  # samples per wave of the stiffness, from which on a curve shows the wave
 
 if TYPE_CHECKING:
@@ -168,6 +171,33 @@ def growth_remark(scene: Scene, case: Case) -> str | None:
     if not rate * run.duration > LOST:
         return None
     return f"{case.title}: a disturbance grows at {rate:.3g} 1/s, the motion is chaotic: its metrics scatter"
+
+
+def displacement_remark(scene: Scene, cases: list[Case]) -> str | None:
+    """Remark on an output that is off by as much as no teeth allow, as a wrong unit makes it; ``None`` if none is."""
+    name = scene.system.size_of_teeth
+    angles = {
+        case.title: float(np.nanmax(np.abs(case.record), initial=0.0))
+        for case in cases
+        if not isinstance(case.result, Backlash)
+    }
+    title, angle = max(angles.items(), key=lambda item: item[1], default=("", 0.0))
+    if not name or angle < LITTLE:
+        return None
+    levers = evaluated(_output_levers, scene.physics("backlash"), jnp.zeros(()))
+    moved = angle * float(np.abs(levers).max())
+    size = float(np.min(np.asarray(getattr(scene.system, name))))
+    if not moved > FARTHEST * size:
+        return None
+    return (
+        f"{title}: the output is off by {moved / mm:.3g} mm at the teeth, more than a quarter of system.{name}, while "
+        "displacements are taken as small: check the units of errors, torque, stiffness and inertia"
+    )
+
+
+def _output_levers(scene: Scene, theta: Scalar) -> Array:
+    """Levers of the contacts on the output at an input angle [m/rad]."""
+    return scene.contacts(theta).jacobian[:, 0]
 
 
 def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 1) -> Iterator[Case]:

@@ -95,6 +95,8 @@ class AbstractSystem(eqx.Module):
     whose levers change with the input angle."""
     has_slices: ClassVar[bool] = False
     """Whether its contacts are slices of contact lines and a pose describes these slices."""
+    size_of_teeth: ClassVar[str] = ""
+    """Name of the parameter that tells how large its teeth or pins are, such as ``module``; empty if there is none."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
 

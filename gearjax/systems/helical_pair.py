@@ -89,6 +89,7 @@ class HelicalPair(AbstractSystem):
     """
 
     kind: ClassVar[str] = "helical_pair"
+    size_of_teeth: ClassVar[str] = "normal_module"
     has_slices: ClassVar[bool] = True
 
     pinion_teeth: int = count(at_least=5, at_most=2000, example=19)

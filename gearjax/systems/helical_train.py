@@ -89,6 +89,7 @@ class HelicalTrain(AbstractSystem):
     """
 
     kind: ClassVar[str] = "helical_train"
+    size_of_teeth: ClassVar[str] = "normal_module"
     has_slices: ClassVar[bool] = True
 
     pinion_teeth: tuple[int, ...] = counts(at_least=5, at_most=2000, example=[21, 19])

@@ -109,6 +109,7 @@ class InvoluteRV(AbstractSystem):
     """
 
     kind: ClassVar[str] = "involute_rv"
+    size_of_teeth: ClassVar[str] = "module"
     has_places: ClassVar[bool] = True
     has_clearance: ClassVar[bool] = True
 

@@ -288,6 +288,7 @@ class EllipticPair(AbstractNoncircularPair):
     """
 
     kind: ClassVar[str] = "elliptic_pair"
+    size_of_teeth: ClassVar[str] = "module"
 
     teeth: int = count(at_least=3, at_most=2000, example=47)
     module: Number = length(at_least=1e-6, at_most=1.0, example="3 mm")
@@ -339,6 +340,7 @@ class NoncircularPair(AbstractNoncircularPair):
     """
 
     kind: ClassVar[str] = "noncircular_pair"
+    size_of_teeth: ClassVar[str] = "module"
 
     teeth: int = count(at_least=3, at_most=2000, example=48)
     module: Number = length(at_least=1e-6, at_most=1.0, example="3 mm")

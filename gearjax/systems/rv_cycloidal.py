@@ -68,6 +68,7 @@ class RVCycloidal(AbstractSystem):
     """
 
     kind: ClassVar[str] = "rv_cycloidal"
+    size_of_teeth: ClassVar[str] = "pin_radius"
     has_radii: ClassVar[bool] = True
     by_constant_modes: ClassVar[bool] = True
 

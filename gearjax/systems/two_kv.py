@@ -54,6 +54,7 @@ class TwoKV(AbstractSystem):
     """
 
     kind: ClassVar[str] = "two_kv"
+    size_of_teeth: ClassVar[str] = "module"
 
     sun_teeth: int = count(example=12)
     first_stage_planet_teeth: int = count(example=36)
