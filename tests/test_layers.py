@@ -18,6 +18,7 @@ LAYERS = {
     "typing": 0,
     "checks": 0,
     "dependence": 0,
+    "elimination": 0,
     "batches": 0,
     "evaluate": 0,
     "files": 0,

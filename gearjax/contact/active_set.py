@@ -7,15 +7,16 @@ cycle, a line search on this function shortens the steps, so that the method end
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
+from jax.scipy.linalg import solve_triangular
 
+from gearjax.elimination import LIBRARY_FROM, eliminated
 from gearjax.typing import Array, Bool, Float
 
 MOST_STEPS = 1000  # never reached with a positive definite matrix: condition numbers of 1e6 took up to 200
 PLAIN_STEPS = 8  # steps without a line search, which solve nearly all problems
 HALVINGS = 40  # bisections of the length of a step
 CLOSED = 64.0  # overlap of an open contact that counts as rounding, in units of the rounding of its opening
-GATHERED_FROM = 48  # contacts; with fewer, a factorisation of all contacts takes no longer
+GATHERED_FROM = LIBRARY_FROM  # contacts; with fewer, a solution for all contacts takes no longer
 PARTS = 4  # number of sizes of the matrix into which closed contacts are gathered
 Carried = tuple[Float[Array, " free"], Float[Array, " contact"], Bool[Array, " contact"], Bool[Array, ""]]
 
@@ -123,7 +124,10 @@ def carrying(
 def _own(influence: Array) -> Array:
     """Number that can be subtracted from the diagonal so that the matrix stays positive definite; nan if it is not."""
     size = influence.shape[0]
-    inverse = solve_triangular(jnp.linalg.cholesky(influence), jnp.eye(size, dtype=influence.dtype), lower=True)
+    unit = jnp.eye(size, dtype=influence.dtype)
+    if size < LIBRARY_FROM:
+        return 0.5 / jnp.trace(eliminated(influence, unit))
+    inverse = solve_triangular(jnp.linalg.cholesky(influence), unit, lower=True)
     return 0.5 / (inverse * inverse).sum()
 
 
@@ -151,14 +155,13 @@ def solved(influence: Array, levers: Array, rest: Array, applied: Array, closed:
 
 def _solved(inner: Array, levers: Array, rest: Array, applied: Array, closed: Array) -> tuple[Array, Array]:
     """The same as `solved`, with the matrix of the closed contacts; its other rows and columns are zero."""
-    factor = cho_factor(inner + jnp.diag(jnp.where(closed, 0.0, 1.0).astype(inner.dtype)), lower=True)
+    whole = inner + jnp.diag(jnp.where(closed, 0.0, 1.0).astype(inner.dtype))
     arms = jnp.where(closed[:, None], levers, 0.0)
-    per_turn = cho_solve(factor, arms)
-    at_rest = cho_solve(factor, jnp.where(closed, rest, 0.0))
+    moved = eliminated(whole, jnp.concatenate([arms, jnp.where(closed, rest, 0.0)[:, None]], axis=1))
+    per_turn, at_rest = moved[:, :-1], moved[:, -1]
     steepness, pull = arms.T @ per_turn, applied + arms.T @ at_rest
     holding = jnp.diagonal(steepness) > 0
     safe = steepness + jnp.diag(jnp.where(holding, 0.0, 1.0).astype(inner.dtype))
-    # a single equation is solved by a division, because a factorisation would be a separate library call
-    position = pull / safe[0] if len(applied) == 1 else jnp.linalg.solve(safe, pull)
+    position = eliminated(safe, pull[:, None])[:, 0]
     position = jnp.where(holding, position, 0.0)
     return position, jnp.where(closed, per_turn @ position - at_rest, 0.0)

@@ -15,11 +15,11 @@ The search itself is not differentiated: further Newton steps at its end carry t
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve
 
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.laws import AbstractContact
 from gearjax.contact.search import ACCURACY, TYPICAL, last_steps, spring_forces
+from gearjax.elimination import solved_definite
 from gearjax.typing import Array, Float, Int, Scalar
 
 MOST_STEPS = 100
@@ -35,13 +35,13 @@ def with_supports(contacts: ContactSet, influence: Float[Array, "contact contact
     if contacts.supports is None:
         return influence
     moving = contacts.jacobian[:, contacts.free :]
-    return influence + moving @ cho_solve(cho_factor(contacts.supports, lower=True), moving.T)
+    return influence + moving @ solved_definite(contacts.supports, moving.T)
 
 
 def moved_by(contacts: ContactSet, forces: Float[Array, " contact"]) -> Float[Array, " support"]:
     """Displacements of the bodies on their supports under forces of the contacts [m]."""
     assert contacts.supports is not None
-    return -cho_solve(cho_factor(contacts.supports, lower=True), contacts.jacobian[:, contacts.free :].T @ forces)
+    return -solved_definite(contacts.supports, contacts.jacobian[:, contacts.free :].T @ forces)
 
 
 def supported(
@@ -157,4 +157,4 @@ def _bending(contacts: ContactSet, stiffness: Float[Array, " contact"]) -> Float
 def _solve(matrix: Array, right: Array, scale: Array) -> Array:
     """Solution of a positive definite system, after its coordinates are scaled to similar sizes."""
     level = matrix / (scale[:, None] * scale[None, :])
-    return cho_solve(cho_factor(level, lower=True), right / scale) / scale
+    return solved_definite(level, right / scale) / scale

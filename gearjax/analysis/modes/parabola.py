@@ -25,6 +25,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from gearjax.elimination import solved_definite
 from gearjax.structure import Structure
 from gearjax.typing import Array, Float, Scalar
 
@@ -111,13 +112,14 @@ class Scaled(NamedTuple):
         """
         root = jnp.sqrt(jnp.diagonal(structure.mass))
         mass = structure.mass / jnp.outer(root, root)
-        springs = step**2 * jnp.linalg.solve(mass, stiffness / jnp.outer(root, root))
-        dampers = step * jnp.linalg.solve(mass, damping / jnp.outer(root, root))
+        parts = [stiffness / jnp.outer(root, root), damping / jnp.outer(root, root), jnp.diag(1 / root)]
+        springs, dampers, pushes = jnp.split(solved_definite(mass, jnp.concatenate(parts, axis=1)), 3, axis=1)
+        springs, dampers = step**2 * springs, step * dampers
         rate = jnp.sqrt(jnp.maximum(jnp.abs(jnp.diagonal(springs)), 1.0))
         nothing = jnp.zeros_like(mass)
         per_rate = 1 / rate[:, None]
         matrix = jnp.block([[nothing, jnp.diag(rate)], [-per_rate * springs, -per_rate * dampers * rate[None, :]]])
-        pushed = step**2 * per_rate * jnp.linalg.solve(mass, jnp.diag(1 / root))
+        pushed = step**2 * per_rate * pushes
         place = jnp.concatenate([jnp.diag(1 / root), nothing], axis=1)
         speed = jnp.concatenate([nothing, jnp.diag(rate / root) / step], axis=1)
         back = jnp.block([[jnp.diag(root), nothing], [nothing, jnp.diag(root / rate) * step]])
