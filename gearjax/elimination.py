@@ -11,7 +11,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from gearjax.typing import Array, Float
 
 LIBRARY_FROM = 48  # rows; a library solves larger problems faster, and they are solved one after the other
-WRITTEN_OUT = 4  # rows up to which a loop is not worth while
+WRITTEN_OUT = 8  # rows up to which a loop is not worth while
 
 
 def eliminated(matrix: Float[Array, "row row"], right: Float[Array, "row side"]) -> Float[Array, "row side"]:

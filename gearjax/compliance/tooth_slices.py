@@ -302,8 +302,9 @@ def _together(
     low, high = 0.5 * width + middle + moved, 0.5 * width - middle - moved
     lower = mean * jnp.exp((rise + moved) / reach) * (1 + jnp.exp(-2 * low / reach))
     higher = mean * jnp.exp((rise - moved) / reach) * (1 + jnp.exp(-2 * high / reach))
-    between = jnp.asarray(np.maximum(abs(one - other) - 1, 0), width.dtype) * step
-    apart = jnp.exp(-between / reach) * jnp.where(one < other, jnp.outer(lower, higher), jnp.outer(higher, lower))
+    steps = jnp.asarray(np.maximum(abs(one - other) - 1, 0), width.dtype)
+    between = jax.lax.optimization_barrier(jnp.exp(-steps * step / reach))  # once for all input angles
+    apart = between * jnp.where(one < other, jnp.outer(lower, higher), jnp.outer(higher, lower))
     ends = mean**2 * (jnp.exp(-2 * (high - half) / reach) + jnp.exp(-2 * (low - half) / reach))
     itself = ends + _within(2 * half / reach, width / reach)
     return jnp.where(one == other, jnp.diag(itself), apart) / (2 * reach * -jnp.expm1(-2 * width / reach))
