@@ -7,6 +7,7 @@ rotation of the shaft itself is that of the reference body.
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -161,6 +162,15 @@ def check_offered(
         for body in shaft.bodies:
             if body not in turning:
                 raise ParameterError(f"shafts.{name}.bodies", body, nearest(body, turning))
+        if shaft.bending is not None and not _bends(shaft, supports):
+            words = "does nothing: it acts in x and y, where the supports of two bodies beside each other list these"
+            raise ParameterError(f"shafts.{name}.bending", shaft.bending, words)
+
+
+def _bends(shaft: Shaft, supports: Mapping[str, Support]) -> bool:
+    """Whether two bodies beside each other on a shaft can be displaced in the same direction."""
+    ways = [set(supports[body].directions) & {"x", "y"} if body in supports else set() for body in shaft.bodies]
+    return any(one & other for one, other in itertools.pairwise(ways))
 
 
 @functools.lru_cache(maxsize=512)  # a scene calls this each time that it evaluates its contacts

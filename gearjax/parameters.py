@@ -207,6 +207,8 @@ def series(dimension: units.Dimension, *, default: Any = dataclasses.MISSING, **
 
     def listed(given: Any) -> Any:
         leaf = leaf_or_given(given)
+        if isinstance(given, list | tuple) and np.ndim(leaf) > 1:  # lists in lists; arrays may be many parts at once
+            return given
         return leaf.reshape(1) if isinstance(leaf, jax.Array) and not leaf.ndim else leaf
 
     keywords = {} if default is dataclasses.MISSING else {"default": default}
@@ -312,6 +314,8 @@ def check_value(key: str, parameter: Parameter, value: Any) -> None:
         for index, each in enumerate(value):
             check_value(f"{key}[{index}]", dataclasses.replace(parameter, kind="count"), each)
         return
+    if parameter.kind == "series" and is_numeric(value) and not hasattr(value, "ndim") and np.ndim(value) > 1:
+        raise ParameterError(key, value, "must be a list of numbers, not of lists")
     if parameter.kind != "count" and not is_numeric(value):
         raise ParameterError(key, value, "must be a number, in SI")
     if parameter.kind == "count" and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):

@@ -216,6 +216,8 @@ def test_populations(scene):
     [
         (lambda: gj.Eccentricity("planet_1", np.nan, 0.0), "amplitude = nan"),
         (lambda: gj.Eccentricity("planet_1", "10 um", 0.0), 'amplitude = "10 um": must be a number, in SI'),
+        (lambda: gj.TipRelief("gear_1", [[1e-6, 2e-6]], 1e-3), "amount = .*: must be a list of numbers, not of lists"),
+        (lambda: gj.HarmonicStiffness(1e8, [[0.1]], [0.1]), "relative_amplitudes = .*: must be a list of numbers, not"),
         (lambda: gj.InitialBacklash(1j), "initial = 1j: must be a number, in SI"),
         (
             lambda: gj.Eccentricity("driver", np.array([1e-6, 2e-6]), 0.0),

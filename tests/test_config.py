@@ -129,8 +129,8 @@ MISTAKES = [
     ('[inertia]\nmass = "3 kg"', "", ["run.analyses", '"dynamic" needs [inertia]']),
     ('[load]\nkind = "constant"', "", ["run.analyses", '"dynamic" needs [load]']),
     ('[backlash]\ninitial = "0.15 mm"', "", ["run.analyses", '"backlash" needs [backlash]']),
-    ('duration = "3 s"', 'duration = "3 m"', ["run.duration", "is a length; needs a time"]),
-    ('duration = "3 s"', 'duration = "-3 s"', ["run.duration", "at least 1e-9 s"]),
+    ('[run]\nduration = "3 s"', '[run]\nduration = "3 m"', ["run.duration", "is a length; needs a time"]),
+    ('[run]\nduration = "3 s"', '[run]\nduration = "-3 s"', ["run.duration", "at least 1e-9 s"]),
     ("samples = 3001", "samples = 1", ["run.samples = 1", "from 2 to"]),
     ("samples = 3001", "samples = 1000000000000", ["run.samples", "10000000"]),
     ('start = "equilibrium"', 'start = "zeros"', ["run.start", 'did you mean "zero"?']),
@@ -141,6 +141,7 @@ MISTAKES = [
     ("[run]", "[runn]", ["runn", "unknown section", 'did you mean "run"?']),
     ("samples = 3001", "sampels = 3001", ["run.sampels", 'did you mean "samples"?']),
     ('analysis = "no_load"', 'analysis = "noload"', ["published[0].analysis", "no_load"]),
+    ('"5b58db43"\nduration = "3 s"', '"5b58db43"\nduration = "3 N"', ["published[0].duration", "needs a time"]),
     ('std = "0.637 arcmin"', 'std = "0.637 mm"', ["published[0].std", "is a length; needs an angle"]),
     ("[reference]", "[reference]\nzero = 3", ["not a TOML configuration"]),
     ("[reference]", "x = [[[[", ["not a TOML configuration"]),
@@ -169,8 +170,14 @@ def test_an_error_that_no_body_can_carry_is_refused_by_its_kind(config_text, bod
 
 
 def test_published_values_of_other_gears_are_left_out(config_text):
-    """The duration may differ, and what a study adds."""
-    with_values = gj.loads(config_text.replace('"3 s"', '"2 s"')).run.published
+    """So are those of a record of another length, where the values tell theirs; the samples may differ."""
+    with_values = gj.loads(config_text.replace("3001", "2001")).run.published
+    shorter = config_text.replace('[run]\nduration = "3 s"', '[run]\nduration = "2 s"')
+    for entry in gj.loads(shorter).run.published:
+        assert not entry.metrics
+        assert entry.note == "published values left out: they are of a record of 3 s, and this has 2 s"
+    of_any = "\n".join(line for line in shorter.splitlines() if line != 'duration = "3 s"')
+    assert all(entry.metrics for entry in gj.loads(of_any).run.published)
     others = gj.loads(config_text.replace("ring_teeth = 52", "ring_teeth = 53")).run.published
     assert len(with_values) == len(others) == 7
     assert all(entry.metrics for entry in with_values)

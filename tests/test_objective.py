@@ -186,6 +186,7 @@ def test_a_star_stands_for_a_whole_series():
         ({"name": "no_load_amplitud"}, 'did you mean "no_load_amplitude"?'),
         ({"name": "static_std"}, "needs a torque"),
         ({"name": "no_load_std", "torque": 3.0}, "takes no torque"),
+        ({"name": "no_load_amplitude", "order": "crank"}, "takes no order; no_load_order has one"),
         ({"name": "no_load_order"}, "needs an order"),
         ({"name": "no_load_std", "weight": 0.0}, "must be above 0"),
     ],

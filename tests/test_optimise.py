@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ import tomli_w
 
 import gearjax as gj
 from gearjax.config import loads_optimise, with_numbers
-from gearjax.results.optimisation import in_common
+from gearjax.progress import silent
+from gearjax.results.optimisation import in_common, optimise
 from gearjax.studies.select import numbers, pick
 from gearjax.units import arcmin, deg, um
 from tests.conftest import ROOT
@@ -87,6 +89,27 @@ def test_what_good_ends_have_in_common(rng):
     assert spans[paths[0]] == pytest.approx(5.5)
     assert spans[paths[2]] < 0.2
     assert alike == {paths[:2]: pytest.approx(180, abs=2)}
+
+
+@pytest.mark.slow
+def test_an_optimum_of_zero_is_told_and_drawn(capsys, tmp_path):
+    """Without any eccentricity nothing is left, of which a rise could be a share."""
+    names = ("planet_1", "planet_2", "revolution", "output_wheel")
+    paths = [f"errors.{name}.amplitude" for name in names]
+    bounds = "".join(f'"{path}" = ["0 um", "10 um"]\n' for path in paths)
+    text = FAST.partition("[optimise]")[0]
+    section = f'[optimise]\nobjective = "no_load_amplitude"\nwhere = {json.dumps(paths)}\nstarts = 4\n'
+    path = tmp_path / "zero.toml"
+    path.write_text(f"{text}{section}[optimise.bounds]\n{bounds}", encoding="utf-8")
+    code, out, _ = command(capsys, "optimise", path, "--out", tmp_path / "out", "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["gradient"]["objective_arcmin"] == pytest.approx(0.0, abs=1e-6)
+    assert np.abs(list(found["sensitivity"]["gradient_arcmin"].values())).max() < 1e-6
+    scene, asked = loads_optimise(path.read_text(encoding="utf-8"))
+    optimisation = optimise(asked, scene, silent)
+    assert re.fullmatch(r"\+0\.\d+ arcmin", optimisation.rise_shown(optimisation.sensitivity.rises[0]))
+    assert optimisation.rise_shown(0.123) == "+12.3 %"
 
 
 @pytest.mark.slow

@@ -454,6 +454,10 @@ def test_what_is_missing_is_named():
         gj.simulate(dataclasses.replace(scene, body_inertia=inertia), TS, 40.0)
     with pytest.raises(gj.ParameterError, match="must list at least two bodies: torsion acts between"):
         gj.Shaft(["wheel_1"], torsion=1e4)
+    idle = {"middle": gj.Shaft(["wheel_1", "pinion_2"], bending=1e9)}
+    for lone in ({}, {"wheel_1": gj.Support(x=1e8)}, {"wheel_1": gj.Support(x=1e8), "pinion_2": gj.Support(y=1e8)}):
+        with pytest.raises(gj.ParameterError, match=r"shafts\.middle\.bending = .*: does nothing: it acts in x and y"):
+            dataclasses.replace(gj.load("configs/helical/two_stage.toml"), supports=lone, shafts=idle)
     with pytest.raises(gj.ParameterError, match="names a body twice"):
         gj.Shaft(["wheel_1", "wheel_1"])
     with pytest.raises(gj.ParameterError, match="must be a list of names"):

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from typing import Any
 
 from gearjax import units
@@ -27,6 +28,7 @@ PUBLISHED_KEYS = {
     "torque": Key('a torque such as "30 N*m"', '"30 N*m"', '"0 N*m"'),
     "note": Key("a text in quotes", '"where the values come from"', '""'),
     "configuration": Key("the eight digits of a configuration, in quotes", '"0123abcd"', '""'),
+    "duration": Key("a time: the length of the record that the values are of", '"3 s"', "any length"),
     **{name: Key('an angle such as "1.2 arcmin"', '"1.2 arcmin"') for name in METRICS},
 }
 
@@ -97,6 +99,13 @@ def configuration_digits(tables: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()[:8]
 
 
+def _length(tables: dict[str, Any]) -> float:
+    """Length of the record of the run section [s], nan without one; `read_run` refuses a wrong one."""
+    run = tables.get("run")
+    given = run.get("duration") if isinstance(run, dict) else None
+    return math.nan if given is None else read_quantity("run.duration", given, units.TIME)
+
+
 def read_published(tables: dict[str, Any]) -> tuple[Published, ...]:
     """Read the values to show next to the computed ones, from the ``[[published]]`` sections.
 
@@ -122,5 +131,10 @@ def read_published(tables: dict[str, Any]) -> tuple[Published, ...]:
                 raise ParameterError(f"{path}.{key}", given, "must be text in quotes")
         if of and of != own:
             metrics, note = (), f"published values left out: they are of configuration {of}, and this is {own}"
+        elif "duration" in entry:
+            given, length = read_quantity(f"{path}.duration", entry["duration"], units.TIME), _length(tables)
+            if not math.isclose(given, length, rel_tol=1e-6) and not math.isnan(length):
+                metrics = ()
+                note = f"published values left out: they are of a record of {given:g} s, and this has {length:g} s"
         published.append(Published(entry["analysis"], torque, metrics, note, of))
     return tuple(published)

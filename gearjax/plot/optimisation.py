@@ -136,7 +136,7 @@ def _directions(ax: Axes, optimisation: Optimisation) -> None:
     for index, name in enumerate(names):
         ax.bar(place + (index + 0.5) * width - 0.4, around.directions[:, index], width, label=name)
     costs = [
-        f"{100 * rise:+.1f} %" + ("\nflat" if flat else "")
+        optimisation.rise_shown(rise) + ("\nflat" if flat else "")
         for rise, flat in zip(around.rises, around.flat, strict=True)
     ]
     ax.set_xticks(place, costs)

@@ -2,8 +2,10 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +20,12 @@ from gearjax.run import METRICS
 from gearjax.scene import Scene
 from gearjax.studies import GridSearch, LocalSensitivity, Minimisation, grid_search, local_sensitivity, minimise
 from gearjax.studies.select import numbers, pick
+from gearjax.studies.sensitivity import SMALLEST
 from gearjax.studies.terms import SHARE
 from gearjax.studies.values import values
 from gearjax.units import Dimension, arcmin
 
+MOST_SHARE = 100.0  # share of the objective from which on a rise is told in its unit
 ALIKE = np.deg2rad(10.0)  # differences of two phases within this arc are told as one
 
 
@@ -67,8 +71,14 @@ class Optimisation:
         """A free number in the unit in which it is shown."""
         return value / self.parameters[path].shown_in[1]
 
+    def rise_shown(self, rise: float) -> str:
+        """A rise of the objective, a share of it, in per cent; in its unit if the objective is all but zero."""
+        if rise < MOST_SHARE:
+            return f"{100 * rise:+.1f} %"
+        return f"{rise * max(abs(self.sensitivity.objective), SMALLEST) / self.unit.per_shown:+.3g} {self.unit.shown}"
+
     def as_json(self) -> dict:
-        """The object that ``gearjax optimise --json`` prints."""
+        """The object that ``gearjax optimise --json`` prints; a number that is not finite is ``None``."""
         gradient = self.gradient
         entries = {
             "objective": self.section.objective.name,
@@ -104,7 +114,7 @@ class Optimisation:
                 "compile_seconds": self.grid.compile_seconds,
                 "metrics": _metrics(self.cases["grid"]),
             }
-        return entries
+        return _finite(entries)
 
     def choice(self) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
         """`in_common` of the end points within 1 % of the best."""
@@ -157,6 +167,15 @@ class Optimisation:
             self._key("worst"): (around.worst / size).tolist(),
             self._key("mean"): (around.mean / size).tolist(),
         }
+
+
+def _finite(entry: Any) -> Any:
+    """Tables and lists with ``None`` in place of numbers that are not finite, which JSON does not know."""
+    if isinstance(entry, dict):
+        return {key: _finite(value) for key, value in entry.items()}
+    if isinstance(entry, list):
+        return [_finite(value) for value in entry]
+    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
 
 
 def in_common(

@@ -22,6 +22,7 @@ from gearjax.typing import Array, Float, Scalar
 INTERIOR_STEPS = 12
 FIRST_MU, SMALLEST_MU, LARGEST_MU = 0.1, 1e-4, 1e6
 LONGEST = 1.0  # longest step of one scaled number
+LEAST = 1e-6  # smallest size of an objective in `least_slope`, over its slope
 NEAR = 0.01  # step per slope, relative to the objective, in `least_slope`
 
 
@@ -126,7 +127,8 @@ def least_slope(
     """
     group = groups(pieces, numbers)
     values, slopes, weights, value = linearised(pieces, numbers, group)
-    scale = jnp.abs(value) + jnp.finfo(numbers.dtype).tiny
+    least = LEAST * jnp.abs(slopes).max(initial=0.0)  # the value itself may be zero
+    scale = jnp.maximum(jnp.abs(value), least) + jnp.finfo(numbers.dtype).tiny
     far, bend = jnp.full_like(numbers, LONGEST), jnp.eye(numbers.shape[0], dtype=numbers.dtype) / NEAR
     step, _ = proximal_step(values / scale, slopes / scale, weights, group, bend, -far, far)
     return -step * scale / NEAR

@@ -22,6 +22,7 @@ from gearjax.units import deg
 
 SAMPLES = 24  # per turn of the fastest error
 TEMPERATURE = 0.01  # share of the objective at which slopes and curvatures are taken
+SMALLEST = 1e-300  # objective that rises are divided by
 FLAT = 0.01  # share by which the objective rises at most in a step along a flat direction
 FLAT_STEP = 10 * deg
 MOST_CORNERS = 1024
@@ -144,7 +145,7 @@ def local_sensitivity(
         gradient=np.asarray(gradient),
         eigenvalues=eigenvalues,
         directions=directions,
-        rises=(along.reshape(2, -1).max(axis=0) - here) / max(abs(here), 1e-300),
+        rises=(along.reshape(2, -1).max(axis=0) - here) / max(abs(here), SMALLEST),
         deviations=np.asarray(deviations, dtype=float),
         single=single,
         worst=all_of_them.max(axis=1),

@@ -61,6 +61,8 @@ class Term(eqx.Module):
             raise ParameterError("objective", self.name, "takes no torque")
         if is_concrete(self.weight) and not (self.weight.ndim or float(self.weight) > 0):
             raise ParameterError("weight", float(self.weight), "must be above 0")
+        if self.metric != "order" and self.order is not None:
+            raise ParameterError("objective", self.name, f"takes no order; {self.analysis}_order has one")
         if self.metric == "order" and self.order is None:
             raise ParameterError("objective", self.name, 'needs an order, such as order = "crank"')
         for name, check in (("torque", torque), ("weight", numbers)):
