@@ -77,7 +77,6 @@ def _path(pair: InternalPair, rounding: float) -> Iterator[Fault]:
     if begin < form - ROUNDING:
         words = f"trochoid interference: the ring's tip touches at a roll angle of {begin:.5g} rad, below the involute "
         yield "internal_addendum", f"{float(pair.internal.addendum):.6g}", words + f"that begins at {form:.5g} rad"
-        return  # the paths of tips that are too long cross elsewhere, too
     overlap = tip_overlap(pair)
     if overlap > ROUNDING:
         words = f"tips cut into each other by {overlap / units.um:.4g} um away from the contact: lower an addendum"

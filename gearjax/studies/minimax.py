@@ -16,13 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.elimination import eliminated
 from gearjax.studies.objective import Pieces
 from gearjax.typing import Array, Float, Scalar
 
 INTERIOR_STEPS = 12
 FIRST_MU, SMALLEST_MU, LARGEST_MU = 0.1, 1e-4, 1e6
 LONGEST = 1.0  # longest step of one scaled number
-LEAST = 1e-6  # smallest size of an objective in `least_slope`, over its slope
+LEAST = 1e-3  # smallest size of an objective in `least_slope`, over its slope
 NEAR = 0.01  # step per slope, relative to the objective, in `least_slope`
 
 
@@ -178,7 +179,7 @@ def proximal_step(
         ratio = prices / slack
         matrix = padded + rows.T @ (ratio[:, None] * rows)
         right = rows.T @ (target / slack - ratio * missing) - padded @ point - cost
-        change = _solve(matrix, right)
+        change = eliminated(matrix, right[:, None])[:, 0]
         slack_change = rows @ change + missing
         price_change = (target - prices * slack_change) / slack - prices
         limit = jnp.maximum((-slack_change / slack).max(), (-price_change / prices).max())
@@ -188,12 +189,3 @@ def proximal_step(
     point, _, _ = jax.lax.fori_loop(0, INTERIOR_STEPS, newton, (point, slack, prices))
     step = point[:free]
     return step, (weights * point[free:]).sum() + 0.5 * step @ bend @ step
-
-
-def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Solution of a small symmetric positive definite system; in a batch faster than one library call per system."""
-    table = jnp.concatenate([matrix, right[:, None]], axis=1)
-    for pivot in range(matrix.shape[0]):
-        row = table[pivot] / table[pivot, pivot]
-        table = (table - table[:, pivot, None] * row[None, :]).at[pivot].set(row)
-    return table[:, -1]
