@@ -275,7 +275,12 @@ class RVCycloidal(AbstractSystem):
         return jax.jvp(gaps, (position,), (jnp.ones_like(position),))
 
     def _gaps_at(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
-        """Gaps of displaced bodies, shape (contact,) [m]."""
+        """Gaps of displaced bodies, shape (contact,) [m].
+
+        After whole turns of the output they are the same, and to a large angle a small position is added inexactly.
+        """
+        turn = 2 * math.pi * self.ratio
+        theta = theta - turn * jnp.round(theta / turn)
         nothing = jnp.zeros((self.discs * self.pins,), theta.dtype)
         still = Moved(nothing, nothing, nothing, nothing)
         ring, throw = moved.get("pin_ring", still), moved.get("throw", still)
