@@ -198,6 +198,8 @@ def test_faults_of_a_file_end_in_one_line(name, tmp_path):
 def test_what_is_no_table_is_refused(tmp_path):
     path = tmp_path / "te.csv"
     refused("cannot be read", path)
+    path.write_text("", encoding="utf-8")
+    refused("must name a column input angle; it has none", path)
     path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff\xfe" * 50)
     refused("not a CSV file|must name|cannot be read", path)
     path.write_text("input angle [deg];te [arcmin]\n0;1\n1;2\n", encoding="utf-8")

@@ -106,7 +106,7 @@ def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str,
 
 def _require(key: str, found: dict[str, Column], header: list[str]) -> None:
     """Refuse a table without the columns that are needed."""
-    has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200]}"
+    has = f"it has {', '.join(name.strip() or '(no name)' for name in header)[:200] or 'none'}"
     if "input angle" not in found:
         words = " (time cannot replace it: the speed is never constant)" if "time" in found else ""
         raise GearjaxError(f"{key}: line 1 must name a column input angle{words}; {has}")
