@@ -310,7 +310,7 @@ class Scene(eqx.Module):
         _check_stiffness(stiffness)
         known = theta if isinstance(theta, Pose) else one_angle("theta", theta, self.dtype)
         if isinstance(known, Pose):
-            known.require(self._request(stiffness), len(self.layout.side))
+            known.require(self._request(stiffness).bodies, len(self.layout.side))
         place = None if position is None else one_angle("position", position, self.dtype)
         return _contacts_of(self, known, stiffness, place)
 

@@ -69,22 +69,22 @@ class Pose(eqx.Module):
     places: "Places | None" = None
     slices: tuple[Slices, ...] | None = None
 
-    def require(self, request: Request, contacts: int) -> None:
-        """Refuse a pose that is not of one angle, or of another gear set or request.
+    def require(self, bodies: Sequence[str], contacts: int) -> None:
+        """Refuse a pose that is not of one angle, or of another gear set.
+
+        Args:
+            bodies: names of the bodies whose views are needed.
+            contacts: number of contacts.
 
         Raises:
             ParameterError: tells what is wrong.
         """
-        has = {name: getattr(self, name) is not None for name in ("mesh_angle", "radii", "places", "slices")}
-        needs = dict(zip(has, (request.mesh, request.radii, request.places, request.slices), strict=True))
-        missing = [body for body in request.bodies if body not in self.views] + [
-            key for key in has if needs[key] > has[key]
-        ]
+        missing = [body for body in bodies if body not in self.views]
         if self.theta.ndim:
             given, right = f"poses at {self.theta.size} angles", "must be one pose: give them one by one, by jax.vmap"
         elif missing or len(self.gap) != contacts:
             given = f"a pose without {missing[0]}" if missing else f"a pose of {len(self.gap)} contacts"
-            right = "must be scene.pose(angle, stiffness) of this scene, with the same stiffness"
+            right = "must be scene.pose(angle) of this scene"
         else:
             return
         raise ParameterError("theta", given, right)
