@@ -14,13 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import cho_factor, cho_solve
 
 from gearjax.analysis.equation import LENGTH_SCALE, longest_arms, turning_rate
 from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.modes.springs import MeanSprings
 from gearjax.contact import ContactSet, Layout, LinearSprings, LineSprings, equilibrium
 from gearjax.dependence import depends
-from gearjax.elimination import solved_definite
 from gearjax.impact import Pulses
 from gearjax.scene import Scene
 from gearjax.structure import Structure
@@ -263,7 +263,7 @@ class StructureEquation(eqx.Module):
         pushed = self.structure.push
         if free < len(pushed):
             supports = self.structure.stiffness[free:, free:]
-            pushed = pushed.at[free:].set(solved_definite(supports, pushed[free:]))
+            pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
         gap = gap - jacobian @ pushed
         if self.springs.sliced:  # off the path of contact a slice touches nothing
             gap = gap + jnp.where(self.springs.linear(springs) > 0, 0.0, OFF)
