@@ -1,7 +1,7 @@
 """Linear problems with small positive definite matrices, in batches too, without a library of linear algebra.
 
-JAX 0.10 to 0.11.1 divide a batch of factorisations on a CPU among the threads that run the program. If as many threads
-as there are start one at the same time, each waits for the others for ever. Elimination is a part of the program.
+JAX 0.10 to 0.11.1 divide a batch of factorisations on a CPU among the threads that run the program. If every
+thread starts one at the same time, all wait for each other for ever. Elimination is a part of the program itself.
 """
 
 import jax
@@ -17,7 +17,7 @@ WRITTEN_OUT = 8  # rows up to which a loop is not worth while
 def eliminated(matrix: Float[Array, "row row"], right: Float[Array, "row side"]) -> Float[Array, "row side"]:
     """Solution of a linear problem with a symmetric positive definite matrix, for several right-hand sides.
 
-    The solution is nan if the matrix is not positive definite. Derivatives are those of `solved_definite`.
+    The solution is nan if the matrix is not positive definite. Where derivatives are needed, use `solved_definite`.
     """
     rows = matrix.shape[0]
     if rows >= LIBRARY_FROM:

@@ -1,12 +1,14 @@
-"""Writing of result files: each is written completely or not at all, and flushed to the disk.
+"""Writing of result files: each is written completely or not at all, and flushed to the disk; numbers for JSON.
 
 A folder for results can be tried before the work begins.
 """
 
 import contextlib
+import math
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from gearjax.checks import GearjaxError, place, writing
 from gearjax.stopping import unbroken
@@ -47,6 +49,15 @@ def write_file(path: Path, content: str | bytes) -> Path:
                 started.unlink(missing_ok=True)
             raise
     return path
+
+
+def finite(entry: Any) -> Any:
+    """Tables, lists and numbers with ``None`` in place of numbers that are not finite, which JSON does not know."""
+    if isinstance(entry, dict):
+        return {key: finite(value) for key, value in entry.items()}
+    if isinstance(entry, list):
+        return [finite(value) for value in entry]
+    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
 
 
 def settle(folder: Path) -> None:

@@ -2,17 +2,15 @@
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax.config import OptimiseSection, with_numbers
-from gearjax.files import write_file
+from gearjax.files import finite, write_file
 from gearjax.parameters import Parameter
 from gearjax.progress import Progress
 from gearjax.results.cases import Case, run_cases
@@ -114,7 +112,7 @@ class Optimisation:
                 "compile_seconds": self.grid.compile_seconds,
                 "metrics": _metrics(self.cases["grid"]),
             }
-        return _finite(entries)
+        return finite(entries)
 
     def choice(self) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
         """`in_common` of the end points within 1 % of the best."""
@@ -167,15 +165,6 @@ class Optimisation:
             self._key("worst"): (around.worst / size).tolist(),
             self._key("mean"): (around.mean / size).tolist(),
         }
-
-
-def _finite(entry: Any) -> Any:
-    """Tables and lists with ``None`` in place of numbers that are not finite, which JSON does not know."""
-    if isinstance(entry, dict):
-        return {key: _finite(value) for key, value in entry.items()}
-    if isinstance(entry, list):
-        return [_finite(value) for value in entry]
-    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
 
 
 def in_common(

@@ -1,7 +1,6 @@
 """Results of ``gearjax tolerance``: distributions and yields, sensitivities, allocation, matched assembly."""
 
 import dataclasses
-import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from gearjax.checks import GearjaxError
 from gearjax.config import ToleranceSection, with_numbers
-from gearjax.files import write_file
+from gearjax.files import finite, write_file
 from gearjax.progress import Progress
 from gearjax.results.further import Further
 from gearjax.results.needs import affordable
@@ -95,7 +94,7 @@ class ToleranceResults:
         if self.problems:
             entries["problems"] = list(self.problems)
         if self.missed:
-            entries["missed_between_samples_arcmin"] = {n: _finite(value / arcmin) for n, value in self.missed.items()}
+            entries["missed_between_samples_arcmin"] = {n: finite(value / arcmin) for n, value in self.missed.items()}
         if self.tightened:
             entries["halved_tolerance_yield"] = {
                 name: {path: {"before": list(pair[0]), "after": list(pair[1])} for path, pair in rows.items()}
@@ -110,11 +109,11 @@ class ToleranceResults:
     def _measure(self, name: str) -> dict[str, Any]:
         study = self.study
         measure = next(m for m in study.measures if m.name == name)
-        levels = {f"{level:g}": [_finite(x / arcmin) for x in study.quantile(name, level)] for level in QUANTILES}
+        levels = {f"{level:g}": [finite(x / arcmin) for x in study.quantile(name, level)] for level in QUANTILES}
         entry: dict[str, Any] = {
             "unit": "arcmin",
-            "mean": _finite(study.mean(name) / arcmin),
-            "std": _finite(study.std(name) / arcmin),
+            "mean": finite(study.mean(name) / arcmin),
+            "std": finite(study.std(name) / arcmin),
             "quantiles": levels,
             "worst_sample": study.worst(name),
         }
@@ -128,15 +127,11 @@ class ToleranceResults:
     def _sensitivity(self, shares: Sensitivities) -> dict[str, Any]:
         columns = ("linear", "first", "first_error", "total", "total_error", "one_at_a_time")
         rows = {
-            path: {column: _finite(float(getattr(shares, column)[i])) for column in columns}
+            path: {column: finite(float(getattr(shares, column)[i])) for column in columns}
             for i, path in enumerate(shares.paths)
         }
         about = {"samples": shares.samples, "failed": shares.failed, "correlations_left_out": shares.correlated}
         return {"numbers": rows, **about, "linear_fails": shares.linear_fails or None}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _allocation(allocation: AllocatedTolerances) -> dict[str, Any]:
@@ -158,10 +153,10 @@ def _assembly(assembly: MatchedAssembly) -> dict[str, Any]:
     for place, name in enumerate(("random", "matched")):
         values = (assembly.random, assembly.matched)[place]
         entry[name] = {
-            "mean": _finite(float(np.nanmean(values)) / arcmin),
-            "std": _finite(float(np.nanstd(values)) / arcmin),
+            "mean": finite(float(np.nanmean(values)) / arcmin),
+            "std": finite(float(np.nanstd(values)) / arcmin),
             "quantiles": {
-                f"{level:g}": [_finite(x / arcmin) for x in assembly.quantiles(level)[place]] for level in QUANTILES
+                f"{level:g}": [finite(x / arcmin) for x in assembly.quantiles(level)[place]] for level in QUANTILES
             },
         }
         if assembly.measure.is_limited:

@@ -237,7 +237,7 @@ class AbstractNoncircularPair(AbstractSystem):
         # the driven gear turns clockwise, from x to -y
         carried = driven.y * cosine - driven.x * sine, -driven.x * cosine - driven.y * sine
         centres = (driver.x, driver.y), (x, y)
-        # whole turns of the driver change no gap, and to a large angle a small position is added inexactly
+        # whole turns of the driver change no gap; a small position would lose digits beside a large angle
         within = theta - 2 * math.pi * jnp.round(theta / (2 * math.pi))
         placed = Placed(within, self.output(within) + position, centres, carried)
         gaps, rates = self.curves.displaced_gaps(placed, side)

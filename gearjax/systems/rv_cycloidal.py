@@ -277,7 +277,8 @@ class RVCycloidal(AbstractSystem):
     def _gaps_at(self, theta: Scalar, moved: Mapping[str, Moved], position: Scalar) -> Float[Array, " contact"]:
         """Gaps of displaced bodies, shape (contact,) [m].
 
-        After whole turns of the output they are the same, and to a large angle a small position is added inexactly.
+        Whole turns of the output change no gap. They are left out, because a small position loses digits beside a large
+        angle.
         """
         turn = 2 * math.pi * self.ratio
         theta = theta - turn * jnp.round(theta / turn)

@@ -320,7 +320,7 @@ class Lognormal(AbstractDistribution):
 
 def _numbers(key: str, given: Any) -> tuple[float, ...]:
     """The numbers of a list, one number being a list of one, in Python's own type."""
-    if not is_numeric(given):
+    if not is_numeric(given) or np.ndim(given) > 1:
         raise ParameterError(key, given, "must be a list of numbers, in SI")
     return tuple(np.ravel(np.asarray(given, dtype=float)).tolist())
 

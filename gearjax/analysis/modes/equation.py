@@ -263,6 +263,7 @@ class StructureEquation(eqx.Module):
         pushed = self.structure.push
         if free < len(pushed):
             supports = self.structure.stiffness[free:, free:]
+            # at zero torque the first contact just touches, and the rounding of this decides whether its damper acts
             pushed = pushed.at[free:].set(cho_solve(cho_factor(supports, lower=True), pushed[free:]))
         gap = gap - jacobian @ pushed
         if self.springs.sliced:  # off the path of contact a slice touches nothing
