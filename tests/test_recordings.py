@@ -262,6 +262,15 @@ def test_a_short_record_and_a_gap_are_told(scene):
     assert any("has a gap" in words for words in record.check(scene))
 
 
+def test_a_recording_that_states_no_torque_is_told(scene):
+    plain = gj.synthetic_measurement(scene, rows=ROWS)  # it states zero
+    silent = dataclasses.replace(plain, torque=None)
+    told = f"{silent.name} states no torque: it is taken as a recording without load"
+    assert told in silent.check(scene)
+    assert told not in plain.check(scene)
+    assert told not in silent.check(dataclasses.replace(scene, compliance=None))
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

@@ -144,7 +144,7 @@ def _suitable_windows(scene: Scene, duration: float, step: float, limits: Limits
     not faster than constant modes.
     """
     decay = float(limits.decay)
-    if decay <= 0 or _load_changes(scene) or _by_constant_modes(scene):
+    if decay <= 0 or _load_changes(scene) or by_constant_modes(scene):
         return None
     warm_up = FORGOTTEN / decay
     long, short = (int(duration / max(steps * step, warm_up)) for steps in WINDOW)
@@ -188,7 +188,7 @@ def method_of(
             raise SceneError(f"{words}: give FixedStep(...) without windows")
         return _modes(scene, ts, steps)
     alternates = scene.load is not None and scene.load.alternates  # the march then warns of meaningless gradients
-    if _by_constant_modes(scene) and stepper.windows is None and not alternates:
+    if by_constant_modes(scene) and stepper.windows is None and not alternates:
         return _modes(scene, ts, steps)
     samples = ts.shape[0]
     phase, spacing = None, float(np.asarray(ts)[1] - np.asarray(ts)[0]) if is_concrete(ts) else None
@@ -259,7 +259,7 @@ def told(scene: Scene, ts: Array | np.ndarray, stepper: Stepper | QuasiStatic | 
     return ChosenSteps("fitted march", f"{reason}; without windows: {whole if stepper is None else 'as given'}", step)
 
 
-def _by_constant_modes(scene: Scene) -> bool:
+def by_constant_modes(scene: Scene) -> bool:
     """Whether the fitted march does not suit a scene in which it would be possible."""
     return scene.system.by_constant_modes or scene.linear_compliance.harmonics > MANY_HARMONICS
 

@@ -95,7 +95,7 @@ def shooting(
         scene: the scene, with compliance, load and inertia.
         torque: size of the load torque [N m].
         period: common period of the whole excitation [s].
-        steps: steps per period, of the exponentially fitted scheme, or of constant modes for bodies on supports; a
+        steps: steps per period, of the exponentially fitted scheme, or of constant modes as in `simulate`; a
             multiple of 8.
         guess: transmission error [rad] and its rate [rad/s] as initial guess, shape (2,); for bodies on supports all
             coordinates [rad, m] and their rates, shape (2, coordinate). By default the static equilibrium.

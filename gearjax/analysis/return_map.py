@@ -1,4 +1,4 @@
-"""Return maps (Poincare maps) over one period: for an output that moves alone, and for bodies on supports.
+"""Return maps (Poincare maps) over one period: by the fitted scheme for an output alone, otherwise by constant modes.
 
 Both maps take the scaled state at the start of a period, shape (2, coordinate), to the state at its end. ``scale`` are
 the coordinates [rad, m] and velocities [rad/s, m/s] per scaled one. ``resting`` is the state of the static equilibrium,
@@ -14,7 +14,7 @@ import numpy as np
 
 from gearjax.analysis import modes
 from gearjax.analysis.chebyshev import MOST_NODES
-from gearjax.analysis.choice import MODELLED
+from gearjax.analysis.choice import MODELLED, by_constant_modes
 from gearjax.analysis.equation import Equation
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
@@ -113,7 +113,7 @@ class OfOutput(eqx.Module):
 
 
 class OfStructure(eqx.Module):
-    """Return map of bodies on supports, by steps of constant modes.
+    """Return map by steps of constant modes: of bodies on supports, and of scenes that such steps suit better.
 
     Args:
         even: steps of a period.
@@ -186,7 +186,8 @@ def _with_slope(motion: OfOutput | OfStructure, flat: Array) -> tuple[Array, Arr
 
 def return_map(problem: Problem, steps: int) -> OfOutput | OfStructure:
     """The map that suits a scene; its tables are computed once, although a program uses the map several times."""
-    return (OfOutput if problem.scene.springs_apart else OfStructure).of(problem, steps)
+    fitted = problem.scene.springs_apart and not by_constant_modes(problem.scene)
+    return (OfOutput if fitted else OfStructure).of(problem, steps)
 
 
 def eigenvalues(matrix: Float[Array, "state state"]) -> Array:

@@ -179,7 +179,7 @@ class ProfilePlace(eqx.Module):
             not give it.
         width: face width [m]; ``None`` if the gear set does not give it.
         normal: change of gap per material in a transverse section, ``cos beta_b``, one for all contacts or shape
-            (contact,); ``None`` for spur gears.
+            (contact,), zero at contacts of other bodies; ``None`` for spur gears that all contacts touch.
         roll: length of roll of each contact from the base circle, shape (contact,) [m]; ``None`` if the gear set does
             not give it.
         side: side of each contact, 1 on driving flanks, -1 on back flanks, shape (contact,); ``None`` if the gear set
@@ -212,6 +212,8 @@ class Rim(eqx.Module):
         elements: number of teeth or pins; ``None`` if the contacts move around the body and belong to no fixed element.
         element: number of the element of each contact, counted from 0, shape (contact,); without it, contact i belongs
             to the element ``i % elements``.
+        own: one at the contacts of this body, zero at those of other bodies, shape (contact,) [-]; ``None`` if all
+            contacts touch this body.
 
     Attributes:
         sine, cosine: sine and cosine of the angle, shape (contact,).
@@ -223,6 +225,7 @@ class Rim(eqx.Module):
     around: Float[Array, " contact"]
     elements: int | None = eqx.field(static=True)
     element: Int[Array, " contact"] | None
+    own: Float[Array, " contact"] | None
 
     def __init__(
         self,
@@ -231,9 +234,15 @@ class Rim(eqx.Module):
         around: Float[Array, " contact"],
         elements: int | None,
         element: Int[Array, " contact"] | None = None,
+        own: Float[Array, " contact"] | None = None,
     ):
         self.sine, self.cosine = jnp.sin(angle), jnp.cos(angle)
         self.outward, self.around, self.elements, self.element = outward, around, elements, element
+        self.own = own
+
+    def seen(self, material: Float[Array, " contact"]) -> Float[Array, " contact"]:
+        """Material beyond the ideal flank, as the contacts of this body see it [m]."""
+        return material if self.own is None else material * self.own
 
     def wave(self, number: int) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Sine and cosine of a multiple of the angle, by the addition theorem."""

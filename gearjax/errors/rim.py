@@ -69,7 +69,8 @@ class Sizes(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        return -_spread("larger", self.larger, rim_of(self.body, view))
+        rim = rim_of(self.body, view)
+        return -rim.seen(_spread("larger", self.larger, rim))
 
 
 class CumulativePitch(AbstractError):

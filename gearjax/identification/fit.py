@@ -15,7 +15,7 @@ from gearjax.identification.model import Model, Normal, Problem
 from gearjax.identification.rows import Rows, Trend, Wave, further
 from gearjax.identification.search import Known, Sums, descend
 from gearjax.identification.valley import between
-from gearjax.identification.weights import noise_of, of_outliers, of_recordings, spread_of
+from gearjax.identification.weights import noise_of, of_outliers, of_recordings, of_spikes, spread_of
 from gearjax.scene import Scene
 
 BINS = 256  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
@@ -69,13 +69,19 @@ class Fit:
         return self.problem.rows.te - self.problem.curve(self.values)[0]
 
 
-def coarse(records: Sequence[Measurement], scene: Scene, rows: Rows, free: Sequence[Wave | Trend]) -> Rows:
-    """Means of the rows over even steps of the angle; the rows themselves if there are hardly more rows than steps."""
+def coarse(
+    records: Sequence[Measurement], scene: Scene, rows: Rows, free: Sequence[Wave | Trend], *, robust: bool
+) -> Rows:
+    """Means of the rows over even steps of the angle; the rows themselves if there are hardly more rows than steps.
+
+    If ``robust``, spikes are left out.
+    """
+    kept = of_spikes(rows) > 0 if robust else np.ones(rows.te.shape, bool)
     turns = scene.system.orders
     per_input_turn = max(BINS * turns.get("output", 1.0), PER_TURN * scene.system.fastest_order)
     parts = []
     for i in range(len(records)):
-        own = rows.record == i
+        own = kept & (rows.record == i)
         theta = rows.theta[own]
         width = max(2 * np.pi / per_input_turn, np.ptp(theta) / MOST_BINS)
         if np.ptp(theta) / width > 0.7 * theta.size:
@@ -129,7 +135,8 @@ def fitted(
     problem = Problem(model, rows)
     if rough is not None and len(starts) > 1:
         starts = _best_on_means(rough, starts, known, allowed, sigma)
-    weight, share = rows.weight.copy(), np.ones(rows.weight.shape)
+    share = of_spikes(rows) if robust else np.ones(rows.weight.shape)
+    weight = rows.weight * share
     ends, sums = starts, None
     for turn in range(ROUNDS):
         ends, sums = descend(sums_with(weight), ends, known, allowed, weight.sum())
@@ -139,7 +146,7 @@ def fitted(
         even = np.sqrt(of_records) * residual
         sigma = max(spread_of(even) if robust else float(np.std(even)), 1e-9)
         known = Known(precision[0], precision[1] * sigma**2)
-        share = of_outliers(even, sigma) if robust else share
+        share = of_outliers(even, sigma) if robust else np.ones(even.shape)
         moved = np.abs(of_records * share - weight).max()
         if turn and moved < 1e-3:
             break

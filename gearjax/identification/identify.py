@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gearjax import arguments
-from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.identification.advice import suggestions
 from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, starts_of
 from gearjax.identification.found import Identification
@@ -15,29 +15,28 @@ from gearjax.identification.measurement import Measurement, a_measurement, check
 from gearjax.identification.model import Model, Problem
 from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error, start_of_motion
 from gearjax.identification.orders import Drift, Order, given_waves, sharpened, unexplained
+from gearjax.identification.remarks import POOR, remarks
 from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.signs import check_signs
 from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
-from gearjax.identification.visible import Visible, hidden_directions, visible
-from gearjax.identification.weights import OUTLYING, noise_of
+from gearjax.identification.visible import hidden_directions, visible
+from gearjax.identification.weights import noise_of
 from gearjax.progress import Progress, Searching, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
-WIDE_OFFSET = 4.0  # offset of a recording over `offset_spread` that is no chance
 OFFSET_SPREAD = 0.02 * arcmin  # standard deviation of the encoders' offset between recordings
 STARTS = 64
+ENOUGH = 3  # rows for each number that is fitted, at least
 MOST_MOVING = 4  # solutions of the static fit, at most, that the fit in motion starts from
 USUAL = 10  # curves of all rows that a start needs: for the time left only
 FEW_STARTS = 4  # for scenes whose gaps are not linear in the unknowns (`Plain`): each start takes longer
 MOST_ORDERS = 8
 SIGN_STARTS = 16  # starts with another sign
 WELL = 1.3  # times the noise from row to row: up to this, the residual counts as noise
-POOR = 2.0  # times the noise from row to row: above this, the residual is more than noise
 STAYS = 0.1  # variances of a row by which the cost may rise when hidden unknowns are moved
-COARSE = 3.0  # times its residual: steps of an encoder above this are rounding rather than noise (sqrt(12) without any)
 MOST_ROWS = 300_000  # of all recordings; more rows are averaged in groups, or thinned out in motion
 LOSSES = ("robust", "least_squares")
 
@@ -74,8 +73,9 @@ def identify(
     Args:
         scene: the gear set; one start of the search begins at its numbers.
         measured: one recording, or several of the same unit; two torques and both directions determine most.
-        where: paths of the unknowns, or of whole errors such as ``errors.planet_1``; by default the errors, the mean
-            stiffness (for recordings under torque) and the initial backlash (for recordings of the back flanks).
+        where: paths of the unknowns, or of whole errors such as ``errors.planet_1``; by default the errors, the
+            stiffness or the modulus of the compliance (for recordings under torque) and the initial backlash (for
+            recordings of the back flanks).
         priors: prior knowledge by path: a standard deviation, a pair of mean and standard deviation in SI, or a
             distribution of a tolerance study; for an eccentricity, of each of its components.
         offset_spread: standard deviation of the encoders' offset between recordings [rad].
@@ -127,7 +127,7 @@ def identify(
         *model.unknowns.names,
         *names_of_further(records, free or [each.column for each in known], _drifts(records)),
     )
-    _remark(fit, model, told, records, offset_spread, notes)
+    notes += remarks(fit, model, told, records, offset_spread)
     further = suggestions(model, fit, told, records, progress) if suggest else []
     finished = model.unknowns.finished(fit.values[: len(model.unknowns.each)])
     if moves:
@@ -230,6 +230,12 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
     unknowns = unknowns_of(scene, wanted.where, back=wanted.back, loaded=wanted.loaded)
     records, options = wanted.records, wanted.options
     check_turned(records, list(unknowns.vectors))
+    rows, enough = sum(record.theta.size for record in records), ENOUGH * (len(unknowns.each) + 1)
+    if rows < enough:
+        raise GearjaxError(
+            f"{rows} rows are too few for {len(unknowns.each)} unknowns and the offset: at least {enough} are needed, "
+            "spread over a turn of the slowest body"
+        )
     model = Model.of(unknowns, records, loaded=wanted.loaded)
     slow = Searching(wanted.progress, "curves computed, with derivatives", 2 * USUAL)
     fit = _fit(model, scene, records, wanted.free, options, None, _uncounted if model.straight else slow)
@@ -275,7 +281,7 @@ def _fit(
     """The fit with some free waves and drifts; from the usual starts if ``starts`` is ``None``."""
     rows = rows_of(records, scene, free, _drifts(records))
     moves = isinstance(model, MovingModel)  # then no means over steps of the angle, which would damp the vibration
-    rough = None if moves else Problem(model, coarse(records, scene, rows, free))
+    rough = None if moves else Problem(model, coarse(records, scene, rows, free, robust=options.robust))
     mean, own = priors_of(model.unknowns, options.priors)
     beside = np.zeros(rows.basis.shape[1])
     if _drifts(records):
@@ -361,53 +367,3 @@ def _nearest(fit: Fit, model: Model, hidden: np.ndarray, values: np.ndarray) -> 
     both = np.stack([values, moved])
     before, after = fit.known.added(fit.problem.normal(both, fit.weight), both).cost
     return moved if after < before + STAYS * fit.sigma**2 else values
-
-
-def _wide_offsets(records: list[Measurement], offsets: np.ndarray, spread: float) -> list[str]:
-    """A remark if the offsets of recordings differ by more than they are assumed to; offsets and spread in arcmin."""
-    own = dict(zip([record.name for record in records], offsets, strict=False))
-    worst = max(own, key=lambda name: abs(own[name]))
-    if abs(own[worst]) < WIDE_OFFSET * spread:
-        return []
-    return [
-        f"the encoders' offset of {worst} differs by {own[worst]:.2g} arcmin from that of all recordings, "
-        f"{abs(own[worst]) / spread:.0f} times offset_spread: if the encoders were zeroed anew between recordings, "
-        "values and errors are wrong: give a larger offset_spread"
-    ]
-
-
-def _remark(fit: Fit, model: Model, told: Visible, records: list[Measurement], spread: float, notes: list[str]) -> None:
-    """Add remarks on the fit to the notes."""
-    size = len(model.unknowns.each)
-    outlying = int((fit.share < OUTLYING).sum())
-    if outlying > 2e-3 * fit.weight.size:
-        notes.append(f"{outlying} of {fit.weight.size} rows are outliers and have less weight")
-    noise = noise_of(fit.problem.rows, fit.weight)
-    if fit.sigma > POOR * noise and told.blocks > 1:
-        notes.append(
-            f"the residual ({fit.sigma:.3g} arcmin) is larger than the noise from row to row ({noise:.3g} arcmin): "
-            f"an effect is not modelled; standard errors come from blocks of {told.blocks} rows"
-        )
-    for i, record in enumerate(records):
-        step = (record.resolution or 0.0) / arcmin
-        if step > COARSE * float(np.std(fit.residual[fit.problem.rows.record == i])):
-            notes.append(
-                f"{record.name}: the encoder's steps of {step:.3g} arcmin are larger than its noise: their rounding is "
-                "no noise, and intervals may be too narrow"
-            )
-    if _drifts(records):
-        notes += _wide_offsets(records, fit.values[size + 1 :], spread / arcmin)
-    for unknown, value in zip(model.unknowns.each, fit.values[:size], strict=True):
-        if unknown.kind == "reciprocal" and value < 0.02:
-            notes.append(f"{unknown.name}: the recordings show no deflection under torque: is the torque right?")
-        if unknown.path == "backlash.initial" and value < 0:
-            notes.append(
-                "backlash.initial is below zero: flanks jam, the torque of a recording has the wrong sign, or the "
-                "offsets of the recordings differ by more than the backlash; in identified.toml it is zero"
-            )
-    if len(fit.others):
-        notes.append(
-            f"{len(fit.others)} other solution(s) explain the recordings equally well: intervals are for one of them"
-        )
-    if len(records) == 1 and "compliance.mean" in model.unknowns.names:
-        notes.append("one recording alone hardly separates the stiffness from the encoders' offset")

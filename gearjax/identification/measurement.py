@@ -151,6 +151,8 @@ class Measurement:
             words.append(f"{self.name}: its torque is taken as {self.loads[0]:.4g} N m: it changes only by noise")
         span = _check_span(self, scene)
         _check_size(self, scene)
+        if self.torque is None and scene.compliance is not None:
+            span.append(f"{self.name} states no torque: it is taken as a recording without load")
         return [*self.told(), *words, *span]
 
     def averaged_by(self, size: int) -> "Measurement":

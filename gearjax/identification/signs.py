@@ -53,6 +53,8 @@ def check_signs(
     if sigma < max(noisy, CLEAR * fit.sigma):
         zeroed = "; or the encoders were zeroed anew between recordings: give a larger offset_spread"
         again = zeroed if len(records) > 1 else ""
+        if sigma > noisy:  # neither sign explains the recordings
+            again += "; or the unit of a column is wrong"
         raise GearjaxError(f"{words} ({right}; give sign = -1 in the TOML file{again})")
 
 
@@ -72,3 +74,5 @@ def other_signs(records: Sequence[Measurement]) -> Iterator[tuple[str, str, list
     if all(record.te is not None for record in records):
         mirrored = [dataclasses.replace(record, te=-record.te) for record in records]
         yield "te", "it is the angle of the output minus the ideal one", mirrored
+        reversed_way = [dataclasses.replace(record, theta=-record.theta) for record in records]
+        yield "the input angle", "it is that of the scene's input", reversed_way

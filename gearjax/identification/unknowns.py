@@ -25,6 +25,7 @@ from gearjax.typing import Array, Float
 from gearjax.units import um
 
 COMPONENTS = ("cos", "sin")
+STIFF = (units.STIFFNESS, units.LINE_STIFFNESS, units.PRESSURE)  # dimensions of numbers that make contacts stiffer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,7 +191,7 @@ def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, 
     Args:
         scene: the scene.
         where: paths of numbers, or of whole errors such as ``errors.planet_1``; by default all that a recording usually
-            determines: the errors, the mean stiffness and the initial backlash.
+            determines: the errors, the stiffness and the initial backlash.
         back: whether a recording touches the back flanks, whose position depends on the backlash.
         loaded: whether a recording is under torque, so that stiffness has an effect.
 
@@ -200,7 +201,7 @@ def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, 
     known = numbers(scene)
     if where is None:
         paths = [f"errors.{name}" for name, error in scene.errors.items() if not isinstance(error, AbstractMeasured)]
-        paths += ["compliance.mean"] if loaded and "compliance.mean" in known else []
+        paths += stiffness_of(scene, known) if loaded else []
         paths += ["backlash.initial"] if back and "backlash.initial" in known else []
         if not paths:
             raise ParameterError("where", (), f"the scene has no errors to find; valid: {nearest('', known)}")
@@ -222,6 +223,17 @@ def unknowns_of(scene: Scene, where: str | Sequence[str] | None, *, back: bool, 
         if names.count(name) > 1:
             raise ParameterError("where", name, "is listed twice")
     return Unknowns(scene, tuple(each))
+
+
+def stiffness_of(scene: Scene, known: Mapping[str, Parameter]) -> list[str]:
+    """Path of the number that makes all contacts stiffer or softer; none if the compliance has no such number.
+
+    It is the first stiffness or modulus of the compliance. Stored tables keep the modulus that they were made with.
+    """
+    if getattr(scene.compliance, "prepares", False):
+        return []
+    own = (path for path in known if path.startswith("compliance.") and known[path].dimension in STIFF)
+    return list(own)[:1]
 
 
 def _of(scene: Scene, path: str, known: Mapping[str, Parameter]) -> list[Unknown]:
@@ -254,7 +266,7 @@ def _number(scene: Scene, path: str, parameter: Parameter) -> Unknown:
     """The unknown of one number: the number itself, or the reciprocal of a stiffness."""
     value = float(pick(scene, path).get(scene)[0])
     unit, per_unit = parameter.shown_in
-    if parameter.dimension in (units.STIFFNESS, units.LINE_STIFFNESS, units.TORSION):
+    if parameter.dimension in (*STIFF, units.TORSION):
         if value <= 0:
             raise ParameterError("where", path, "is zero in the scene: give an approximate value")
         return Unknown(path, "reciprocal", path, value, unit, per_unit)

@@ -8,6 +8,8 @@ FAR = 4.0  # standard deviations beyond which a row gets less weight
 OUTLYING = 0.99  # share of its weight that is left to a row, below which the row counts as an outlier
 EVEN = 1.3  # largest ratio of the noises of recordings that count as equally noisy
 FEWEST = 30  # rows of a recording whose own noise is estimated
+BESIDE = 9  # neighbouring rows whose median a spike is compared with
+SPIKE, SPIKES = 10.0, 1.5  # least height of a spike: over the usual distance from that median, over the span of the TE
 QUIETEST = 0.01  # of the noise of the noisiest recording: least noise that counts
 
 
@@ -39,6 +41,25 @@ def of_recordings(residual: np.ndarray, rows: Rows) -> np.ndarray:
         return np.ones(each.shape)
     inverse = np.maximum(each, QUIETEST * each.max()) ** -2
     return inverse / inverse.mean()
+
+
+def of_spikes(rows: Rows) -> np.ndarray:
+    """Weights of rows for the start of a search, shape (n,): zero for spikes, one for all others.
+
+    A spike is farther from its neighbours than the TE of its recording spans. From a start that follows a spike, a
+    search does not return: all rows seem to be outliers there.
+    """
+    each = np.ones(rows.te.shape)
+    for i in np.unique(rows.record):
+        own = np.flatnonzero(rows.record == i)
+        te = rows.te[own]
+        if te.size < BESIDE:
+            continue
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(te, BESIDE // 2, mode="reflect"), BESIDE)
+        away = np.abs(te - np.median(around, axis=1))
+        span = float(np.subtract(*np.percentile(te, [80, 20])))
+        each[own[away > max(SPIKE * 1.4826 * float(np.median(away)), SPIKES * span)]] = 0.0
+    return each
 
 
 def of_outliers(residual: np.ndarray, sigma: float) -> np.ndarray:

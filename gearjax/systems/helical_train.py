@@ -349,5 +349,8 @@ def _view(meshes: list[MeshContacts], mesh: int, gear: int) -> BodyView:
         roll=spread(flank.roll - flank.roll[0]) + flank.roll[0],
         **{key: spread(getattr(flank, key)) for key in ("to_tip", "across", "side", "ahead")},
     )
-    turned = eqx.tree_at(lambda view: view.flank, own, None)
-    return eqx.tree_at(lambda view: view.flank, jax.tree.map(spread, turned), place, is_leaf=lambda part: part is None)
+    turned = jax.tree.map(spread, eqx.tree_at(lambda view: view.flank, own, None))
+    touching = spread(jnp.ones_like(own.influence))
+    return eqx.tree_at(
+        lambda view: (view.flank, view.rim.own), turned, (place, touching), is_leaf=lambda part: part is None
+    )

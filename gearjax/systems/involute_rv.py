@@ -111,6 +111,7 @@ class InvoluteRV(AbstractSystem):
     kind: ClassVar[str] = "involute_rv"
     size_of_teeth: ClassVar[str] = "module"
     has_places: ClassVar[bool] = True
+    by_constant_modes: ClassVar[bool] = True
     has_clearance: ClassVar[bool] = True
 
     external_teeth: int = count(at_least=5, at_most=2000, example=236)
@@ -328,8 +329,9 @@ class InvoluteRV(AbstractSystem):
             of_teeth = self._teeth(pair.internal, at, at.points.roll[1], share)
             return self._seen(-crank, 1.0, at, 1, at.side * share, **of_teeth)
         # the flanks of an external gear move with its centre, so that the normals of these flanks count
-        seen = jnp.broadcast_to(-self._own(body, at), share.shape)
-        of_teeth = self._teeth(pair.external, at, at.points.roll[0], seen)
+        own = jnp.broadcast_to(self._own(body, at), share.shape)
+        seen = -own
+        of_teeth = self._teeth(pair.external, at, at.points.roll[0], seen, own if self.gears > 1 else None)
         turns = self.internal_teeth / self.external_teeth
         return self._seen(-turns * crank, turns, at, 0, at.side * seen, **of_teeth)
 
@@ -356,16 +358,23 @@ class InvoluteRV(AbstractSystem):
         sine, cosine, place, influence = (self._each(part) for part in (sine, cosine, place, influence))
         return BodyView(turn, place, influence, of_place=(sine, cosine), **of_teeth)
 
-    def _teeth(self, gear: InvoluteGear, at: Candidates, roll: Array, seen: Array) -> dict[str, Any]:
-        """Views of single teeth of a gear; the radius of a tooth is at the pressure angle from its flank."""
+    def _teeth(
+        self, gear: InvoluteGear, at: Candidates, roll: Array, seen: Array, own: Array | None = None
+    ) -> dict[str, Any]:
+        """Views of single teeth of a gear; the radius of a tooth is at the pressure angle from its flank.
+
+        Args:
+            own: one at the contacts of this gear, zero at those of the other gears; ``None`` if it has all contacts.
+        """
+        touching = None if own is None else self._each(own)
         tooth = jnp.broadcast_to(jnp.mod(at.tooth, gear.teeth)[..., None], roll.shape)
         place, cosine = tooth.astype(roll.dtype) * (2 * math.pi / gear.teeth), 1 / jnp.sqrt(1 + roll * roll)
         outward, around = seen * roll * cosine, at.side * seen * cosine
-        rim = Rim(self._each(place), self._each(outward), self._each(around), gear.teeth, self._each(tooth))
+        rim = Rim(self._each(place), self._each(outward), self._each(around), gear.teeth, self._each(tooth), touching)
         number = int(gear.internal)
         to_tip = at.pair.base_radii[number] * gear.from_tip(roll, at.pair.tip_rolls[number])
         length = at.pair.contact_ratio * at.pair.base_pitch
-        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length)}
+        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length, normal=touching)}
 
 
 @functools.cache  # analyses ask for the layout at each call

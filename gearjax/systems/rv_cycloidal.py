@@ -259,9 +259,13 @@ class RVCycloidal(AbstractSystem):
             x = BodyView(still, quarter, ones, Rim(place, cosine, -sine, self.pins))
             return Movements(x=x, y=BodyView(still, nothing, ones, Rim(place, sine, cosine, self.pins)))
         share, place = self._share(body, theta.dtype), self._place_on_disc(theta)
-        x = BodyView(still, quarter, share, Rim(place, share * jnp.cos(place), nothing, None))
-        y = BodyView(still, nothing, share, Rim(place, share * jnp.sin(place), nothing, None))
-        turn = BodyView(still, nothing, nothing, Rim(place, nothing, share / self.pin_circle, None))
+
+        def rim(outward: Array, around: Array) -> Rim:
+            return Rim(place, outward, around, None, own=share)
+
+        x = BodyView(still, quarter, share, rim(share * jnp.cos(place), nothing))
+        y = BodyView(still, nothing, share, rim(share * jnp.sin(place), nothing))
+        turn = BodyView(still, nothing, nothing, rim(nothing, share / self.pin_circle))
         return Movements(x=x, y=y, turn=turn)
 
     def displaced_gaps(
@@ -325,7 +329,8 @@ class RVCycloidal(AbstractSystem):
             influence = profile.throw * at.lever / self._planet_radius
             return BodyView(self.orders[body] * theta, jnp.zeros_like(direction), influence)
         share, place, crank = self._share(body, theta.dtype), self._place_on_disc(theta), self._each(self._crank(theta))
-        rim = Rim(place, -share * at.outward, share * short * profile.teeth / self.pins * at.lever, None)
+        around = share * short * profile.teeth / self.pins * at.lever
+        rim = Rim(place, -share * at.outward, around, None, own=share)
         # the disc turns against the crank
         return BodyView(still, direction - crank * (self.pins / profile.teeth), share, rim)
 
