@@ -119,8 +119,9 @@ def one_positive(name: str, value: Any) -> None:
 def torques(name: str, value: Any) -> None:
     """Refuse anything but torques [N m], of any shape."""
     array = finite(name, value)
-    if array is not None and array.size and np.abs(array).max() > LARGEST_TORQUE:
-        raise ParameterError(name, np.abs(array).max(), f"must be at most {LARGEST_TORQUE:g} N*m")
+    largest = float(np.abs(array).max(initial=0.0)) if array is not None else 0.0  # the limit is beyond float16
+    if largest > LARGEST_TORQUE:
+        raise ParameterError(name, largest, f"must be at most {LARGEST_TORQUE:g} N*m")
 
 
 def torque(name: str, value: Any) -> None:

@@ -122,18 +122,39 @@ def test_pitches_of_single_teeth_are_those_of_teeth_that_are_displaced():
 # --- Accuracy grades
 
 
-def test_run_out_of_an_eccentric_gear_is_twice_the_eccentricity():
-    """Its flanks are displaced along the circumference by e sin(phi -+ alpha) / cos alpha; a ball by e sin phi."""
-    size = scene_of(GUO_1, slices=2).system.gear_size("wheel")
-    e, space = 10 * um, 2 * math.pi * np.arange(47) / 47
-    alpha = float(size.pressure_angle)
-    # a space of the driven gear is between its driving flank and the back flank of the next tooth
-    driving, back = (e / math.cos(alpha) * np.sin(space + sign * alpha) for sign in (1, -1))
-    deviations = {"driving": driving, "back": np.roll(back, 1)}
-    errors = {f: gj.MeasuredPitch("wheel", value, flank=f) for f, value in deviations.items()}
-    found = gj.accuracy_grades(scene_of(GUO_1, errors, slices=2), "wheel")
-    assert found["F_r"].value == pytest.approx(2 * e, rel=2e-3)  # of 47 places
-    assert found["F_p"].value == pytest.approx(2 * e / math.cos(alpha), rel=2e-3)
+GEARS = [  # teeth, whether internal, profile shift
+    pytest.param(12, False, 0.5, id="pinion of 12"),
+    pytest.param(60, False, 0.0, id="pinion of 60"),
+    pytest.param(60, True, 0.5, id="ring of 60"),
+]
+
+
+@pytest.mark.parametrize(("teeth", "internal", "shift"), GEARS)
+def test_run_out_of_an_eccentric_gear_is_twice_the_eccentricity(teeth, internal, shift):
+    """A ball in the spaces of a gear that is displaced by e goes up and down by e, whatever its tooth number.
+
+    A displaced flank crosses the reference circle ahead of its place by its own displacement along the circle and by
+    that along the radius times tan alpha.
+    """
+    e, alpha = 20 * um, math.radians(20)
+    if internal:
+        system = gj.HelicalPair(
+            24, teeth, 3e-3, alpha, 0.0, 30e-3, 100.0, 0.3, shift, addendum=0.8, wheel_kind="internal"
+        )
+    else:
+        system = gj.HelicalPair(teeth, 40, 3e-3, alpha, 0.0, 30e-3, 100.0, shift, 0.0, addendum=0.8)
+    body, sense, sign = ("wheel", -1, -1) if internal else ("pinion", 1, 1)
+    half = (0.5 * math.pi + 2 * shift * math.tan(alpha)) / teeth  # of a tooth, of a space if internal
+    half = math.pi / teeth - half if internal else half
+    errors = {}
+    for flank, lead in (("driving", sense), ("back", -sense)):
+        place = -2 * math.pi * np.arange(teeth) / teeth + lead * half
+        ahead = -e * np.sin(place) + lead * sign * math.tan(alpha) * e * np.cos(place)
+        errors[flank] = gj.MeasuredPitch(body, ahead, flank=flank)
+    found = gj.accuracy_grades(gj.Scene(system, errors), body)
+    least = math.cos(math.pi / teeth)  # no tooth is just where the run-out is largest
+    assert 2 * e * least * 0.999 < found["F_r"].value < 2 * e * 1.001
+    assert least * 0.999 < found["F_p"].value * math.cos(alpha) / (2 * e) < 1.001
 
 
 @pytest.mark.slow

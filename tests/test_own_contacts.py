@@ -39,7 +39,7 @@ def errors_of(body: str) -> dict[str, gj.AbstractError]:
         "helix": gj.HelixSlope(body, [5 * um]),
         "crowning": gj.Crowning(body, [5 * um]),
         "end": gj.EndRelief(body, [5 * um], 5 * mm),
-        "measured": gj.MeasuredFlank(body, [5 * mm, 10 * mm], [2 * um, 3 * um]),
+        "measured": gj.MeasuredFlank(body, [5 * mm, 60 * mm], [2 * um, 3 * um]),
         "measured_pitch": gj.MeasuredPitch(body, [5 * um]),
     }
 

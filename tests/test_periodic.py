@@ -156,3 +156,16 @@ def test_refusals(scene_of_one_pair):
         gj.harmonic_balance(clearance(scene_of_one_pair), TORQUE, 0.01, harmonics=8, samples=10)
     with pytest.raises(gj.SceneError, match="inertia"):
         gj.shooting(dataclasses.replace(scene_of_one_pair, inertia=None), TORQUE, 0.01)
+
+
+@pytest.mark.slow
+def test_an_output_that_rests_without_load_is_periodic(scene):
+    """Any place in the clearance is a place of rest, so that the return map has no isolated solution there."""
+    own = dataclasses.replace(scene, errors={}, reference=None, backlash=gj.InitialBacklash(20e-6))
+    period = 2 * np.pi / float(own.system.input_speed * own.system.orders["mesh"])
+    found = gj.periodic_motion(own, 0.0, period, steps=64), gj.harmonic_balance(own, 0.0, period, harmonics=3)
+    for motion in found:
+        assert int(motion.result) == 0
+        assert float(motion.residual) == 0.0
+        assert not np.any(motion.te)
+    assert found[0].periods == 1

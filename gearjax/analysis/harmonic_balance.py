@@ -260,7 +260,8 @@ def _root(lacking: Callable[[Array], Array], start: Array, max_steps: int) -> tu
             else:
                 left, along = jax.linearize(lacking, numbers)
                 way = _without_matrix(along, left, ROUGH)
-            rest = jnp.abs(left).max() / jnp.abs(numbers).max()
+            largest = jnp.abs(left).max()
+            rest = largest / jnp.where(largest == 0, 1.0, jnp.abs(numbers).max())  # zero also where nothing moves
             return Newton(now.steps + 1, numbers, way.reshape(begin.shape), rest, now.rest)
 
         def going_on(now: Newton) -> Array:

@@ -141,7 +141,7 @@ def shoot(problem: Problem, steps: int, guess: Array | None, settle: int, max_st
         states[:, 0, 0],
         states[:, 1, 0],
         jax.lax.stop_gradient(eigenvalues(slope)),
-        left / size,
+        left / jnp.where(left == 0, 1.0, size),
         jnp.where((left <= 1e-6 * size) & jnp.isfinite(left), 0, 1),
         states[0] if supported else states[0, :, 0],
         states[:, 0, 1:] if supported else None,
@@ -191,7 +191,9 @@ def _returning(motion: OfOutput | OfStructure, start: Array, max_steps: int) -> 
             state = now.state + now.way
             end, slope = motion.end_and_slope(state)
             left, slope = end - state, slope - unit
-            return Newton(now.steps + 1, state, left, slope, -jnp.linalg.solve(slope, left))
+            # what rests, or flies freely, may do so anywhere: where nothing is lacking, no step is asked for
+            way = jnp.where((left == 0).all(), 0.0, -jnp.linalg.solve(slope, left))
+            return Newton(now.steps + 1, state, left, slope, way)
 
         first = Newton(jnp.asarray(-1), begin, jnp.full_like(begin, jnp.inf), unit, jnp.zeros_like(begin))
         found = jax.lax.while_loop(going_on, step, first)

@@ -27,6 +27,13 @@ app = typer.Typer(rich_markup_mode=None)
 _progress = Console(stderr=True, markup=False, emoji=False)
 
 
+def _folder(text: str) -> Path:
+    """The folder of an option; an empty text, as from a variable of the shell that is not set, is refused."""
+    if not text:
+        raise typer.BadParameter("is empty: give a folder, such as out/mine")
+    return Path(text)
+
+
 def _writable(out: Path | None) -> Path | None:
     """The folder of --out; it is refused before anything is computed if it cannot be written."""
     return None if out is None else writable(out)
@@ -34,10 +41,11 @@ def _writable(out: Path | None) -> Path | None:
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file, or a results.nc to run again")]
 OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="folder for results and figures", callback=_writable)
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="folder for results and figures", parser=_folder, callback=_writable),
 ]
 CopiesOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="folder for the copies", callback=_writable)
+    Path | None, typer.Option("--out", metavar="DIR", help="folder for the copies", parser=_folder, callback=_writable)
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 

@@ -19,6 +19,7 @@ from gearjax.contact.layout import Layout
 from gearjax.contact.pose import BodyView, GearSize, ProfilePlace, Rim
 from gearjax.contact.slices import Slices
 from gearjax.geometry.helical_pair import InvolutePair
+from gearjax.geometry.involute import involute
 from gearjax.geometry.plane_of_action import SlicePoints, slice_points
 from gearjax.typing import Array, Float, Scalar
 
@@ -57,7 +58,9 @@ class HelicalMesh(eqx.Module):
         rolls = ends if number == 0 else tuple(pair.other_roll(end) for end in ends)
         roll = jnp.minimum(*rolls), jnp.maximum(*rolls)
         gear, diameter, angle = pair.gears[number], pair.reference_diameters[number], pair.transverse_pressure_angle
-        return GearSize(gear.teeth, pair.normal_module, diameter, pair.face_width, angle, roll, gear.internal)
+        own = gear.base_half_angle - involute(gear.pressure_angle)
+        space = own if gear.internal else math.pi / gear.teeth - own
+        return GearSize(gear.teeth, pair.normal_module, diameter, pair.face_width, angle, space, roll, gear.internal)
 
     def contact_name(self, contact: int) -> str:
         """Name of a contact in messages."""

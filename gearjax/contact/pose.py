@@ -155,6 +155,7 @@ class GearSize(NamedTuple):
         diameter: diameter of the reference circle [m].
         width: face width [m].
         pressure_angle: pressure angle in a transverse section, at the reference circle [rad].
+        space: half of the angle of a tooth space at the reference circle [rad].
         roll: smallest and largest length of roll of the part of the flank that may touch [m].
         internal: whether its teeth point inwards.
     """
@@ -164,6 +165,7 @@ class GearSize(NamedTuple):
     diameter: Scalar
     width: Scalar
     pressure_angle: Scalar
+    space: Scalar
     roll: tuple[Scalar, Scalar]
     internal: bool
 

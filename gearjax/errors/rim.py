@@ -20,6 +20,10 @@ class Positions(AbstractError):
     all of them together (Hu et al. 2020, eqs. 7 and 11). The first value, ``outward[0]`` in a path, is that of pin 1
     or tooth 0.
 
+    On an involute flank each point moves along its own radius and circumference, not along those of the middle of its
+    tooth. For teeth that move outward as rigid bodies, gaps change by less: by a tenth less with 40 teeth, by a fifth
+    less with 18.
+
     Args:
         body: body of the system that carries the pins or teeth.
         outward: displacement along the radius, positive outwards: one value per pin or tooth, shape (element,), or one

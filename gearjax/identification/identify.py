@@ -18,7 +18,7 @@ from gearjax.identification.orders import Drift, Order, given_waves, sharpened, 
 from gearjax.identification.remarks import POOR, remarks
 from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
-from gearjax.identification.signs import check_signs
+from gearjax.identification.signs import Explanation, check_signs
 from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import hidden_directions, visible
@@ -297,24 +297,30 @@ def _fit(
 def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
     """Refuse recordings whose torque or transmission error has the wrong sign, where something looks wrong."""
     noisy = POOR * noise_of(fit.problem.rows, fit.weight)
-    jams = any(
-        each.path == "backlash.initial" and value < 0
-        for each, value in zip(model.unknowns.each, fit.values, strict=False)
-    )
-    if not wanted.loaded or (fit.sigma < noisy and not jams):
+    own = _explanation(model, fit)
+    if not wanted.loaded or (fit.sigma < noisy and not own.overlap):
         return
     starts = wanted.options.starts or (SIGN_STARTS if model.straight else 1)
     options = dataclasses.replace(wanted.options, starts=starts, priors={})
 
-    def refit(records: list[Measurement]) -> Fit | None:
+    def refit(records: list[Measurement]) -> Explanation | None:
         back = bool(np.any(np.concatenate([record.back for record in records])))
         if back and not (scene.has_back or scene.layout.sides_turn):
             return None
         unknowns = unknowns_of(scene, wanted.where, back=back, loaded=True)
-        return _fit(Model.of(unknowns, records, loaded=True), scene, records, wanted.free, options, None)
+        other = Model.of(unknowns, records, loaded=True)
+        return _explanation(other, _fit(other, scene, records, wanted.free, options, None))
 
-    scales = np.array([each.scale if each.kind == "component" else 0.0 for each in model.unknowns.each])
-    check_signs(fit, scales, wanted.records, noisy, refit)
+    check_signs(own, wanted.records, noisy, refit)
+
+
+def _explanation(model: Model, fit: Fit) -> Explanation:
+    """How a fit explains its recordings; where its search ended in a flat valley, which is up to chance, does not count."""
+    values = _nearest(fit, model, _hidden_at(fit, model, fit.values), fit.values)
+    each = list(zip(model.unknowns.each, values, strict=False))
+    errors = [unknown.scale * value for unknown, value in each if unknown.kind == "component"]
+    overlap = sum(max(-value * unknown.scale, 0.0) for unknown, value in each if unknown.path == "backlash.initial")
+    return Explanation(fit.cost, fit.sigma, float(np.linalg.norm(errors)), float(overlap))
 
 
 def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order | Drift]]:

@@ -25,7 +25,7 @@ from gearjax.tolerance.statistics import Estimate
 from gearjax.tolerance.variance import Sensitivities
 
 FOLDER = "studies"
-_FORMAT = 3  # is raised when results of before would be other ones now
+_FORMAT = 4  # is raised when results of before would be other ones now
 _KIND = "kind of"
 NAMED = Clashes, Estimate
 _KINDS = {kind.__name__: kind for kind in (*NAMED, AllocatedTolerances, MatchedAssembly, Measure, Sensitivities)}

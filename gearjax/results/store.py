@@ -28,7 +28,7 @@ from gearjax.tolerance.monte_carlo import Evaluated
 from gearjax.units import arcmin
 
 NAME = "samples.zarr"
-_FORMAT = 5  # is raised when samples of before would be other ones now, and are not continued
+_FORMAT = 6  # is raised when samples of before would be other ones now, and are not continued
 _NEW = f".{NAME}.new"
 _MARKS, _CODES = "done", "result"
 _ABOUT = "zarr.json"

@@ -61,17 +61,24 @@ class Setting:
     gradient: float = 10.0
     scheme: str = ""
 
+    @property
+    def of_samples(self) -> bool:
+        """Whether its extremes are those of its samples."""
+        return isinstance(self.stepper, AdaptiveStep | QuasiStatic)
+
 
 class FirstRun(NamedTuple):
     """The first run of a setting.
 
     Args:
         metrics: metrics by torque and name [rad].
+        at_samples: the same, with the extremes of the samples instead of those of all steps [rad].
         seconds: time of one torque without compilation [s].
         compile_seconds: time of tracing and compiling [s], beside other settings if there are several workers.
     """
 
     metrics: Metrics
+    at_samples: Metrics
     seconds: float
     compile_seconds: float
 
@@ -82,7 +89,8 @@ class Measured:
 
     Args:
         group, name: group and name of the setting.
-        error: largest deviation of peak-to-peak, amplitude, mean and standard deviation under all torques [rad].
+        error: largest deviation of peak-to-peak, amplitude, mean and standard deviation under all torques [rad]; if the
+            setting has extremes of its samples only, from those of the reference's samples.
         metrics: metrics by torque and name [rad].
         seconds: time of one run, median [s].
         gradient_seconds: time of the gradient of the standard deviation by every number of the errors, in reverse mode
@@ -178,7 +186,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
             rest = left.after(TRUTH_WORK if setting is yardstick else 1)
             progress(f"compiled: {setting.group}: {setting.name}{rest}")
         truth = runs[0]
-        rows = [_measured(*each, truth.metrics) for each in zip(tried, runs[1:], strict=True)]
+        rows = [_measured(*each, truth) for each in zip(tried, runs[1:], strict=True)]
         rows = _with_gradients(tried, rows, pool, left, progress)
     statics = static_choices(scene)
     for choice in statics:
@@ -289,11 +297,15 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
     return [*trials, Setting("precision", "float32", single, alone, number, scheme="fitted")]
 
 
-def _measured(setting: Setting, first: FirstRun, truth: Metrics) -> Measured:
-    """What one setting takes and how far it is off, from its first run; the run is repeated alone for its time."""
+def _measured(setting: Setting, first: FirstRun, truth: FirstRun) -> Measured:
+    """What one setting takes and how far it is off, from its first run; the run is repeated alone for its time.
+
+    A setting without extremes between samples is compared with the extremes of the reference's samples. Otherwise its
+    error would mostly be that of too few samples.
+    """
     torque, ts = _torques(setting)[0], _times(setting)
     seconds = _seconds(lambda: jax.block_until_ready(_once(setting, setting.scene, ts, torque).te))
-    off = apart(first.metrics, truth)
+    off = apart(first.metrics, truth.at_samples if setting.of_samples else truth.metrics)
     return Measured(setting.group, setting.name, off, first.metrics, seconds, None, False, first.compile_seconds)
 
 
@@ -349,12 +361,16 @@ def _once(setting: Setting, scene: Scene, ts: Array, torque: float) -> Motion:
 
 def first_run(setting: Setting) -> FirstRun:
     """The first run of a setting, which compiles its program."""
-    metrics, ts = {}, _times(setting)
+    motions, ts = {}, _times(setting)
     with Stopwatch() as watch:
         for torque in _torques(setting):
-            motion = _once(setting, setting.scene, ts, torque)
-            metrics[torque] = {name: float(getattr(motion, name)) for name in METRICS}
-    return FirstRun(metrics, watch.seconds / len(metrics), watch.compile_seconds)
+            motions[torque] = jax.block_until_ready(_once(setting, setting.scene, ts, torque))
+    sampled = {torque: dataclasses.replace(one, highest=one.te, lowest=one.te) for torque, one in motions.items()}
+    return FirstRun(_metrics(motions), _metrics(sampled), watch.seconds / len(motions), watch.compile_seconds)
+
+
+def _metrics(motions: dict[float, Motion]) -> Metrics:
+    return {torque: {name: float(getattr(one, name)) for name in METRICS} for torque, one in motions.items()}
 
 
 def _gradient(setting: Setting) -> Callable[[], object]:

@@ -52,9 +52,8 @@ class HelicalPair(AbstractSystem):
     `gearjax.one_contact` reduces a gear set with any compliance to one contact.
 
     Bodies: ``pinion`` and ``wheel``. The run-out turns with its gear. Its phase is counted in the sense in which the
-    gear turns, from the line towards the axis of the other gear (for an internal gear, from the line towards the
-    pinion). Teeth are counted from 0 in the order in which they come into mesh; tooth 0 touches at the pitch point, in
-    the middle of the face, at input angle 0.
+    gear turns, from the line from its axis towards the pitch point. Teeth are counted from 0 in the order in which they
+    come into mesh; tooth 0 touches at the pitch point, in the middle of the face, at input angle 0.
 
     Either gear may have a support. Its x points from the axis of the pinion towards the axis of the wheel (in an
     internal pair, away from it). Its y points across x, in the direction in which the teeth of the pinion move at the

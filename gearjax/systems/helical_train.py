@@ -56,8 +56,8 @@ class HelicalTrain(AbstractSystem):
     value for all meshes.
 
     Each mesh is that of a `HelicalPair`, with the same definitions of contacts, tips, errors and their phases: the
-    phase of a run-out is counted in the sense in which its gear turns, from the line towards the axis of the other gear
-    of its mesh. At input angle 0, tooth 0 of every pinion touches at the pitch point, in the middle of the face.
+    phase of a run-out is counted in the sense in which its gear turns, from the line towards the pitch point of its
+    mesh. At input angle 0, tooth 0 of every pinion touches at the pitch point, in the middle of the face.
 
     The axes of supports are the same for all bodies. The x axis is fixed in the housing; `line_angle` is counted from
     it. The z axis is the one about which ``pinion_1`` turns, y is across x and z; rx and ry are tilts about x and y,

@@ -60,7 +60,7 @@ def accuracy_grades(scene: Scene, body: str, flank: str = "driving") -> dict[str
     Returns:
         The deviations that were measured, by name: ``f_H_alpha``, ``f_f_alpha`` and ``F_alpha`` of profiles,
         ``f_H_beta``, ``f_f_beta`` and ``F_beta`` of helices, ``f_pt`` and ``F_p`` of pitches, and ``F_r``, the run-out
-        of a ball in the tooth spaces, from the pitches of both flanks.
+        of a ball that touches the flanks of the tooth spaces at the reference circle, from the pitches of both flanks.
 
     Raises:
         ParameterError: there is no such body or flank, or a size is outside the range of the standard.
@@ -162,5 +162,7 @@ def _of_pitches(pitches: list[MeasuredPitch], flank: str, size: GearSize, drives
         # a tooth space of the driver lies between a driving flank and the back flank of the tooth ahead of it; a tooth
         # space of the driven gear lies between a driving flank and the back flank of the next tooth
         room = np.roll(back, 1) - driving if drives else driving - np.roll(back, -1)
-        values["F_r"] = float(np.ptp(room)) / (2 * np.tan(float(size.pressure_angle)))
+        # a ball touches both flanks beside the middle of its space, where their normals lie closer to the radius
+        slant = float(size.pressure_angle) + (-1 if size.internal else 1) * float(size.space)
+        values["F_r"] = float(np.ptp(room)) * np.cos(float(size.pressure_angle)) / (2 * np.sin(slant))
     return values

@@ -5,7 +5,8 @@ space of few dimensions for all gear sets of a population, for example sums of a
 factorisation of sampled curves finds the input angles that determine a curve, and the weights that give the rest
 (interpolative decomposition; Cheng, Gimbutas, Martinsson, Rokhlin 2005), exact to rounding for all kinds of errors.
 Each gear set is then evaluated at these few angles only, and at three more to check whether it is like the examples. If
-there are no such few angles, or levers vary, each gear set is evaluated at all angles.
+there are no such few angles, each gear set is evaluated at all angles. Where levers vary with the angle, so does the
+stiffness of each contact on the output: its squared lever is one of these curves.
 
 For extremes between the samples, the touching position of each contact is a polynomial of the angle around the best
 samples, and the curve is computed again at closer angles.
@@ -52,6 +53,7 @@ class Curves(eqx.Module):
             (n, term, angle).
         side: side of each contact, 1 for driving flanks and -1 for back flanks.
         stiffness: ``"rigid"``, or ``"mean"`` for curves under torque.
+        levers_vary: whether levers vary with the angle, and with them the stiffness on the output.
     """
 
     poses: Pose | Float[Array, " n"]
@@ -61,6 +63,7 @@ class Curves(eqx.Module):
     series: Float[Array, "n term angle"] | None
     side: tuple[int, ...] = eqx.field(static=True)
     stiffness: Stiffness = eqx.field(static=True)
+    levers_vary: bool = eqx.field(static=True)
 
     @classmethod
     def of(cls, examples: Scene, theta: Float[Array, " n"], stiffness: Stiffness, fixed_system: bool) -> "Curves":
@@ -77,17 +80,18 @@ class Curves(eqx.Module):
         side = first.layout.side
 
         def everywhere() -> Curves:
-            return cls(_poses(first, theta) if fixed_system else theta, None, None, 0.0, None, side, stiffness)
+            return cls(_poses(first, theta) if fixed_system else theta, None, None, 0.0, None, side, stiffness, True)
 
         if not fixed_system or not isinstance(first.contact, HardContact) or len(theta) < 3:
             return everywhere()
         between = np.interp(np.arange(FINE * (len(theta) - 1) + 1) / FINE, np.arange(len(theta)), np.asarray(theta))
         accuracy = max(ACCURACY, 16 * float(np.finfo(theta.dtype).eps))
         touch, lever = _sampled(examples, _poses(first, jnp.asarray(between, theta.dtype)))
-        if np.ptp(np.asarray(lever), axis=1).any():
-            return everywhere()
-        curves = np.asarray(touch, dtype=float)
-        largest, samples = float(np.abs(curves).max()), curves[:, ::FINE]
+        curves, squared = np.asarray(touch, dtype=float), np.asarray(lever, dtype=float) ** 2
+        largest, levers_vary = float(np.abs(curves).max()), bool(np.ptp(np.asarray(lever), axis=1).any())
+        if levers_vary:
+            curves = np.concatenate([curves, squared * (largest / squared.max())], axis=2)
+        samples = curves[:, ::FINE]
         chosen = _chosen(samples, accuracy)
         if chosen is None:
             return everywhere()
@@ -99,7 +103,7 @@ class Curves(eqx.Module):
         poses = _poses(first, jnp.asarray(np.asarray(theta)[np.concatenate([chosen, besides])]))
         checks, weights = weights[besides], weights[in_search_order(len(theta))]
         allowed = 100 * accuracy * largest
-        return cls(poses, weights, checks, allowed, series, side, stiffness)
+        return cls(poses, weights, checks, allowed, series, side, stiffness, levers_vary)
 
     def touches(self, scene: Scene) -> "Touches":
         """The positions at which the contacts of one gear set touch, at all angles."""
@@ -110,12 +114,18 @@ class Curves(eqx.Module):
             return Touches(columns, strengths, self.side)
         assert self.checks is not None
         number = self.weights.shape[1]
-        strengths = None if strength is None else [strength[0, i] for i in range(touch.shape[1])]
+        strengths, each = None, None
+        if strength is not None and self.levers_vary:
+            each = [strength[:number, i] for i in range(touch.shape[1])]
+            strengths = [_weighted(self.weights, column) for column in each]
+        elif strength is not None:
+            strengths = [strength[0, i] for i in range(touch.shape[1])]
         besides = [column[number:] - _weighted(self.checks, column[:number]) for column in columns]
         alike = (jnp.abs(jnp.stack(besides)) <= self.allowed).all()
         columns = [column[:number] for column in columns]
         spread = [_weighted(self.weights, column) for column in columns]
-        return Touches(spread, strengths, self.side, None if self.series is None else (self.series, columns), alike)
+        closer = None if self.series is None else (self.series, columns, each)
+        return Touches(spread, strengths, self.side, closer, alike)
 
     def curve(self, scene: Scene, analysis: str, torque: float | None) -> Float[Array, " n"]:
         """The curve of an analysis of one gear set, at the samples [rad]."""
@@ -145,8 +155,8 @@ class Touches(eqx.Module):
         position: position of the output at which each contact touches, shape (n,) or (place, group) each [rad].
         strength: stiffness of each contact on the output, shape (n,) or () each [N m/rad].
         side: side of each contact, 1 for driving flanks and -1 for back flanks.
-        closer: weights near each sample as polynomials, and each contact's values at the angles that they weight;
-            ``None`` without interpolation.
+        closer: weights near each sample as polynomials, and each contact's positions at the angles that they weight,
+            and its stiffness on the output there if it varies; ``None`` without interpolation.
         alike: whether the gear set is like the examples, so that its curves are right; ``None`` if all angles were
             evaluated.
     """
@@ -154,17 +164,18 @@ class Touches(eqx.Module):
     position: Sequence[Float[Array, "..."]]
     strength: Sequence[Array] | None
     side: tuple[int, ...] = eqx.field(static=True)
-    closer: tuple[Array, Sequence[Array]] | None = None
+    closer: tuple[Array, Sequence[Array], Sequence[Array] | None] | None = None
     alike: Array | None = None
 
     def near(self, samples: Int[Array, " m"], places: Float[Array, "k #m"]) -> "Touches":
         """The touching positions near some samples, at places in spacings of samples, shape (k, m)."""
         assert self.closer is not None
-        series, columns = self.closer
+        series, columns, strengths = self.closer
         # a matrix product, because XLA would fuse elementwise sums with their uses and compute them for every place
-        terms = jnp.einsum("mta,ca->tcm", series[samples], jnp.stack(columns))[:, :, None]
+        terms = jnp.einsum("mta,ca->tcm", series[samples], jnp.stack([*columns, *(strengths or [])]))[:, :, None]
         spread = functools.reduce(lambda sum_, term: sum_ * places[None] + term, terms[::-1])
-        return Touches(list(spread), self.strength, self.side)
+        position, varying = list(spread[: len(columns)]), list(spread[len(columns) :])
+        return Touches(position, self.strength if strengths is None else varying, self.side)
 
     def ends(
         self, analysis: str, torque: Scalar | None, curve: Float[Array, " n"], signs: Sequence[float]
@@ -180,6 +191,8 @@ class Touches(eqx.Module):
             return touches.near(samples, places).curve(analysis, torque)
 
         alone = dataclasses.replace(self, position=[], alike=None)
+        if self.closer[2] is not None:
+            alone = dataclasses.replace(alone, strength=[])
         return [*jax.vmap(lambda sign: highest_between(near, (alone, torque), curve, sign))(sign)]
 
     def curve(self, analysis: str, torque: Scalar | None) -> Float[Array, "..."]:
