@@ -315,7 +315,7 @@ def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
 
 
 def _explanation(model: Model, fit: Fit) -> Explanation:
-    """How a fit explains its recordings; where its search ended in a flat valley, which is up to chance, does not count."""
+    """How a fit explains its recordings, by the point of a flat valley with the smallest errors: its end is chance."""
     values = _nearest(fit, model, _hidden_at(fit, model, fit.values), fit.values)
     each = list(zip(model.unknowns.each, values, strict=False))
     errors = [unknown.scale * value for unknown, value in each if unknown.kind == "component"]
