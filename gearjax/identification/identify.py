@@ -296,9 +296,10 @@ def _fit(
 
 def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
     """Refuse recordings whose torque or transmission error has the wrong sign, where something looks wrong."""
-    noisy = POOR * noise_of(fit.problem.rows, fit.weight)
-    own = _explanation(model, fit)
-    if not wanted.loaded or (fit.sigma < noisy and not own.overlap):
+    if not wanted.loaded:
+        return
+    own, noisy = _explanation(model, fit), POOR * noise_of(fit.problem.rows, fit.weight)
+    if fit.sigma < noisy and not own.overlap:
         return
     starts = wanted.options.starts or (SIGN_STARTS if model.straight else 1)
     options = dataclasses.replace(wanted.options, starts=starts, priors={})

@@ -12,6 +12,7 @@ from gearjax.units import um
 
 MUCH_BETTER = 0.5  # share of the sum of squares below which another sign is considered
 CLEAR = 0.3  # share of the residual below which another sign is right, although not only noise is left
+JAMMED = 20 * um  # overlap of flanks that is no error of an estimate of zero backlash
 AS_GOOD, SMALLER = 1.2, 0.1  # another sign is right too if it explains about as much by errors that are so much smaller
 
 
@@ -61,7 +62,7 @@ def check_signs(
             continue
         elif again.errors < SMALLER * own.errors:
             words = f"errors fall from {own.errors / um:.3g} to {again.errors / um:.3g} um, and explain as much"
-        elif own.overlap > 0 and again.overlap == 0:
+        elif own.overlap > JAMMED and again.overlap == 0:
             words = f"flanks need not overlap by {own.overlap / um:.3g} um, and errors explain as much"
         else:
             continue

@@ -33,9 +33,10 @@ from gearjax.typing import Array, Float, Int, Scalar
 
 CHECKS = 3  # angles at which every gear set is compared with the interpolation from the few angles
 ACCURACY = 1e-12  # of the interpolation, relative to the largest deviation from the ideal position
-MOST = 0.1  # share of the angles above which interpolation is not worthwhile
-MOST_TERMS = 8  # of the polynomials, which are valid from the sample before to the sample after
+FEW, MOST = 16, 0.1  # number and share of the angles, above both of which interpolation is not worthwhile
+MOST_TERMS = 12  # of the polynomials, which are valid from the sample before to the sample after
 FITS = 1e-6  # deviation of the polynomials, relative to the largest weight, below which more terms are not worthwhile
+FAR_OFF = 1e-5  # the same, above which samples are too far apart for polynomials
 FINE = 8  # steps between two samples to which the polynomials are fitted
 
 
@@ -98,7 +99,10 @@ class Curves(eqx.Module):
         weights, fine = _weights(samples, chosen, accuracy), _weights(curves, FINE * chosen, accuracy)
         if weights is None or fine is None:
             return everywhere()
-        weights, series = (jnp.asarray(part, theta.dtype) for part in (weights, _series(fine, len(theta))))
+        series = _series(fine, len(theta))
+        if series is None:
+            return everywhere()
+        weights, series = jnp.asarray(weights, theta.dtype), jnp.asarray(series, theta.dtype)
         besides = np.linspace(0, len(theta) - 1, CHECKS + 2).round().astype(int)[1:-1]
         poses = _poses(first, jnp.asarray(np.asarray(theta)[np.concatenate([chosen, besides])]))
         checks, weights = weights[besides], weights[in_search_order(len(theta))]
@@ -250,7 +254,7 @@ def _chosen(touch: np.ndarray, accuracy: float) -> np.ndarray | None:
     _, factor, order = decomposition
     sizes = np.abs(np.diag(factor))
     rank = max(1, int((sizes > 0.1 * accuracy * sizes[0]).sum()))
-    return None if rank > max(4, MOST * touch.shape[1]) or rank >= min(curves.shape) else order[:rank]
+    return None if rank > max(FEW, MOST * touch.shape[1]) or rank >= min(curves.shape) else order[:rank]
 
 
 def _weights(touch: np.ndarray, chosen: np.ndarray, accuracy: float) -> np.ndarray | None:
@@ -268,10 +272,11 @@ def _weights(touch: np.ndarray, chosen: np.ndarray, accuracy: float) -> np.ndarr
     return weights if missed <= accuracy * max(np.abs(curves).max(), 1e-300) else None
 
 
-def _series(fine: np.ndarray, number: int) -> np.ndarray:
+def _series(fine: np.ndarray, number: int) -> np.ndarray | None:
     """Polynomials of the weights near each sample, shape (number, term, angle), with as many terms as they need.
 
-    The first and the last sample have those of their neighbours, and are not asked for (`highest_between`).
+    ``None`` if samples are too far apart for them. The first and the last sample have the polynomials of their
+    neighbours, and are not asked for (`highest_between`).
     """
     steps = np.arange(-FINE, FINE + 1) / FINE
     centres = np.clip(np.arange(number), 1, number - 2)
@@ -280,6 +285,7 @@ def _series(fine: np.ndarray, number: int) -> np.ndarray:
     for terms in range(1, MOST_TERMS + 1):
         powers = np.vander(steps, terms, increasing=True)
         fitted = np.linalg.pinv(powers) @ rows  # (number, term, angle)
-        if np.abs(powers @ fitted - rows).max() <= allowed:
+        off = np.abs(powers @ fitted - rows).max()
+        if off <= allowed:
             break
-    return fitted
+    return fitted if off <= FAR_OFF / FITS * allowed else None
