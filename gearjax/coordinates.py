@@ -151,9 +151,8 @@ def check_offered(
             raise ParameterError("supports", body, nearest(body, offered))
         for way in support.directions:
             if way not in offered[body]:
-                raise ParameterError(
-                    f"supports.{body}", way, f"no direction of this body; {nearest(way, offered[body])}"
-                )
+                words = f"{way} is no direction of {body}; {nearest(way, offered[body])}"
+                raise ParameterError(f"supports.{body}.{way}", getattr(support, way), words)
     for name, shaft in shafts.items():
         check_name("shafts", name)
         if name == "output":
