@@ -181,7 +181,7 @@ class ProfilePlace(eqx.Module):
             not give it.
         width: face width [m]; ``None`` if the gear set does not give it.
         normal: change of gap per material in a transverse section, ``cos beta_b``, one for all contacts or shape
-            (contact,), zero at contacts of other bodies; ``None`` for spur gears that all contacts touch.
+            (contact,), zero at contacts of other bodies; ``None`` for spur gears.
         roll: length of roll of each contact from the base circle, shape (contact,) [m]; ``None`` if the gear set does
             not give it.
         side: side of each contact, 1 on driving flanks, -1 on back flanks, shape (contact,); ``None`` if the gear set
@@ -241,10 +241,6 @@ class Rim(eqx.Module):
         self.sine, self.cosine = jnp.sin(angle), jnp.cos(angle)
         self.outward, self.around, self.elements, self.element = outward, around, elements, element
         self.own = own
-
-    def seen(self, material: Float[Array, " contact"]) -> Float[Array, " contact"]:
-        """Material beyond the ideal flank, as the contacts of this body see it [m]."""
-        return material if self.own is None else material * self.own
 
     def wave(self, number: int) -> tuple[Float[Array, " contact"], Float[Array, " contact"]]:
         """Sine and cosine of a multiple of the angle, by the addition theorem."""

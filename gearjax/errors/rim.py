@@ -21,8 +21,8 @@ class Positions(AbstractError):
     or tooth 0.
 
     On an involute flank each point moves along its own radius and circumference, not along those of the middle of its
-    tooth. For teeth that move outward as rigid bodies, gaps change by less: by a tenth less with 40 teeth, by a fifth
-    less with 18.
+    tooth. Where teeth move outward as rigid bodies, gaps of an external gear change by less: by 8 % less with 40 teeth,
+    by 16 % less with 18.
 
     Args:
         body: body of the system that carries the pins or teeth.
@@ -73,8 +73,7 @@ class Sizes(AbstractError):
         check_parameters(self)
 
     def gap(self, view: BodyView) -> Float[Array, " contact"]:
-        rim = rim_of(self.body, view)
-        return -rim.seen(_spread("larger", self.larger, rim))
+        return -_spread("larger", self.larger, rim_of(self.body, view))
 
 
 class CumulativePitch(AbstractError):
@@ -121,7 +120,12 @@ def spread(key: str, values: Float[Array, " given"], view: BodyView) -> Float[Ar
 
 
 def _spread(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, " contact"]:
-    """One value per contact, from one value per element of the rim or from one value for all."""
+    """One value per contact, from one value per element of the rim or for all; zero at contacts of other bodies."""
+    each = _each(key, values, rim)
+    return each if rim.own is None else each * rim.own
+
+
+def _each(key: str, values: Float[Array, " given"], rim: Rim) -> Float[Array, " contact"]:
     contacts = rim.sine.shape[0]
     if values.shape == (1,):
         return jnp.broadcast_to(values, (contacts,))

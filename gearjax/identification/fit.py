@@ -15,7 +15,7 @@ from gearjax.identification.model import Model, Normal, Problem
 from gearjax.identification.rows import Rows, Trend, Wave, further
 from gearjax.identification.search import Known, Sums, descend
 from gearjax.identification.valley import between
-from gearjax.identification.weights import noise_of, of_outliers, of_recordings, of_spikes, spread_of
+from gearjax.identification.weights import noise_of, of_outliers, of_recordings, spread_of
 from gearjax.scene import Scene
 
 BINS = 256  # steps per turn of the output; means over them bias fast waves, so they serve the starts only
@@ -70,18 +70,17 @@ class Fit:
 
 
 def coarse(
-    records: Sequence[Measurement], scene: Scene, rows: Rows, free: Sequence[Wave | Trend], *, robust: bool
+    records: Sequence[Measurement], scene: Scene, rows: Rows, free: Sequence[Wave | Trend], share: np.ndarray
 ) -> Rows:
     """Means of the rows over even steps of the angle; the rows themselves if there are hardly more rows than steps.
 
-    If ``robust``, spikes are left out.
+    Rows with a share of zero are left out.
     """
-    kept = of_spikes(rows) > 0 if robust else np.ones(rows.te.shape, bool)
     turns = scene.system.orders
     per_input_turn = max(BINS * turns.get("output", 1.0), PER_TURN * scene.system.fastest_order)
     parts = []
     for i in range(len(records)):
-        own = kept & (rows.record == i)
+        own = (share > 0) & (rows.record == i)
         theta = rows.theta[own]
         width = max(2 * np.pi / per_input_turn, np.ptp(theta) / MOST_BINS)
         if np.ptp(theta) / width > 0.7 * theta.size:
@@ -101,6 +100,7 @@ def fitted(
     rough: Problem | None,
     precision: tuple[np.ndarray, np.ndarray],
     starts: np.ndarray,
+    share: np.ndarray,
     *,
     robust: bool,
     counted: Callable[[int], None],
@@ -113,6 +113,7 @@ def fitted(
         rough: the problem of their means; ``None`` if all starts are to be refined.
         precision: means and precisions of the priors, in units of the search, shape (number,) each.
         starts: numbers that the search starts from, shape (start, number).
+        share: share of its weight that each row has at first, shape (n,).
         robust: whether outlying rows get less weight.
         counted: called with the number of points at which the sums of all rows were computed.
     """
@@ -135,7 +136,6 @@ def fitted(
     problem = Problem(model, rows)
     if rough is not None and len(starts) > 1:
         starts = _best_on_means(rough, starts, known, allowed, sigma)
-    share = of_spikes(rows) if robust else np.ones(rows.weight.shape)
     weight = rows.weight * share
     ends, sums = starts, None
     for turn in range(ROUNDS):
@@ -146,7 +146,7 @@ def fitted(
         even = np.sqrt(of_records) * residual
         sigma = max(spread_of(even) if robust else float(np.std(even)), 1e-9)
         known = Known(precision[0], precision[1] * sigma**2)
-        share = of_outliers(even, sigma) if robust else np.ones(even.shape)
+        share = of_outliers(even, sigma) if robust else share
         moved = np.abs(of_records * share - weight).max()
         if turn and moved < 1e-3:
             break

@@ -22,7 +22,7 @@ from gearjax.identification.signs import Explanation, check_signs
 from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import hidden_directions, visible
-from gearjax.identification.weights import noise_of
+from gearjax.identification.weights import noise_of, of_spikes
 from gearjax.progress import Progress, Searching, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
@@ -281,7 +281,8 @@ def _fit(
     """The fit with some free waves and drifts; from the usual starts if ``starts`` is ``None``."""
     rows = rows_of(records, scene, free, _drifts(records))
     moves = isinstance(model, MovingModel)  # then no means over steps of the angle, which would damp the vibration
-    rough = None if moves else Problem(model, coarse(records, scene, rows, free, robust=options.robust))
+    share = of_spikes(rows) if options.robust else np.ones(rows.te.shape)
+    rough = None if moves else Problem(model, coarse(records, scene, rows, free, share))
     mean, own = priors_of(model.unknowns, options.priors)
     beside = np.zeros(rows.basis.shape[1])
     if _drifts(records):
@@ -291,7 +292,7 @@ def _fit(
         assert rough is not None
         number = options.starts or (STARTS if model.straight else FEW_STARTS)
         starts = starts_of(model, rough, number, options.key)
-    return fitted(model, rows, rough, precision, starts, robust=options.robust, counted=counted)
+    return fitted(model, rows, rough, precision, starts, share, robust=options.robust, counted=counted)
 
 
 def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
@@ -316,7 +317,7 @@ def _check_signs(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> None:
 
 
 def _explanation(model: Model, fit: Fit) -> Explanation:
-    """How a fit explains its recordings, by the point of a flat valley with the smallest errors: its end is chance."""
+    """How a fit explains its recordings, with the smallest errors of its flat valley, where a search ends by chance."""
     values = _nearest(fit, model, _hidden_at(fit, model, fit.values), fit.values)
     each = list(zip(model.unknowns.each, values, strict=False))
     errors = [unknown.scale * value for unknown, value in each if unknown.kind == "component"]

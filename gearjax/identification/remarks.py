@@ -14,20 +14,17 @@ from gearjax.units import arcmin, mm
 WIDE_OFFSET = 4.0  # offset of a recording over `offset_spread` that is no chance
 POOR = 2.0  # times the noise from row to row: above this, the residual is more than noise
 COARSE = 3.0  # times its residual: steps of an encoder above this are rounding rather than noise (sqrt(12) without any)
-FARTHEST = 0.25  # of the size of teeth: displacement above which the model does not hold
 
 
 def _too_large(fit: Fit, model: Model) -> list[str]:
     """A remark if an error is larger than displacements may be, as a wrong unit or too few recordings make it."""
     system, errors = model.unknowns.scene.system, {}
-    if not system.size_of_teeth:
-        return []
     for unknown, value in zip(model.unknowns.each, fit.values, strict=False):
         if unknown.kind == "component":
             errors[unknown.path] = math.hypot(errors.get(unknown.path, 0.0), value * unknown.scale)
     path = max(errors, key=lambda path: errors[path], default="")
-    limit = FARTHEST * float(np.min(np.asarray(getattr(system, system.size_of_teeth))))
-    if not path or errors[path] < limit:
+    limit = system.largest_displacement
+    if limit is None or not path or errors[path] < limit:
         return []
     return [
         f"{path} of {errors[path] / mm:.3g} mm is more than a quarter of system.{system.size_of_teeth}, while "

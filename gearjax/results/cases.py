@@ -40,7 +40,6 @@ from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
 from gearjax.units import arcmin, mm
 
-FARTHEST = 0.25  # of the size of the teeth, beyond which displacements are surely not small
 LITTLE = 2e-3  # angle of the output [rad] with which no gear set gets that far
 FEWEST_PER_WAVE = 4  # samples per wave of the stiffness, from which on a curve shows the wave
 
@@ -175,19 +174,18 @@ def growth_remark(scene: Scene, case: Case) -> str | None:
 
 def displacement_remark(scene: Scene, cases: list[Case]) -> str | None:
     """Remark on an output that is off by as much as no teeth allow, as a wrong unit makes it; ``None`` if none is."""
-    name = scene.system.size_of_teeth
+    name, limit = scene.system.size_of_teeth, scene.system.largest_displacement
     angles = {
         case.title: float(np.nanmax(np.abs(case.record), initial=0.0))
         for case in cases
         if not isinstance(case.result, Backlash)
     }
     title, angle = max(angles.items(), key=lambda item: item[1], default=("", 0.0))
-    if not name or angle < LITTLE:
+    if limit is None or angle < LITTLE:
         return None
     levers = evaluated(_output_levers, scene.physics("backlash"), jnp.zeros(()))
     moved = angle * float(np.abs(levers).max())
-    size = float(np.min(np.asarray(getattr(scene.system, name))))
-    if not moved > FARTHEST * size:
+    if not moved > limit:
         return None
     return (
         f"{title}: the output is off by {moved / mm:.3g} mm at the teeth, more than a quarter of system.{name}, while "

@@ -19,6 +19,7 @@ from gearjax.structure import Orbit
 from gearjax.typing import Array, Bool, Float, Scalar
 
 ANGLES_OF_PLACES = 33  # input angles over one mesh period
+FARTHEST = 0.25  # of the size of the teeth, beyond which displacements are surely not small
 
 
 @runtime_checkable
@@ -99,6 +100,16 @@ class AbstractSystem(eqx.Module):
     """Name of the parameter that tells how large its teeth or pins are, such as ``module``; empty if there is none."""
     input_speed: eqx.AbstractVar[Array]
     """Angular speed of the input [rad/s]."""
+
+    @property
+    def largest_displacement(self) -> float | None:
+        """Displacement beyond which displacements are surely not small, a quarter of the size of the teeth [m].
+
+        ``None`` if this size is not known.
+        """
+        if not self.size_of_teeth:
+            return None
+        return FARTHEST * float(np.min(np.asarray(getattr(self, self.size_of_teeth))))
 
     @property
     def precomputes(self) -> bool:

@@ -374,7 +374,7 @@ class InvoluteRV(AbstractSystem):
         number = int(gear.internal)
         to_tip = at.pair.base_radii[number] * gear.from_tip(roll, at.pair.tip_rolls[number])
         length = at.pair.contact_ratio * at.pair.base_pitch
-        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length, normal=touching)}
+        return {"rim": rim, "flank": ProfilePlace(self._each(to_tip), length)}
 
 
 @functools.cache  # analyses ask for the layout at each call

@@ -162,7 +162,7 @@ def _of_pitches(pitches: list[MeasuredPitch], flank: str, size: GearSize, drives
         # a tooth space of the driver lies between a driving flank and the back flank of the tooth ahead of it; a tooth
         # space of the driven gear lies between a driving flank and the back flank of the next tooth
         room = np.roll(back, 1) - driving if drives else driving - np.roll(back, -1)
-        # a ball touches both flanks beside the middle of its space, where their normals lie closer to the radius
+        # a ball touches both flanks half a space beside the line of its centre, by which their normals are turned
         slant = float(size.pressure_angle) + (-1 if size.internal else 1) * float(size.space)
         values["F_r"] = float(np.ptp(room)) * np.cos(float(size.pressure_angle)) / (2 * np.sin(slant))
     return values
