@@ -157,11 +157,13 @@ class Scene(eqx.Module):
         """The coordinates, and the supports and shafts that hold them."""
         return Moving.of(self.system.meshes, self.supports, self.shafts)
 
-    @property
-    def structure(self) -> Structure:
-        """Mass, stiffness and damping of the coordinates; the scene must suit the dynamic TE (`require`)."""
+    def structure(self, contacts: ContactSet) -> Structure:
+        """Mass, stiffness and damping of the coordinates; the scene must suit the dynamic TE (`require`).
+
+        Args:
+            contacts: contacts at input angle 0, whose levers tell the moment of inertia of an equivalent mass.
+        """
         assert self.inertia is not None
-        contacts = self.contacts(jnp.zeros_like(self.system.input_speed))
         output = self.inertia.moment(contacts.output_levers)
         return Structure.of(output, self.moving, self.body_inertia, self.system.orbits, self.system.input_speed)
 

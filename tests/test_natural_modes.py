@@ -68,7 +68,7 @@ def test_modes_satisfy_the_equation_of_motion():
     scene = dataclasses.replace(published(75e-3), load=gj.ConstantLoad())
     found = gj.natural_modes(scene, 830.0)
     equation = StructureEquation.of(scene, jnp.asarray(830.0))
-    stiffness, _ = Lines.of(equation, jnp.zeros(())).whole
+    stiffness, _ = Lines.of(equation, equation.excitation(jnp.zeros(()))).whole
     mass = equation.structure.mass
     rates = 2 * np.pi * np.asarray(found.frequencies)
     shapes = np.asarray(found.shapes)
@@ -107,7 +107,7 @@ def test_back_flanks_carry_a_negative_torque():
     scene = published(75e-3)
     held = {**scene.supports, "pinion": dataclasses.replace(scene.supports["pinion"], y=jnp.asarray(3e8))}
     loose = dataclasses.replace(scene, supports=held, backlash=gj.InitialBacklash(1e-4), load=gj.ConstantLoad())
-    structure = loose.structure
+    structure = loose.structure(loose.contacts(0.0))
     side = np.asarray(loose.layout.side)
     for torque in (830.0, -830.0):
         found = gj.natural_modes(loose, torque)

@@ -203,9 +203,9 @@ def _of_impacts(scene: Scene, torque: Scalar) -> str:
 def _growth_rate(scene: Scene, ts: Array, torque: Array, start: str, spacing: march.Spacing | modes.Spacing) -> Scalar:
     if isinstance(spacing, modes.Spacing):
         equation = StructureEquation.of(scene, torque)
-        place, speed = equation.initial(ts[0], start)
-        rate = equation.scale * equation.frequency
-        return growth_in_modes(_steps(equation, ts, spacing), place * equation.scale, speed * rate, spacing)
+        steps, rate = _steps(equation, ts, spacing), equation.scale * equation.frequency
+        place, speed = steps.initial(start)
+        return growth_in_modes(steps, place * equation.scale, speed * rate, spacing)
     forcing, carry, _ = _begin(Equation.of(scene, torque), ts, start, spacing)
     return growth(forcing, ts[0], carry, spacing)
 
@@ -255,10 +255,10 @@ def _followed(equation: Equation, ts: Array, settle: Array, method: QuasiStatic)
 
 def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str, method: Modes) -> Motion:
     """A motion computed by steps of constant modes."""
-    state = equation.initial(ts[0], start)
+    steps = _steps(equation, ts, method.spacing)
+    state = steps.initial(start)
     there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
     spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
-    steps = _steps(equation, ts, method.spacing)
     rate = equation.scale * equation.frequency
     record = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
     place, speed = record.states[:, 0], record.states[:, 1]

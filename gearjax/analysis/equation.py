@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis.meshing_impact import pulses_of
+from gearjax.analysis.resting import carriers
 from gearjax.contact import ContactSet, Layout, LinearSprings, Pose, Request, equilibrium
 from gearjax.dependence import depends
 from gearjax.impact import Pulses
@@ -192,7 +193,7 @@ class Equation(eqx.Module):
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry the torque at a time [s]."""
-        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.torque_at(time))
+        return carriers(self.scene, self.scene.system.input_speed * time, self.torque_at(time))
 
     def rate(self, now: Excitation, state: Float[Array, "2"]) -> Float[Array, "2"]:
         """Change of the scaled state per scaled time."""

@@ -1,6 +1,5 @@
 """Growth rate of a disturbance of a motion: if it is high, single samples and their gradients mean nothing."""
 
-import dataclasses
 import math
 import warnings
 from typing import Any
@@ -60,7 +59,7 @@ def growth_in_modes(steps: modes.Steps, place: Array, speed: Array, spacing: mod
     scale = jnp.outer(jnp.stack([jnp.ones_like(length), equation.frequency]), equation.scale)
 
     def follow(carry: tuple[Array, Array], number: Array) -> tuple[tuple[Array, Array], Array]:
-        begun = dataclasses.replace(steps, begin=steps.begin + number.astype(length.dtype) * length)
+        begun = steps.beginning(steps.begin + number.astype(length.dtype) * length)
         after, way = jax.jvp(
             lambda state: modes.march(begun, state[0], state[1], part).states[-1], carry[:1], carry[1:]
         )

@@ -119,12 +119,12 @@ class Balance(eqx.Module):
         """The equations for a number of harmonics, with forces evaluated at a number of even places."""
         period = problem.period
         equation = StructureEquation.of(problem.scene, problem.torque)
-        lines = Lines.of(equation, jnp.zeros_like(period))
+        lines = Lines.of(equation, equation.excitation(jnp.zeros_like(period)))
         lengths = jnp.full(lines.seen.shape[:1], LENGTH_SCALE, equation.scale.dtype)
 
         def at(time: Scalar) -> tuple[Driving, Array, Array]:
             now = equation.excitation(time)
-            return lines.driving(time), *equation.resting(now.jacobian, now.gap, now.springs, now.torque)
+            return lines.driven(now), *equation.resting(now.jacobian, now.gap, now.springs, now.torque)
 
         times = places(samples, period.dtype) * period
         table, rest, forces = in_batches(at, times, AT_ONCE)

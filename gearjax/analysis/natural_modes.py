@@ -71,7 +71,7 @@ def natural_modes(scene: Scene, torque: ArrayLike) -> NaturalModes:
 @eqx.filter_jit
 def _natural_modes(scene: Scene, torque: Array) -> NaturalModes:
     equation = StructureEquation.of(scene, torque)
-    stiffness, damping = Lines.of(equation, jnp.zeros_like(torque)).whole
+    stiffness, damping = Lines.of(equation, equation.excitation(jnp.zeros_like(torque))).whole
     scale = equation.scale  # brings rotations and displacements to the same size
     mass, stiffness, damping = (
         part * scale[:, None] * scale[None, :] for part in (equation.structure.mass, stiffness, damping)

@@ -152,7 +152,8 @@ def resistance(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> tuple[Equi
 
 def carriers(scene: Scene, angle: Scalar | Pose, torque: Scalar) -> Int[Array, ""]:
     """Number of pairs that could carry a load torque [N m] at an angle."""
-    return scene.contacts(angle).carriers(-torque)
+    layout = scene.layout
+    return scene.contacts(angle).carriers(-torque) if layout.sides_turn else layout.carriers(-torque)
 
 
 def clash(scene: Scene, angle: Scalar | Pose) -> Overlap:

@@ -137,7 +137,7 @@ class OfStructure(eqx.Module):
         return jnp.outer(jnp.stack([jnp.ones_like(self.even.step), equation.frequency]), equation.scale)
 
     def resting(self) -> Array:
-        return self.even.lines.equation.initial(jnp.zeros_like(self.even.step), "equilibrium")
+        return self.even.initial("equilibrium")
 
     def end(self, state: Array) -> Array:
         steps = self._steps

@@ -86,7 +86,7 @@ def _waterfall(
         problem = at_speed(scene, torque, turns, speed)
         motion = shoot(problem, steps, None, settle, 40)
         lines = 2 / steps * jnp.abs(jnp.fft.rfft(motion.te)[1 : harmonics + 1])
-        parts = problem.scene.structure
+        parts = problem.scene.structure(problem.scene.contacts(jnp.zeros_like(speed)))
         rates = (2 * jnp.pi / problem.period * jnp.arange(steps // 2 + 1).astype(speed.dtype))[:, None]
         springs, dampers, masses = (part[:1] for part in (parts.stiffness, parts.damping, parts.mass))
         dynamic_stiffness = jax.lax.complex(springs - rates * rates * masses, rates * dampers)

@@ -118,7 +118,5 @@ class ContactSet(eqx.Module):
     def carriers(self, applied: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry a generalised force [N m]: pairs with a flank on the loaded side."""
         if not self.layout.sides_turn:
-            driving, back = (len(pairs) for pairs in self.layout.pairs_by_side)
-            alike = back in (0, driving)
-            return jnp.asarray(driving) if alike else jnp.where(applied > 0, back, driving)
+            return self.layout.carriers(applied)
         return jnp.where(applied > 0, self.lever > 0, self.lever < 0).sum()

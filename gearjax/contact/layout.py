@@ -90,6 +90,11 @@ class Layout:
         driving, back = self.pairs_by_side
         return len(driving) == self.teeth and len(back) in (0, self.teeth)
 
+    def carriers(self, applied: Array) -> Array:
+        """Number of pairs that could carry a generalised force [N m]; only for contacts whose sides are known."""
+        driving, back = (len(pairs) for pairs in self.pairs_by_side)
+        return jnp.asarray(driving) if back in (0, driving) else jnp.where(applied > 0, back, driving)
+
     @functools.cached_property
     def in_halves(self) -> bool:
         """Whether the first half of the contacts has driving flanks and the second half back flanks."""

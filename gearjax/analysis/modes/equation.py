@@ -19,6 +19,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from gearjax.analysis.equation import LENGTH_SCALE, longest_arms, turning_rate
 from gearjax.analysis.meshing_impact import pulses_of
 from gearjax.analysis.modes.springs import MeanSprings
+from gearjax.analysis.resting import carriers
 from gearjax.contact import ContactSet, Layout, LinearSprings, LineSprings, equilibrium
 from gearjax.dependence import depends
 from gearjax.impact import Pulses
@@ -48,6 +49,13 @@ class Excitation(NamedTuple):
     springs: LinearSprings | LineSprings
     torque: Array
     struck: Array | None
+
+
+class Instant(NamedTuple):
+    """What a scene shows at one time, and its rate."""
+
+    now: Excitation
+    rate: Excitation
 
 
 class StructureEquation(eqx.Module):
@@ -97,9 +105,9 @@ class StructureEquation(eqx.Module):
         pulses = pulses_of(scene, torque)
         scene, start = scene.anchored(), jnp.zeros_like(scene.system.input_speed)
         assert scene.inertia is not None
-        structure, layout, springs = scene.structure, scene.layout, MeanSprings.of(scene, torque)
+        layout, springs = scene.layout, MeanSprings.of(scene, torque)
         contacts = scene.contacts(start, "varying")
-        jacobian = contacts.jacobian
+        structure, jacobian = scene.structure(contacts), contacts.jacobian
         (turn,) = depends(lambda time: scene.contacts(scene.system.input_speed * time, "varying").jacobian, start)
         coefficient = None
         if scene.damping is not None:
@@ -150,21 +158,25 @@ class StructureEquation(eqx.Module):
         speed = self.scene.system.input_speed
         return None if self.pulses is None else self.pulses.at(speed * time, speed)
 
-    def excitation(self, time: Scalar, moving: bool = False) -> Excitation:
-        """Contacts and load at a time [s], with rates if dampers need them or ``moving`` asks for them."""
-
-        def contacts(time: Scalar) -> tuple[tuple[Array, Array], LinearSprings | LineSprings]:
-            candidates = self.scene.contacts(self.scene.system.input_speed * time, "varying")
-            assert isinstance(candidates.springs, LinearSprings | LineSprings)
-            return (candidates.jacobian, candidates.gap), candidates.springs
-
-        if self.coefficient is None and not moving:
-            (jacobian, gap), springs = contacts(time)
-            return Excitation(jacobian, gap, None, None, springs, self.torque_at(time), self.struck_at(time))
-        along: Any = jax.jvp(contacts, (time,), (jnp.ones_like(time),), has_aux=True)
-        (jacobian, gap), (jacobian_rate, gap_rate), springs = along
+    def excitation(self, time: Scalar) -> Excitation:
+        """Contacts and load at a time [s], with the rates that dampers need."""
         loads = self.torque_at(time), self.struck_at(time)
+        if self.coefficient is None:
+            (jacobian, gap), springs = self._contacts(time)
+            return Excitation(jacobian, gap, None, None, springs, *loads)
+        along: Any = jax.jvp(self._contacts, (time,), (jnp.ones_like(time),), has_aux=True)
+        (jacobian, gap), (jacobian_rate, gap_rate), springs = along
         return Excitation(jacobian, gap, jacobian_rate, gap_rate, springs, *loads)
+
+    def instant(self, time: Scalar) -> Instant:
+        """The excitation at a time [s], and how fast it changes."""
+        return Instant(*jax.jvp(self.excitation, (time,), (jnp.ones_like(time),)))
+
+    def _contacts(self, time: Scalar) -> tuple[tuple[Array, Array], LinearSprings | LineSprings]:
+        """Jacobian and gaps, and the springs, of the contacts."""
+        contacts = self.scene.contacts(self.scene.system.input_speed * time, "varying")
+        assert isinstance(contacts.springs, LinearSprings | LineSprings)
+        return (contacts.jacobian, contacts.gap), contacts.springs
 
     def pull(self, now: Excitation, place: Array, speed: Array) -> tuple[Array, Array | None]:
         """Elastic forces, shape (contact,), and damper forces, shape (damper,), of the contacts [N].
@@ -239,8 +251,8 @@ class StructureEquation(eqx.Module):
 
     def forces(self, time: Scalar, place: Float[Array, " coordinate"]) -> Float[Array, " contact"]:
         """Elastic force of each contact [N]."""
-        now = self.excitation(time)
-        return self.elastic(now, now.jacobian @ place - now.gap)
+        (jacobian, gap), springs = self._contacts(time)
+        return springs.force(self.scene.contact.penetration(jacobian @ place - gap))
 
     def loaded(self, jacobian: Array, torque: Scalar) -> Bool[Array, " contact"]:
         """Whether each contact can carry a load torque [N m]."""
@@ -250,7 +262,7 @@ class StructureEquation(eqx.Module):
 
     def carriers(self, time: Scalar) -> Int[Array, ""]:
         """Number of pairs that could carry the torque at a time [s]."""
-        return self.scene.contacts(self.scene.system.input_speed * time).carriers(-self.torque_at(time))
+        return carriers(self.scene, self.scene.system.input_speed * time, self.torque_at(time))
 
     def resting(
         self, jacobian: Array, gap: Array, springs: LinearSprings | LineSprings, torque: Scalar
@@ -276,13 +288,17 @@ class StructureEquation(eqx.Module):
 
     def initial(self, time: Scalar, start: str) -> Float[Array, "2 coordinate"]:
         """Scaled positions and velocities at the start."""
+        return self.starting(self.instant(time), start)
+
+    def starting(self, begin: Instant, start: str) -> Float[Array, "2 coordinate"]:
+        """Scaled positions and velocities at the start of a motion, from what the scene shows there."""
+        now, rate = begin
         if start == "zero":
-            return jnp.zeros((2, len(self.scale)), time.dtype)
-        now = self.excitation(time, moving=True)
+            return jnp.zeros((2, len(self.scale)), now.gap.dtype)
         place, speed = jax.jvp(
             lambda jacobian, gap: self.resting(jacobian, gap, now.springs, now.torque)[0],
             (now.jacobian, now.gap),
-            (now.jacobian_rate, now.gap_rate),
+            (rate.jacobian, rate.gap),
         )
         return jnp.stack([place / self.scale, speed / (self.scale * self.frequency)])
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.analysis.modes.equation import Excitation, StructureEquation
 from gearjax.contact import LinearSprings, LineSprings
 from gearjax.typing import Array, Bool, Float, Scalar
 
@@ -60,11 +60,15 @@ class Lines(eqx.Module):
     apart: bool = eqx.field(static=True)
 
     @classmethod
-    def of(cls, equation: StructureEquation, start: Scalar) -> "Lines":
-        """Lines that suit a scene, with the mean springs of the contacts that carry at the start."""
+    def of(cls, equation: StructureEquation, now: Excitation) -> "Lines":
+        """Lines that suit a scene, with the mean springs of the contacts that carry at the start.
+
+        Args:
+            equation: equation of motion.
+            now: excitation at the start.
+        """
         layout, springs = equation.layout, equation.springs
-        now, coefficient = equation.excitation(start), equation.coefficient
-        jacobian = now.jacobian
+        jacobian, coefficient = now.jacobian, equation.coefficient
         contacts, coordinates = jacobian.shape
         apart = not equation.levers_turn and contacts <= coordinates and not springs.sliced
         unit, damping = jnp.eye(coordinates, dtype=jacobian.dtype), None
@@ -123,7 +127,11 @@ class Lines(eqx.Module):
 
     def driving(self, time: Scalar) -> Driving:
         """Excitation of the steps at a time [s], without the parts that are constant."""
-        now, first = self.equation.excitation(time), self.equation.springs.damped
+        return self.driven(self.equation.excitation(time))
+
+    def driven(self, now: Excitation) -> Driving:
+        """The same, from the excitation of the scene."""
+        first = self.equation.springs.damped
         heard = None if now.gap_rate is None else now.gap_rate[first]
         if self.apart:
             return Driving(None, now.gap, None, heard, now.springs, now.torque, now.struck)

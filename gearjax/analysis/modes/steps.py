@@ -13,6 +13,7 @@ inputs at the end of the step, and with the correction for kinks. Their rows are
 depend) and the state.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from gearjax.analysis import chebyshev
 from gearjax.analysis.metrics import top
-from gearjax.analysis.modes.equation import StructureEquation
+from gearjax.analysis.modes.equation import Excitation, Instant, StructureEquation
 from gearjax.analysis.modes.lines import Driving, Lines
 from gearjax.analysis.modes.parabola import Scaled, weights
 from gearjax.analysis.modes.products import Products
@@ -50,6 +51,7 @@ class Steps(eqx.Module):
         scaled: the structure with mean springs and dampers, in scaled first-order form.
         products: matrices of a step.
         begin, step: time of the start, and length of a step [s].
+        at_start: what the scene shows at the start.
     """
 
     lines: Lines
@@ -57,30 +59,40 @@ class Steps(eqx.Module):
     products: Products
     begin: Scalar
     step: Scalar
+    at_start: Instant
 
     @classmethod
     def of(cls, equation: StructureEquation, begin: Scalar, step: Scalar) -> "Steps":
         """Steps of a given length; mean springs are those of the contacts that carry at the start."""
-        lines = Lines.of(equation, begin)
+        at_start = equation.instant(begin)
+        lines = Lines.of(equation, at_start.now)
         scaled = Scaled.of(equation.structure, *lines.whole, step)
         part = weights(scaled.matrix, scaled.inputs @ lines.acting)
         (changes,) = depends(lambda time: lines.known(lines.driving(time)), begin)
-        known = None if changes else lines.known(lines.driving(begin))
-        return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step)
+        known = None if changes else lines.known(lines.driven(at_start.now))
+        return cls(lines, scaled, Products.of(lines, scaled, part, known), begin, step, at_start)
+
+    def beginning(self, begin: Scalar) -> "Steps":
+        """The same steps from another time on [s]."""
+        return dataclasses.replace(self, begin=begin, at_start=self.lines.equation.instant(begin))
+
+    def initial(self, start: str) -> Float[Array, "2 coordinate"]:
+        """Scaled positions and velocities at the start (`StructureEquation.starting`)."""
+        return self.lines.equation.starting(self.at_start, start)
 
     def start(self, place: Array, speed: Array) -> Begun:
         """Initial data of the steps, from coordinates and velocities.
 
         Inputs a step before are extrapolated by their slope; without it the whole motion would be of first order.
         """
-        equation, lines = self.lines.equation, self.lines
+        lines, (excitation, rate) = self.lines, self.at_start
 
-        def inputs(time: Scalar, place: Array, speed: Array) -> tuple[tuple[Array, Array], Driving]:
-            now = lines.driving(time)
+        def inputs(excitation: Excitation, place: Array, speed: Array) -> tuple[tuple[Array, Array], Driving]:
+            now = lines.driven(excitation)
             return (lines.inputs(now, lines.sights(place, speed)), lines.known(now)), now
 
-        along = jnp.ones_like(self.begin), speed, equation.acceleration(equation.excitation(self.begin), place, speed)
-        here, slope, now = jax.jvp(inputs, (self.begin, place, speed), along, has_aux=True)
+        along = rate, speed, lines.equation.acceleration(excitation, place, speed)
+        here, slope, now = jax.jvp(inputs, (excitation, place, speed), along, has_aux=True)
         own_before, known_before = jax.tree.map(lambda x, dx: x - self.step * dx, here, slope)
         state = self.scaled.back @ jnp.concatenate([place, speed])
         overlap = lines.overlap(now, lines.sights(place, speed))
