@@ -1,5 +1,7 @@
 """Single precision works, and its error is known."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 import gearjax as gj
 from gearjax.units import arcmin
+from tests.helical_pairs import GUO_1, scene_of
+from tests.test_matrix import KINDS, MOVES, TORQUE, Case, on_supports
 
 
 @pytest.fixture
@@ -63,3 +67,29 @@ def test_a_user_who_sets_nothing_gets_float32():
         te = gj.transmission_error(scene, np.linspace(0.0, 100.0, 501))
         assert te.te.dtype == jnp.float32
         assert bool(jnp.isfinite(te.peak_to_peak))
+
+
+SLICES = "slices of a helical pair"
+
+
+def _moving(gear_set: str) -> gj.Scene:
+    if gear_set != SLICES:
+        return on_supports(Case(gear_set, *KINDS).scene)
+    moving = {"load": gj.ConstantLoad(), "inertia": gj.MomentOfInertia(0.39), "damping": gj.DampingRatio(0.07)}
+    return dataclasses.replace(scene_of(GUO_1, {}, gj.LineStiffness(1.4e10), slices=4), **moving)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gear_set", [*MOVES, SLICES])
+def test_single_precision_after_double_precision_in_one_process(gear_set):
+    """Layouts are kept, with the indices that they have made: JAX refused those that it had seen in float64."""
+    moving, found = _moving(gear_set), []
+    for wide in (True, False):
+        with jax.enable_x64(wide):
+            scene = moving if wide else jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), moving)
+            theta, ts = np.linspace(0.1, 1.0, 11), np.linspace(0.0, 0.002, 5)
+            te, motion = gj.transmission_error(scene, theta, TORQUE), gj.simulate(scene, ts, TORQUE)
+            found.append([np.asarray(part) for part in (te.te, te.load_sharing, motion.te)])
+    for wide, narrow in zip(*found, strict=True):
+        assert narrow.dtype == np.float32
+        np.testing.assert_allclose(narrow, wide, rtol=0.0, atol=2e-3 * np.abs(wide).max())

@@ -162,8 +162,12 @@ class Layout:
 
 
 def _place(indices: np.ndarray | Sequence[int]) -> Place:
-    """Indices, as a slice if they are successive."""
-    indices = np.asarray(indices)
+    """Indices, as a slice if they are successive.
+
+    They have 32 bits, because layouts are kept, and JAX does not take indices of 64 bits that it once saw in float64
+    for a program in float32.
+    """
+    indices = np.asarray(indices, np.int32)
     begin = int(indices[0]) if len(indices) else 0
     if (indices == np.arange(begin, begin + len(indices))).all():
         return slice(begin, begin + len(indices))
