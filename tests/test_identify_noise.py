@@ -205,6 +205,18 @@ def test_a_drift_is_named_and_then_free(change, turns, scene):
 
 
 @pytest.mark.slow
+def test_drifts_of_all_recordings_are_no_order_of_the_output(scene):
+    """Over one turn of the output they look like its wave, until each of them is free."""
+    records = [recorded(random_unit(5), torque, 250 + i, rows=ROWS, turns=1.0) for i, torque in enumerate(TORQUES)]
+    records = [noisier(each, 0.3 * each.theta / np.ptp(each.theta)) for each in records]
+    found = gj.identify(scene, records, suggest=False)
+    assert found.orders == ()
+    assert sorted(each.record for each in found.drifts) == [0, 1, 2]
+    np.testing.assert_allclose([each.change for each in found.drifts], 0.3, atol=0.015)
+    assert all(each.significance > 100 for each in found.drifts)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [1.5, 4.0])
 def test_waves_beside_a_drift_are_each_named_once(turns, scene):
     """Found one after the other, each moves the others a little: their orders are determined again."""

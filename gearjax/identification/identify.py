@@ -14,7 +14,7 @@ from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
 from gearjax.identification.model import Model, Problem
 from gearjax.identification.moving import NARROW, PER_SAMPLE, WIDE, MovingModel, moving_error, start_of_motion
-from gearjax.identification.orders import Drift, Order, given_waves, sharpened, unexplained
+from gearjax.identification.orders import SIGNIFICANT, Drift, Order, given_waves, sharpened, unexplained, weighed
 from gearjax.identification.remarks import POOR, remarks
 from gearjax.identification.rows import Trend, Wave, names_of_further, rows_of
 from gearjax.identification.running import an_analysis, check_running
@@ -326,7 +326,11 @@ def _explanation(model: Model, fit: Fit) -> Explanation:
 
 
 def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[Fit, list[Order | Drift]]:
-    """The fit with unexplained waves and drifts set free one by one, until the residual has no significant one left."""
+    """The fit with unexplained waves and drifts set free one by one, until the residual has no significant one left.
+
+    Then those that say nothing beside the others are taken out again, one by one: the first of several drifts may look
+    like a slow wave.
+    """
     known: list[Order | Drift] = []
     names = [record.name for record in wanted.records]
     while len(known) < MOST_ORDERS:
@@ -342,6 +346,16 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
         if sharper != known:
             known, starts = sharper, np.concatenate([fit.values[None], fit.others])
             fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
+    while known:
+        known = weighed(known, fit)
+        least = min(range(len(known)), key=lambda i: known[i].significance)
+        if known[least].significance > SIGNIFICANT:
+            break
+        wanted.progress(f"taken out of the fit again: {known[least].name}")
+        place = fit.values.size - 2 * (len(known) - least)
+        starts = np.delete(np.concatenate([fit.values[None], fit.others]), [place, place + 1], axis=1)
+        known = known[:least] + known[least + 1 :]
+        fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
     parts = fit.values[fit.values.size - 2 * len(known) :].reshape(-1, 2)
     return fit, [each.with_values(*map(float, own)) for each, own in zip(known, parts, strict=True)]
 

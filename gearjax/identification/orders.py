@@ -191,20 +191,32 @@ def sharpened(known: Sequence[Order | Drift], fit: Fit, scene: Scene) -> list[Or
         fit: the fit.
         scene: the scene whose bodies have the other orders.
     """
-    rows, values, jacobian = fit.problem.rows, fit.values, fit.problem.curve(fit.values)[1]
+    rows, jacobian = fit.problem.rows, fit.problem.curve(fit.values)[1]
     named, output = candidates(scene, rows.theta, rows.record), scene.system.orders.get("output", 1.0)
     found = list(known)
     for i, each in enumerate(known):
         if isinstance(each, Order) and each.order not in named:
-            first = values.size - 2 * (len(known) - i)
-            place = [first, first + 1]
-            without = fit.residual + jacobian[:, place] @ values[place]
-            left = _Left.of(np.delete(jacobian, place, axis=1), without, fit)
+            left = _Left.without(fit, jacobian, 2 * (len(known) - i))
             order = left.sharpened(each.order)
             if abs(order - each.order) < ENOUGH / left.span:
                 continue
             found[i] = dataclasses.replace(each, order=order, name=f"{order / output:.4g} per turn of the output")
     return found
+
+
+def weighed(known: Sequence[Order | Drift], fit: Fit) -> list[Order | Drift]:
+    """Waves and drifts of a fit with their significance beside all others, which were not yet free when they were found.
+
+    Args:
+        known: the waves and drifts, whose numbers are the last of the fit.
+        fit: the fit.
+    """
+    jacobian = fit.problem.curve(fit.values)[1]
+    left = (_Left.without(fit, jacobian, 2 * (len(known) - i)) for i in range(len(known)))
+    return [
+        dataclasses.replace(each, significance=float(part.gain(each.column)[1]))
+        for each, part in zip(known, left, strict=True)
+    ]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,6 +243,13 @@ class _Left:
         size = np.linalg.norm(scaled, axis=0)
         base, values, _ = np.linalg.svd(scaled / np.where(size > 0, size, 1.0), full_matrices=False)
         return cls(base[:, values > 1e-6 * values[0]], root * residual, root, fit.problem.rows)
+
+    @classmethod
+    def without(cls, fit: Fit, jacobian: np.ndarray, last: int) -> "_Left":
+        """What a fit leaves without two of its numbers, of which the first is the ``last``-th from the end."""
+        first = fit.values.size - last
+        place = [first, first + 1]
+        return cls.of(np.delete(jacobian, place, axis=1), fit.residual + jacobian[:, place] @ fit.values[place], fit)
 
     @functools.cached_property
     def left(self) -> np.ndarray:
