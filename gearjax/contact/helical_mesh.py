@@ -8,17 +8,19 @@ along the axis about which the pinion turns.
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.checks import is_concrete
+from gearjax.checks import ParameterError, is_concrete
 from gearjax.contact.layout import Layout
 from gearjax.contact.pose import BodyView, GearSize, ProfilePlace, Rim
 from gearjax.contact.slices import Slices
 from gearjax.geometry.helical_pair import InvolutePair
+from gearjax.geometry.internal_checks import Fault
 from gearjax.geometry.involute import involute
 from gearjax.geometry.plane_of_action import SlicePoints, slice_points
 from gearjax.typing import Array, Float, Scalar
@@ -208,6 +210,28 @@ def key_of_gears(key: str) -> str:
     base, _, place = key.partition("[")
     own = {"tip_diameters": "tip_diameter", "profile_shifts": "shift"}.get(base)
     return key if own is None else f"{('pinion', 'wheel')[int(place[0])]}_{own}"
+
+
+FOLLOWS = {
+    "tip_diameter": "the diameter follows from rack, normal module, teeth, profile shift and helix angle",
+    "centre_distance": "the distance follows from normal module, teeth, profile shifts and helix angle",
+}
+
+
+def fault_of_gears(fault: Fault, gears: Any, mesh: str = "") -> ParameterError:
+    """The error of a fault of two gears; it tells where a number comes from that nobody gave.
+
+    Args:
+        fault: the fault, whose parameter is one of `InvolutePair`.
+        gears: the gear set.
+        mesh: words that name the mesh, if there are several.
+    """
+    key, shown, words = key_of_gears(fault[0]), *fault[1:]
+    given = getattr(gears, key.partition("[")[0], None)
+    if given is None or np.size(given) == 0:
+        origin = next((origin for name, origin in FOLLOWS.items() if key.endswith(name)), "")
+        words = f"{words} ({origin})" if origin else words
+    return ParameterError(key, shown, mesh + words)
 
 
 def pairs_of_teeth(pair: InvolutePair, tip_contact: str) -> tuple[int, int]:

@@ -205,7 +205,7 @@ def sharpened(known: Sequence[Order | Drift], fit: Fit, scene: Scene) -> list[Or
 
 
 def weighed(known: Sequence[Order | Drift], fit: Fit) -> list[Order | Drift]:
-    """Waves and drifts of a fit with their significance beside all others, which were not yet free when they were found.
+    """Waves and drifts of a fit with their significance beside all others, some of which were found later.
 
     Args:
         known: the waves and drifts, whose numbers are the last of the fit.

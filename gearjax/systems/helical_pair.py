@@ -15,8 +15,8 @@ from gearjax.contact.helical_mesh import (
     MARGIN,
     WAYS,
     HelicalMesh,
+    fault_of_gears,
     helical_layout,
-    key_of_gears,
     pairs_of_teeth,
     with_tips,
 )
@@ -125,8 +125,8 @@ class HelicalPair(AbstractSystem):
                 raise ParameterError("pairs", MISSING, "must be given if the geometry is traced")
             return
         with jax.ensure_compile_time_eval():
-            for key, shown, words in faults(pair):
-                raise ParameterError(key_of_gears(key), shown, words)
+            for fault in faults(pair):
+                raise fault_of_gears(fault, self)
             touching, looked_at = pairs_of_teeth(pair, self.tip_contact)
             ratio = float(pair.total_contact_ratio)
         if self.pairs is None:

@@ -19,8 +19,8 @@ from gearjax.contact.helical_mesh import (
     WAYS,
     HelicalMesh,
     MeshContacts,
+    fault_of_gears,
     helical_layout,
-    key_of_gears,
     pairs_of_teeth,
     with_tips,
 )
@@ -123,8 +123,8 @@ class HelicalTrain(AbstractSystem):
         touching, looked_at = [], []
         with jax.ensure_compile_time_eval():
             for mesh, pair in enumerate(gears):
-                for key, shown, words in faults(pair):
-                    raise ParameterError(key_of_gears(key), shown, f"mesh {mesh + 1}: {words}")
+                for fault in faults(pair):
+                    raise fault_of_gears(fault, self, f"mesh {mesh + 1}: ")
                 at_once, modelled = pairs_of_teeth(pair, self.tip_contact)
                 touching.append(at_once)
                 looked_at.append(modelled)
