@@ -292,3 +292,16 @@ def test_a_configuration_of_the_same_name_is_not_taken_for_notes(tmp_path):
     path.with_suffix(".toml").write_text((ROOT / "configs/two_kv/measured.toml").read_text())
     with pytest.raises(gj.GearjaxError, match=r"is a configuration, but beside .*\.csv .*: rename one of them$"):
         gj.read_measurement(path)
+
+
+@pytest.mark.parametrize(
+    ("te", "words"),
+    [(-1.0, "with the other sign of te"), (60.0, "may have the wrong unit"), (1 / 60, "may have the wrong unit")],
+)
+def test_a_comparison_says_what_seems_wrong(te, words, scene):
+    record = gj.synthetic_measurement(scene, 100.0, rows=ROWS)
+    ideal = record.theta / RATIO
+    spoilt = dataclasses.replace(record, output=ideal + te * (record.output - ideal))
+    assert not any("wrong" in told or "sign" in told for told in gj.compare(scene, record).notes)
+    (told,) = (told for told in gj.compare(scene, spoilt).notes if words in told)
+    assert told.startswith(record.name)

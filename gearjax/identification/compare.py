@@ -22,6 +22,9 @@ SHIFTS = ("none", "find")
 POLISHED = 24  # best start angles that are refined: because bodies repeat, many are nearly alike
 CLOSE = {"xatol": 1e-6}  # rad
 MOST_ROWS = 200_000  # of a recording; more rows are averaged in groups, or thinned out in motion
+MIRRORED = 0.5  # share of the variance that another sign of the TE must explain to be named
+APART = 20.0  # times as large as the other is a curve in the wrong unit, or under a torque in one
+FAR_OFF = -1.0  # share explained below which something is named as wrong: the difference is well above the TE
 MOST_ANGLES = 1 << 17  # of a computed curve
 ANGLES_PER_CURVE = 4000  # angles of the computed curve that is shifted, at least
 
@@ -183,6 +186,7 @@ def compare(
             notes += words
         else:
             curve = _computed(own, record, record.theta + start)
+        notes += _remarks(record.name, te, curve)
         offset = float(np.mean(te - curve))
         found.append(
             RecordBeside(
@@ -190,6 +194,22 @@ def compare(
             )
         )
     return Comparison(scene, tuple(found), _lost_motion(records, found), tuple(notes))
+
+
+def _remarks(name: str, te: np.ndarray, curve: np.ndarray) -> list[str]:
+    """What seems to be wrong with a recording that the computed curve does not explain at all."""
+    share, other = (1 - np.var(te - sign * curve) / max(np.var(te), 1e-300) for sign in (1, -1))
+    measured, computed = np.std(te) / arcmin, np.std(curve) / arcmin
+    if share < 0 and other > MIRRORED:
+        words = "the TE is the angle of the output minus the ideal one (sign = -1 in its TOML file turns it)"
+        return [f"{name}: with the other sign of te {100 * other:.4g} % would be explained: {words}"]
+    if not 1 / APART < computed / max(measured, 1e-300) < APART:
+        words = "a column may have the wrong unit, te or torque, or errors are missing"
+        return [f"{name}: the measured TE varies by {measured:.3g} arcmin, the computed one by {computed:.3g}: {words}"]
+    if share < FAR_OFF:
+        words = "other errors than the scene's, or a wrong sign, unit or start angle (gearjax identify tests signs)"
+        return [f"{name}: {100 * share:.4g} % explained is worse than no curve: {words}"]
+    return []
 
 
 def _computed(scene: Scene, record: Measurement, theta: np.ndarray) -> np.ndarray:
