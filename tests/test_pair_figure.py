@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import gearjax as gj
-from gearjax.plot import pair_figure, save_figures, save_pair_figure
+from gearjax.plot import noncircular_figure, pair_figure, save_figures, save_pair_figure
 from gearjax.plot.axes import DPI, draw_curve, finish, new_figure, save_figure
 from gearjax.plot.involute import _factor, _zones
 from gearjax.results import run_cases
@@ -114,3 +114,9 @@ def test_a_figure_is_drawn_once_and_looks_as_matplotlib_lays_it_out(tmp_path, mo
     assert len(drawn) == 1
     assert (figure.get_layout_engine(), figure.dpi) == (engine, dpi)
     assert save_figure(figure, tmp_path / "one.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
+@pytest.mark.parametrize("figure", [lambda scene: pair_figure(scene, 0.0, np.ones(1)), noncircular_figure])
+def test_figures_of_one_gear_set_refuse_others(figure, scene):
+    with pytest.raises(gj.SceneError, match="this figure draws .*, the scene has a two_kv"):
+        figure(scene)

@@ -5,13 +5,16 @@ import io
 from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from gearjax.checks import SceneError, with_article
 from gearjax.files import write_file
+from gearjax.systems.base import AbstractSystem
 from gearjax.typing import ArrayLike
 from gearjax.units import arcmin, deg
 
@@ -20,8 +23,21 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 STYLES = ("-", "--", ":", "-.")
 MOST_DEGREES = 3600.0  # longer records show turns of the input
 MOST_POINTS = 20_000  # largest number of points drawn per curve
+Shown = TypeVar("Shown", bound=AbstractSystem)
 DPI = 130  # of figures as pixels
 _kept: ContextVar[dict[str, Figure] | None] = ContextVar("_kept", default=None)
+
+
+def gear_set_of(system: AbstractSystem, *kinds: type[Shown]) -> Shown:
+    """A gear set of the kinds that a figure draws.
+
+    Raises:
+        SceneError: it is of another kind.
+    """
+    if not isinstance(system, kinds):
+        drawn = " or ".join(with_article(kind.kind) for kind in kinds if hasattr(kind, "kind")) or "non-circular gears"
+        raise SceneError(f"this figure draws {drawn}, the scene has {with_article(system.kind)}")
+    return system
 
 
 def thin(*arrays: ArrayLike) -> tuple[np.ndarray, ...]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from gearjax.analysis.resting import edge, edges
 from gearjax.geometry.involute import InvoluteGear
-from gearjax.plot.axes import save_figure
+from gearjax.plot.axes import gear_set_of, save_figure
 from gearjax.scene import Scene
 from gearjax.systems import InvoluteRV
 from gearjax.typing import ArrayLike, Scalar
@@ -66,9 +66,11 @@ def pair_figure(scene: Scene, theta: float, forces: ArrayLike) -> Figure:
         scene: scene with an `InvoluteRV`.
         theta: input angle [rad].
         forces: contact forces under a torque, shape (contact,) [N].
+
+    Raises:
+        SceneError: the scene has another gear set.
     """
-    system = scene.system
-    assert isinstance(system, InvoluteRV)
+    system = gear_set_of(scene.system, InvoluteRV)
     zones, back = _zones(scene, system, theta, np.nan_to_num(np.asarray(forces)))
     figure = Figure(figsize=(13.0, 5.2 * len(zones)), layout="constrained")
     axes = figure.subplots(2 * len(zones), 1, squeeze=False, height_ratios=(1.0, 1.0) * len(zones))[:, 0]

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from gearjax.checks import GearjaxError, ParameterError, SceneError, with_article
 from gearjax.geometry.noncircular_outline import outline, placed
 from gearjax.geometry.noncircular_teeth import circular_contact_ratio
-from gearjax.plot.axes import finish
+from gearjax.plot.axes import finish, gear_set_of
 from gearjax.scene import Scene
 from gearjax.systems import AbstractNoncircularPair
 from gearjax.typing import Array
@@ -36,9 +36,11 @@ def noncircular_figure(scene: Scene, theta: float = 0.0) -> Figure:
     Args:
         scene: scene with a non-circular pair.
         theta: input angle [rad].
+
+    Raises:
+        SceneError: the scene has another gear set.
     """
-    system = scene.system
-    assert isinstance(system, AbstractNoncircularPair)
+    system = gear_set_of(scene.system, AbstractNoncircularPair)
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     (whole, near), (left, right) = figure.subplots(2, 2)
     _draw_gears(scene, system, theta, whole, near)

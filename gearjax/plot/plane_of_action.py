@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 
 from gearjax.analysis.face_load import FaceLoad, across_face
 from gearjax.contact import HelicalMesh
+from gearjax.plot.axes import gear_set_of
 from gearjax.scene import Scene
 from gearjax.systems import HelicalPair, HelicalTrain
 from gearjax.typing import Array, ArrayLike
@@ -35,9 +36,11 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
         scene: scene with a `HelicalPair` or a `HelicalTrain`.
         theta: input angles, shape (n,) [rad].
         forces: contact forces under a torque, shape (n, contact) [N].
+
+    Raises:
+        SceneError: the scene has another gear set.
     """
-    system = scene.system
-    assert isinstance(system, HelicalPair | HelicalTrain)
+    system: HelicalPair | HelicalTrain = gear_set_of(scene.system, HelicalPair, HelicalTrain)
     every = -(-len(np.atleast_1d(theta)) // MOST_ANGLES)
     all_forces = np.nan_to_num(np.atleast_2d(forces))
     angles, some = np.atleast_1d(theta)[::every], all_forces[::every]

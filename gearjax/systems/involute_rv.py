@@ -72,7 +72,8 @@ class InvoluteRV(AbstractSystem):
 
     Bodies: ``gear_1``, ...: the run-out turns with the external gear; its phase is counted from the throw while the
     throw points at the first space of the ring. ``ring``: the internal gear, which is fixed; its phase is counted from
-    that space. ``throw``: error of the throw of all cranks; phase 0 lengthens the throw. ``sun``, ``planet``: gears of
+    that space. These phases count in the direction in which the crank turns, that of an external gear too, which turns
+    against it. ``throw``: error of the throw of all cranks; phase 0 lengthens the throw. ``sun``, ``planet``: gears of
     the first stage; the phase is counted from the line of action of that stage, and a run-out whose sine is positive
     turns the cranks ahead. Teeth are counted from 0, beginning with the pair in the first space, in the direction in
     which the crank turns; ``around`` is positive in the same direction.

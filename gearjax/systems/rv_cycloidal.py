@@ -37,8 +37,9 @@ class RVCycloidal(AbstractSystem):
 
     Bodies: ``disc_1``, ``disc_2``, ...: the run-out turns with the disc; its phase is counted from the throw while the
     throw points at the first pin. ``throw``: error of the throw of all cranks; phase 0 lengthens the throw.
-    ``pin_ring``: fixed; its phase is counted from the first pin. ``sun``, ``planet``: gears of the first stage; the
-    phase is counted from the line of action of that stage, and a run-out whose sine is positive turns the cranks ahead.
+    ``pin_ring``: fixed; its phase is counted from the first pin. These phases count in the direction in which the crank
+    turns, that of a disc too, which turns against it. ``sun``, ``planet``: gears of the first stage; the phase is
+    counted from the line of action of that stage, and a run-out whose sine is positive turns the cranks ahead.
 
     A disc may have a support on its cranks. Its x points along the throw. Its y points across the throw, in the
     direction in which the crank turns.
