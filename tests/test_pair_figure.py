@@ -118,5 +118,5 @@ def test_a_figure_is_drawn_once_and_looks_as_matplotlib_lays_it_out(tmp_path, mo
 
 @pytest.mark.parametrize("figure", [lambda scene: pair_figure(scene, 0.0, np.ones(1)), noncircular_figure])
 def test_figures_of_one_gear_set_refuse_others(figure, scene):
-    with pytest.raises(gj.SceneError, match="this figure draws .*, the scene has a two_kv"):
+    with pytest.raises(gj.SceneError, match=r"this figure draws .*, the scene has a two_kv"):
         figure(scene)

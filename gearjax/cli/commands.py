@@ -110,9 +110,10 @@ def _run(
     cases = []
     for case in results.run_cases(scene, stepper, workers=os.cpu_count() or 1):
         _progress.print(f"done: {case.title}", style="dim", soft_wrap=True)
-        remark = results.growth_remark(scene, case)
-        if remark is not None:
-            noted(page, remark)
+        apart = results.separation_remark(scene, case, say) if stepper is None else None
+        for remark in (results.growth_remark(scene, case), apart):
+            if remark is not None:
+                noted(page, remark)
         cases.append(case)
     remark = results.displacement_remark(scene, cases)
     if remark is not None:

@@ -2,10 +2,7 @@ from .accuracy import GradedGear, graded_gears
 from .cases import (
     Case,
     clash_of,
-    displacement_remark,
-    growth_remark,
     highest_load_sharing,
-    remarks,
     required_run,
     run_cases,
     save,
@@ -13,6 +10,7 @@ from .cases import (
 )
 from .loads_on_parts import face_load_factors, forces_on_bearings, impacts_as_json, impacts_of
 from .optimisation import Optimisation, optimise, save_optimisation
+from .run_remarks import displacement_remark, growth_remark, remarks, separation_remark
 from .spectra import OrderLines, order_lines
 from .torques import against_torque
 from .tradeoff import save_tradeoff, tradeoff_as_json
@@ -40,6 +38,7 @@ __all__ = [
     "save",
     "save_optimisation",
     "save_tradeoff",
+    "separation_remark",
     "stored_config",
     "tradeoff_as_json",
 ]

@@ -23,14 +23,10 @@ from gearjax.analysis import (
     simulate,
     transmission_error,
 )
-from gearjax.analysis.choice import stiffness_order, suitable_step
-from gearjax.analysis.dynamics import growth_rate
-from gearjax.analysis.growth import LOST
-from gearjax.analysis.metrics import few_angles
+from gearjax.analysis.choice import suitable_step
 from gearjax.checks import GearjaxError, SceneError
 from gearjax.compliance import couples
 from gearjax.coordinates import unit_of
-from gearjax.evaluate import evaluated
 from gearjax.files import write_file
 from gearjax.results.loads_on_parts import forces_on_bearings
 from gearjax.results.profile import FORMATS, export_profile
@@ -38,10 +34,7 @@ from gearjax.run import METRICS, Published, Run
 from gearjax.scene import Scene
 from gearjax.systems import DiscProfile
 from gearjax.typing import Array, Scalar
-from gearjax.units import arcmin, mm
-
-LITTLE = 2e-3  # angle of the output [rad] with which no gear set gets that far
-FEWEST_PER_WAVE = 4  # samples per wave of the stiffness, from which on a curve shows the wave
+from gearjax.units import arcmin
 
 if TYPE_CHECKING:
     import xarray as xr  # imported in the functions that need it: the import takes a second
@@ -105,46 +98,12 @@ def required_run(scene: Scene) -> Run:
     return scene.run
 
 
-def remarks(scene: Scene) -> list[str]:
-    """Remarks on the record of the run section that a reader of the metrics should know."""
-    run, speed = required_run(scene), float(scene.system.input_speed)
-    lines = []
-    words = few_angles(jnp.asarray(run.times * speed), scene.system.fastest_order)
-    if words is not None:
-        lines.append(f"{words}: raise run.samples")
-    undamped = scene.damping is None or float(np.max(np.asarray(scene.damping.ratio))) == 0
-    if "dynamic" in run.analyses and undamped:
-        lines.append(
-            "without [damping] what the motion starts with never dies away, and at a resonance it grows without limit"
-        )
-    asked = [(name, torque) for name, torques in _torques(run).items() for torque in torques]
-    alone = [entry for entry in run.published if not any(_belongs(entry, *case) for case in asked)]
-    if alone:
-        words = ", ".join(f"{entry.analysis} at {entry.torque:g} N m" for entry in alone)
-        lines.append(f"published values of analyses that [run] does not ask for are not shown: {words}")
-    missed = _missed_waves(scene, run)
-    if missed is not None and words is None:
-        lines.append(missed)
-    return lines
-
-
 def _cycle(scene: Scene) -> float:
     """Input angle after which all errors repeat [rad]: a mesh, if there are none or all teeth have the same."""
     system, errors = scene.system, scene.errors.values()
     alike = all(error.on_flank and all(np.size(leaf) == 1 for leaf in jax.tree.leaves(error)) for error in errors)
     by_mesh = alike and system.turns_evenly and not scene.is_train
     return 2 * math.pi / system.orders["mesh"] if by_mesh else system.cycle
-
-
-def _missed_waves(scene: Scene, run: Run) -> str | None:
-    """Remark if a motion has too few samples for the waves of the stiffness: metrics include them, curves do not."""
-    waves = stiffness_order(scene) * float(scene.system.input_speed) * run.duration / (2 * math.pi)
-    if "dynamic" not in run.analyses or run.samples - 1 >= FEWEST_PER_WAVE * waves:
-        return None
-    return (
-        f"the stiffness has {waves:.0f} waves in the record of {run.samples} samples; curves, load sharing and "
-        f"spectrum of the motion do not show them: raise run.samples to {math.ceil(2 * FEWEST_PER_WAVE * waves) + 1}"
-    )
 
 
 def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
@@ -159,43 +118,6 @@ def clash_of(scene: Scene, cases: list[Case]) -> Interference | None:
         if clash is not None:
             return clash
     return interference(scene, scene.system.input_speed * jnp.asarray(required_run(scene).times))
-
-
-def growth_remark(scene: Scene, case: Case) -> str | None:
-    """Remark on a chaotic motion; ``None`` if disturbances do not grow, or if the load does not alternate."""
-    run = required_run(scene)
-    if case.analysis != "dynamic" or scene.load is None or not scene.load.alternates:
-        return None
-    rate = float(growth_rate(scene, run.times, case.torque, start=run.start))
-    if not rate * run.duration > LOST:
-        return None
-    return f"{case.title}: a disturbance grows at {rate:.3g} 1/s, the motion is chaotic: its metrics scatter"
-
-
-def displacement_remark(scene: Scene, cases: list[Case]) -> str | None:
-    """Remark on an output that is off by as much as no teeth allow, as a wrong unit makes it; ``None`` if none is."""
-    name, limit = scene.system.size_of_teeth, scene.system.largest_displacement
-    angles = {
-        case.title: float(np.nanmax(np.abs(case.record), initial=0.0))
-        for case in cases
-        if not isinstance(case.result, Backlash)
-    }
-    title, angle = max(angles.items(), key=lambda item: item[1], default=("", 0.0))
-    if limit is None or angle < LITTLE:
-        return None
-    levers = evaluated(_output_levers, scene.physics("backlash"), jnp.zeros(()))
-    moved = angle * float(np.abs(levers).max())
-    if not moved > limit:
-        return None
-    return (
-        f"{title}: the output is off by {moved / mm:.3g} mm at the teeth, more than a quarter of system.{name}, while "
-        "displacements are taken as small: check the units of errors, torque, stiffness and inertia"
-    )
-
-
-def _output_levers(scene: Scene, theta: Scalar) -> Array:
-    """Levers of the contacts on the output at an input angle [m/rad]."""
-    return scene.contacts(theta).jacobian[:, 0]
 
 
 def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 1) -> Iterator[Case]:
@@ -214,7 +136,7 @@ def run_cases(scene: Scene, stepper: FixedStep | None = None, *, workers: int = 
     if "dynamic" in run.analyses:
         suitable_step(scene, run.duration)  # raises its error before anything is computed
     ts = jnp.asarray(run.times)
-    torques = _torques(run)
+    torques = torques_of(run)
     # XLA's threads wait for each other for ever if two programs with many small factorisations run in parallel
     if workers == 1 or couples(scene.compliance):
         for analysis in run.analyses:
@@ -263,12 +185,12 @@ def _metrics_of(result: TransmissionError | Backlash | Motion) -> dict[str, Scal
     return {name: getattr(result, name) for name in METRICS}
 
 
-def _torques(run: Run) -> dict[str, tuple[float, ...]]:
+def torques_of(run: Run) -> dict[str, tuple[float, ...]]:
     """Torques of each analysis of a run [N m]."""
     return {name: run.torques if name in ("static", "dynamic") else (0.0,) for name in run.analyses}
 
 
-def _belongs(entry: Published, analysis: str, torque: float) -> bool:
+def belongs(entry: Published, analysis: str, torque: float) -> bool:
     """Whether published values are those of an analysis under a torque [N m]."""
     return entry.analysis == analysis and abs(entry.torque - torque) < 1e-9 + 1e-9 * abs(torque)
 
@@ -278,7 +200,7 @@ def _case(scene: Scene, run: Run, analysis: str, torque: float, result: Transmis
     if not np.isfinite(list(metrics.values())).all():
         raise SceneError(f"{analysis} at {torque:g} N*m: the result is not finite, a value of the scene is too extreme")
     settle = run.settle if analysis == "dynamic" else 0.0
-    published = [entry for entry in run.published if _belongs(entry, analysis, torque)]
+    published = [entry for entry in run.published if belongs(entry, analysis, torque)]
     cycle = _cycle(scene) / float(scene.system.input_speed)
     return Case(
         analysis, torque, run.duration - settle, settle, cycle, result, metrics, published[0] if published else None
