@@ -28,14 +28,18 @@ DPI = 130  # of figures as pixels
 _kept: ContextVar[dict[str, Figure] | None] = ContextVar("_kept", default=None)
 
 
-def gear_set_of(system: AbstractSystem, *kinds: type[Shown]) -> Shown:
+def gear_set_of(system: AbstractSystem, drawn: str, *kinds: type[Shown]) -> Shown:
     """A gear set of the kinds that a figure draws.
+
+    Args:
+        system: the gear set.
+        drawn: words for what the figure draws.
+        kinds: classes of these gear sets.
 
     Raises:
         SceneError: it is of another kind.
     """
     if not isinstance(system, kinds):
-        drawn = " or ".join(with_article(kind.kind) for kind in kinds if hasattr(kind, "kind")) or "non-circular gears"
         raise SceneError(f"this figure draws {drawn}, the scene has {with_article(system.kind)}")
     return system
 

@@ -70,7 +70,7 @@ def pair_figure(scene: Scene, theta: float, forces: ArrayLike) -> Figure:
     Raises:
         SceneError: the scene has another gear set.
     """
-    system = gear_set_of(scene.system, InvoluteRV)
+    system = gear_set_of(scene.system, "an involute_rv", InvoluteRV)
     zones, back = _zones(scene, system, theta, np.nan_to_num(np.asarray(forces)))
     figure = Figure(figsize=(13.0, 5.2 * len(zones)), layout="constrained")
     axes = figure.subplots(2 * len(zones), 1, squeeze=False, height_ratios=(1.0, 1.0) * len(zones))[:, 0]

@@ -40,7 +40,7 @@ def noncircular_figure(scene: Scene, theta: float = 0.0) -> Figure:
     Raises:
         SceneError: the scene has another gear set.
     """
-    system = gear_set_of(scene.system, AbstractNoncircularPair)
+    system = gear_set_of(scene.system, "non-circular gears", AbstractNoncircularPair)
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     (whole, near), (left, right) = figure.subplots(2, 2)
     _draw_gears(scene, system, theta, whole, near)

@@ -40,7 +40,8 @@ def plane_of_action_figure(scene: Scene, theta: ArrayLike, forces: ArrayLike) ->
     Raises:
         SceneError: the scene has another gear set.
     """
-    system: HelicalPair | HelicalTrain = gear_set_of(scene.system, HelicalPair, HelicalTrain)
+    kinds = HelicalPair, HelicalTrain
+    system: HelicalPair | HelicalTrain = gear_set_of(scene.system, "a helical_pair or a helical_train", *kinds)
     every = -(-len(np.atleast_1d(theta)) // MOST_ANGLES)
     all_forces = np.nan_to_num(np.atleast_2d(forces))
     angles, some = np.atleast_1d(theta)[::every], all_forces[::every]

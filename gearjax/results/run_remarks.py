@@ -22,7 +22,7 @@ from gearjax.units import mm
 LITTLE = 2e-3  # angle of the output [rad] with which no gear set gets that far
 FEWEST_PER_WAVE = 4  # samples per wave of the stiffness, from which on a curve shows the wave
 OFTEN = 0.02  # share of the samples in which a mesh carries nothing, from which on half the steps are tried
-AGREES = 0.01  # of the swing
+AGREES = 0.01  # change of a curve by half the steps, over its swing, up to which nothing is said
 
 
 def remarks(scene: Scene) -> list[str]:
