@@ -20,6 +20,7 @@ LAYERS = {
     "dependence": 0,
     "elimination": 0,
     "batches": 0,
+    "kernels": 0,
     "evaluate": 0,
     "files": 0,
     "markdown": 0,

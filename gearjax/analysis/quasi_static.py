@@ -12,6 +12,7 @@ from gearjax import arguments
 from gearjax.analysis.extremes import Extremes, extremes, extremes_of_samples
 from gearjax.analysis.metrics import deviation, load_sharing, warn_of_few_angles
 from gearjax.analysis.resting import Interference, carriers, clash, edge, edges, rest
+from gearjax.batches import in_batches
 from gearjax.checks import FewCandidates, ParameterError, SceneError, is_concrete, nearest
 from gearjax.compliance import AbstractSliceCompliance, couples
 from gearjax.contact import Equilibrium, Layout, Pose, Request
@@ -21,6 +22,7 @@ from gearjax.typing import Array, ArrayLike, Bool, Float, Int, Scalar
 from gearjax.units import deg
 
 EXTREMES = ("between", "samples")
+MOST_NUMBERS = 2**21  # of the influence matrices of coupled contacts that are in memory at the same time
 
 
 class TransmissionError(eqx.Module):
@@ -240,6 +242,12 @@ def _each_is_dear(scene: Scene) -> bool:
     return isinstance(scene.compliance, AbstractSliceCompliance) or couples(scene.compliance)
 
 
+def _most_at_once(scene: Scene) -> int:
+    """Number of angles whose equilibria are searched side by side: their matrices fill only a part of the memory."""
+    contacts = len(scene.layout.side)
+    return max(1, MOST_NUMBERS // contacts**2) if couples(scene.compliance) else 2**31
+
+
 def _warn_of_few_candidates(scene: Scene, te: TransmissionError) -> None:
     """Warn if outermost candidates carry load, so that teeth beside them, which are left out, would too.
 
@@ -359,10 +367,11 @@ def _transmission_error(scene: Scene, theta: Array, torque: Array | None, places
         result = jnp.zeros(theta.shape, int) if overlap is None else overlap.result
         return TransmissionError(theta, te, None, result, peaks, layout, fastest, None, overlap)
 
-    def loaded(angle: Scalar, torque: Scalar) -> tuple[Equilibrium, Array]:
-        return rest(scene, angle, torque), carriers(scene, angle, torque)
+    def loaded(at: tuple[Scalar, ...]) -> tuple[Equilibrium, Array]:
+        angle, load = at if torque.ndim else (*at, torque)
+        return rest(scene, angle, load), carriers(scene, angle, load)
 
-    rests, able = jax.vmap(loaded, (0, 0 if torque.ndim else None))(theta, torque)
+    rests, able = in_batches(loaded, (theta, torque) if torque.ndim else (theta,), _most_at_once(scene))
     if places == "between":
         peaks = extremes(_static_between, (scene, torque, theta), theta, rests.position)
     else:

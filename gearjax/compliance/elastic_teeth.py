@@ -33,7 +33,7 @@ mean of both. This choice follows finite elements of one ring with a rim of 2 mm
 """
 
 import math
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +47,7 @@ from gearjax.compliance.line_contact import HertzLineContact
 from gearjax.contact import Places, even_parts
 from gearjax.contact.springs import block_diagonal
 from gearjax.geometry.involute import InvoluteGear
+from gearjax.kernels import once
 from gearjax.parameters import check_parameters, count, known_beside, length, number, with_known
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -119,48 +120,48 @@ class ElasticTeeth(AbstractToothCompliance):
         return block_diagonal(self.blocks(places))
 
     def blocks(self, places: Places) -> Float[Array, "block own own"]:
-        own = jax.vmap(jax.vmap(lambda radii, shared: self._pair(places, radii, shared)))(places.radius, places.shared)
+        points = _points(places.gears[0], places.radius[0]), _points(places.gears[1], places.radius[1])
+        own = jax.vmap(jax.vmap(lambda of_pair, shared: self._pair(places, of_pair, shared)))(points, places.shared)
         if self.neighbours:
-            beside = jax.vmap(lambda radii, pair: self._beside(places, radii, pair))(places.radius, places.pair)
+            beside = jax.vmap(lambda of_block, pair: self._beside(places, of_block, pair))(points, places.pair)
             blocks = jax.vmap(block_diagonal)(own) + beside
         else:
             blocks = own.reshape(-1, *own.shape[2:])  # each pair of teeth is one block
         return 0.5 * (blocks + jnp.swapaxes(blocks, 1, 2))  # exactly symmetric, also in single precision
 
     def _pair(
-        self, places: Places, radii: tuple[Float[Array, " point"], Float[Array, " point"]], shared: Scalar
+        self, places: Places, points: tuple["_Points", "_Points"], shared: Scalar
     ) -> Float[Array, "contact contact"]:
         """Approach per force of the contacts of one pair [m/N]; contacts in the order point, place across the face."""
-        points, face = radii[0].shape[0], places.face.shape[0]
+        number, face = points[0].arm.shape[0], places.face.shape[0]
         width = jnp.minimum(self.external_width, self.internal_width)
         slices = jnp.diag(1 / (width * even_parts(face, width.dtype)))
-        whole = jnp.zeros((points, face, points, face), shared.dtype)
+        whole = jnp.zeros((number, face, number, face), shared.dtype)
         widths, layers = (self.external_width, self.internal_width), self._layers(places)
-        for gear, radius, own, layer in zip(places.gears, radii, widths, layers, strict=True):
+        for gear, of_gear, own, layer in zip(places.gears, points, widths, layers, strict=True):
             short, ground = self._reach(gear)
             middle = jnp.sqrt(short * ground)  # of the foundation under the loaded tooth
             for along, across in (
-                (self._beam(gear, radius), _across(places.face * width, width, own, short)),
-                (self._foundation(gear, radius, layer), _across(places.face * width, width, own, middle)),
-                (self._contact(gear, radius, shared), slices),
+                (self._beam(gear, of_gear), _across(places.face * width, width, own, short)),
+                (self._foundation(gear, of_gear, layer), _across(places.face * width, width, own, middle)),
+                (self._contact(gear, of_gear, shared), slices),
             ):
                 whole = whole + along[:, None, :, None] * across[None, :, None, :]
-        return whole.reshape(points * face, points * face)
+        return whole.reshape(number * face, number * face)
 
     def _beside(
-        self, places: Places, radii: tuple[Float[Array, "pair point"], Float[Array, "pair point"]], pair: Array
+        self, places: Places, points: tuple["_Points", "_Points"], pair: Array
     ) -> Float[Array, "contact contact"]:
         """Approach per force of contacts on neighbouring teeth [m/N], in the order pair, point, place on the face."""
-        pairs, points = radii[0].shape
-        face, size = places.face.shape[0], pairs * points
+        face, size = places.face.shape[0], points[0].arm.size
         width = jnp.minimum(self.external_width, self.internal_width)
-        tooth = jnp.repeat(pair, points)
+        tooth = jnp.repeat(pair, size // pair.shape[0])
         ahead = tooth[None, :] - tooth[:, None]
         whole = jnp.zeros((size, face, size, face), pair.dtype)
         widths, layers = (self.external_width, self.internal_width), self._layers(places)
-        for gear, radius, own, layer in zip(places.gears, radii, widths, layers, strict=True):
+        for gear, of_gear, own, layer in zip(places.gears, points, widths, layers, strict=True):
             assert layer is not None  # only with a rim do teeth move their neighbours
-            at_root = _at_root(gear, radius.ravel())
+            at_root = of_gear.at_root
             along = jnp.zeros((size, size), pair.dtype)
             for distance in range(1, self.neighbours + 1):
                 moved = at_root @ layer[distance] @ at_root.T
@@ -174,37 +175,48 @@ class ElasticTeeth(AbstractToothCompliance):
         short = self.coupling_length * gear.module
         return short, short if self.rim is None else jnp.maximum(short, self.rim)
 
-    def _beam(self, gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point point"]:
+    def _beam(self, gear: InvoluteGear, points: "_Points") -> Float[Array, "point point"]:
         """Beam: approach per force for a unit of width [m2/N]."""
-        height, half, slant = gear.section(radius)
-        foot = gear.section(root_of(gear))[0]
-        across, along = jnp.cos(slant), jnp.sin(slant)
-        sign = -1.0 if gear.internal else 1.0  # the root of an internal gear is outside
-        arm = sign * (height - foot)  # height of each load above the root
-        # both loads act in the sections from the root to the lower load
-        nodes, weights = (jnp.asarray(part, radius.dtype) for part in np.polynomial.legendre.leggauss(NODES))
-        level, step = 0.5 * (1 + nodes)[None] * arm[:, None], 0.5 * weights[None] * arm[:, None]
-        # the thickness is calculated for each point, which is cheaper than for each pair of points
-        at, inward = foot + sign * level, jnp.full_like(level, -sign)
-        half_thick, grows = jax.jvp(gear.half_thickness, (at,), (inward,))
+        arm, across, along, side = points.arm, points.across, points.along, points.along * points.half
+        turned, leant, moved, pressed = (part[:, None] for part in self._below(gear, arm))
+        # both loads act in the sections from the root to the lower load, that of the row
+        other = across[None, :] * (arm[None, :] - arm[:, None]) - side[None, :]  # moment of the higher load there
+        mixed = across[:, None] * other - side[:, None] * across[None, :]
+        both, lengthwise = across[:, None] * across[None, :], along[:, None] * along[None, :]
+        whole = both * moved + mixed * leant - side[:, None] * other * turned + lengthwise * pressed
         # a load is no lower than itself, which rounding must not decide (`_apart`)
-        lower = ((arm[:, None] < arm[None, :]) | np.eye(radius.shape[0], dtype=bool))[..., None]
-        level, step, thick, grows = (
-            jnp.where(lower, each[:, None], each[None, :]) for each in (level, step, 2 * half_thick, 2 * grows)
-        )
-        sides = (lambda each: each[:, None, None]), (lambda each: each[None, :, None])
-        moment = [side(across) * (side(arm) - level) - side(along * half) for side in sides]
-        shear = [side(across) / thick for side in sides]
-        borne = [each * grows / thick**2 for each in moment]  # part of the shear that inclined stresses carry
+        lower = (arm[:, None] < arm[None, :]) | np.eye(arm.shape[0], dtype=bool)
+        beside = self._bulge * _apart(arm) / jnp.maximum(points.half[:, None], points.half[None, :])
+        return jnp.where(lower, whole, whole.T) + 0.5 * both * beside
+
+    def _below(self, gear: InvoluteGear, arm: Float[Array, " point"]) -> Float[Array, "4 point"]:
+        """Deflections at each load for a unit of width, by the sections between the root and the load.
+
+        They are the turn under a unit moment, its shift, which is the turn under a unit force across the tooth, the
+        shift under that force, and the shift along the tooth under a unit force along it [1/N, m/N, m2/N, m2/N].
+
+        Args:
+            gear: the gear.
+            arm: height of each load above the root [m].
+        """
+        nodes, weights = (jnp.asarray(part, arm.dtype) for part in np.polynomial.legendre.leggauss(NODES))
+        beneath, step = 0.5 * (1 - nodes)[None] * arm[:, None], 0.5 * weights[None] * arm[:, None]
+        at = gear.section(root_of(gear))[0] + _outwards(gear) * (arm[:, None] - beneath)
+        inwards = jnp.full_like(at, -_outwards(gear))
+        thick, grows = once(*jax.jvp(lambda radius: 2 * gear.half_thickness(radius), (at,), (inwards,)))
         modulus, rigidity = self.line_contact.plane_modulus, self.youngs_modulus / (2 * (1 + self.poissons_ratio))
-        bulge = SHEAR * self.poissons_ratio / (1 - self.poissons_ratio) / modulus
-        mixed = shear[0] * borne[1] + shear[1] * borne[0]
-        sheared = SHEAR * (shear[0] * shear[1] - 0.5 * mixed + 1.5 * borne[0] * borne[1]) / rigidity
-        sheared = (sheared - bulge * (mixed + borne[0] * borne[1])) * thick
-        bent = moment[0] * moment[1] * 12 / thick**3 / modulus
-        press = (along[:, None] * along[None, :])[..., None] / thick / modulus
-        beside = bulge * _apart(height) / jnp.maximum(half[:, None], half[None, :])
-        return ((bent + sheared + press) * step).sum(axis=-1) + 0.5 * across[:, None] * across[None, :] * beside
+        # energy of a moment, of a moment with a force across the tooth, of that force; inclined stresses carry a part
+        inclined = grows / thick**2
+        turned = 12 / (modulus * thick**3) + (1.5 * SHEAR / rigidity - self._bulge) * inclined**2 * thick
+        leant = -(0.5 * SHEAR / rigidity + self._bulge) * inclined
+        sheared, pressed = SHEAR / (rigidity * thick), 1 / (modulus * thick)
+        leans, moves = turned * beneath + leant, turned * beneath**2 + 2 * leant * beneath + sheared
+        return (jnp.stack([turned, leans, moves, pressed]) * step[None]).sum(axis=-1)
+
+    @property
+    def _bulge(self) -> Scalar:
+        """Factor of the deflections by fibres that bulge beside a force [1/Pa]."""
+        return SHEAR * self.poissons_ratio / (1 - self.poissons_ratio) / self.line_contact.plane_modulus
 
     def _layers(self, places: Places) -> tuple[Array, Array] | tuple[None, None]:
         """Compliance of the rim of each gear (`_layer`), if there is one."""
@@ -226,10 +238,10 @@ class ElasticTeeth(AbstractToothCompliance):
         return layer_compliance(apart, thick, depth, self.line_contact.plane_modulus, self.poissons_ratio)
 
     def _foundation(
-        self, gear: InvoluteGear, radius: Float[Array, " point"], layer: Float[Array, "distance 3 3"] | None
+        self, gear: InvoluteGear, points: "_Points", layer: Float[Array, "distance 3 3"] | None
     ) -> Float[Array, "point point"]:
         """Foundation under the loaded tooth: approach per force for a unit of width [m2/N]."""
-        at_root = _at_root(gear, radius)
+        at_root = points.at_root
         if layer is not None:
             return at_root @ layer[0] @ at_root.T
         thick, nu = 2 * gear.section(root_of(gear))[1], self.poissons_ratio
@@ -241,17 +253,15 @@ class ElasticTeeth(AbstractToothCompliance):
         half_plane = jnp.stack([jnp.stack(row) for row in rows])
         return at_root @ half_plane @ at_root.T / self.line_contact.plane_modulus
 
-    def _contact(
-        self, gear: InvoluteGear, radius: Float[Array, " point"], shared: Scalar
-    ) -> Float[Array, "point point"]:
+    def _contact(self, gear: InvoluteGear, points: "_Points", shared: Scalar) -> Float[Array, "point point"]:
         """Contact: approach per force for a unit of width [m2/N]."""
-        half, points = gear.section(radius)[1], radius.shape[0]
+        half, length, number = points.half, points.length, points.half.shape[0]
         # places are scaled by the thickness of the tooth, which keeps the matrix positive definite
-        along, tip = (0.5 * gear.base_radius * gear.roll_at(at) ** 2 for at in (radius, gear.tip_radius))
-        strip = shared if points == 1 else jnp.abs(along[-1] - along[0])
-        strip = jnp.maximum(strip * even_parts(points, strip.dtype), SHORTEST) / half
-        place = gear.from_tip(along, tip) / jnp.sqrt(half * gear.section(gear.tip_radius)[1])
-        own, apart, mirrored = np.eye(points, dtype=bool), _apart(place), place[:, None] + place[None, :]
+        strip = shared if number == 1 else jnp.abs(length[-1] - length[0])
+        strip = jnp.maximum(strip * even_parts(number, strip.dtype), SHORTEST) / half
+        end, tip = gear.section(gear.tip_radius)[1], _length(gear, gear.tip_radius)
+        place = gear.from_tip(length, tip) / jnp.sqrt(half * end)
+        own, apart, mirrored = np.eye(number, dtype=bool), _apart(place), place[:, None] + place[None, :]
         apart = jnp.where(own, ITSELF * strip[:, None], jnp.maximum(apart, SHORTEST / half[:, None]))
         mirrored = jnp.where(own, jnp.maximum(mirrored, MIRRORED * strip[:, None]), mirrored)
         near = jnp.exp(-1 / (1 - self.poissons_ratio))
@@ -260,12 +270,44 @@ class ElasticTeeth(AbstractToothCompliance):
         return (one + other) / (math.pi * self.line_contact.plane_modulus)
 
 
-def _at_root(gear: InvoluteGear, radius: Float[Array, " point"]) -> Float[Array, "point 3"]:
-    """Shear force, moment and normal force at the root per force at each point [-], [m], [-]."""
+def _outwards(gear: InvoluteGear) -> float:
+    """Sign of the way from the root of a tooth to its tip: the root of an internal gear is outside."""
+    return -1.0 if gear.internal else 1.0
+
+
+class _Points(NamedTuple):
+    """Points on the flanks of one gear at which forces act, as arrays of any one shape.
+
+    Args:
+        arm: height above the root of the tooth, where its fillet begins [m].
+        half: half of the tooth's thickness [m].
+        across, along: components of a unit force on the flank, across the tooth and along it [-].
+        length: length of the involute from the base circle [m].
+    """
+
+    arm: Array
+    half: Array
+    across: Array
+    along: Array
+    length: Array
+
+    @property
+    def at_root(self) -> Float[Array, "point 3"]:
+        """Shear force, moment and normal force at the root per force at each point [-], [m], [-]."""
+        arm, half, across, along, _ = (part.ravel() for part in self)
+        return jnp.stack([across, across * jnp.abs(arm) - along * half, along], axis=-1)
+
+
+def _points(gear: InvoluteGear, radius: Array) -> _Points:
+    """Points of the flanks of a gear, given by their radii [m]."""
     (height, half, slant), foot = gear.section(radius), gear.section(root_of(gear))[0]
-    across, along = jnp.cos(slant), jnp.sin(slant)
-    arm = jnp.abs(height - foot)
-    return jnp.stack([across, across * arm - along * half, along], axis=-1)
+    parts = _outwards(gear) * (height - foot), half, jnp.cos(slant), jnp.sin(slant), _length(gear, radius)
+    return _Points(*once(*parts))
+
+
+def _length(gear: InvoluteGear, radius: Array) -> Array:
+    """Length of an involute from the base circle to a radius of any shape [m]."""
+    return 0.5 * gear.base_radius * gear.roll_at(radius) ** 2
 
 
 def _apart(place: Float[Array, " point"]) -> Float[Array, "point point"]:

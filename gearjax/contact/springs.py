@@ -14,6 +14,7 @@ NEAR = 2.6  # ``y - ln y`` at which two series of the Lambert function are equal
 LAST = 1.5  # smallest ``level - ln F`` at which the formula is used; at higher forces it is continued linearly
 ELASTIC = 6.0  # ``level - ln F`` at which a contact is as wide as a quarter of its radius; steel yields before
 SHALLOWEST = 1e-26  # m, smallest approach that makes a force
+FEW_BLOCKS = 16  # up to which each is laid into the matrix by itself
 
 
 class LinearSprings(eqx.Module):
@@ -57,7 +58,11 @@ def block_diagonal(blocks: Float[Array, "*lane block own own"]) -> Float[Array, 
     *many, number, own, _ = blocks.shape
     if number == 1:
         return blocks[..., 0, :, :]
-    apart = jnp.eye(number, dtype=blocks.dtype)[:, None, :, None] * blocks[..., :, :, None, :]
+    if number <= FEW_BLOCKS:  # a product would work out each block again for all blocks beside it
+        beside = [[*[(0, 0)] * (len(many) + 1), (i * own, (number - 1 - i) * own)] for i in range(number)]
+        return jnp.concatenate([jnp.pad(blocks[..., i, :, :], beside[i]) for i in range(number)], axis=-2)
+    unit = jnp.eye(number, dtype=blocks.dtype).reshape(*[1] * len(many), number, 1, number, 1)
+    apart = unit * blocks[..., :, :, None, :]
     return apart.reshape(*many, number * own, number * own)
 
 
