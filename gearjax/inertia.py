@@ -96,7 +96,8 @@ class DampingRatio(eqx.Module):
         ratio: damping ratio [-] of a pair in ``c = ratio sqrt(2 k m)``, with the mean stiffness k of the pair and the
             equivalent mass m.
         acting: when the damper of a pair acts: ``"contact"``, while a flank of the pair is in contact, along that
-            flank, or ``"always"``, also while the pair is separated, along its driving flank.
+            flank, or ``"always"``, also while the pair is separated, along its driving flank; in an involute RV reducer
+            that is every candidate flank, so that damping grows with their number.
     """
 
     ratio: Number = number(units.RATIO, at_least=0.0, at_most=100.0)
