@@ -7,12 +7,15 @@ command listens before it imports JAX, which takes a second.
 """
 
 import atexit
+import contextlib
 import os
+import shutil
 import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 CODE = 130  # exit code of a process ended by SIGINT, as in shells
 _PATIENCE = 5.0  # longest wait until a file is written [s]
@@ -23,11 +26,37 @@ unbroken = threading.RLock()
 
 _kept: list[Callable[[], str]] = []
 _listening: list[bool] = []
+_unfinished: list[list[Path]] = []
 
 
 def nothing_kept() -> str:
     """The message of a command that writes its results only at its end."""
     return "nothing of this run was saved; run the same command to start again"
+
+
+@contextlib.contextmanager
+def unfinished(folder: Path) -> Iterator[None]:
+    """A new folder for the time of the block: it is removed at its end, and by Ctrl-C, with what was made above it.
+
+    Folders above it stay if something else is in them.
+    """
+    made = [folder, *(level for level in folder.parents if not level.exists())]
+    with unbroken:
+        folder.mkdir(parents=True)
+        _unfinished.append(made)
+    try:
+        yield
+    finally:
+        _remove(made)
+        _unfinished.remove(made)
+
+
+def _remove(made: list[Path]) -> None:
+    """Remove a folder, and the folders above it that are empty then."""
+    shutil.rmtree(made[0], ignore_errors=True)
+    with contextlib.suppress(OSError):
+        for level in made[1:]:
+            level.rmdir()
 
 
 def say_when_stopped(words: Callable[[], str]) -> None:
@@ -69,6 +98,8 @@ def _watch(told: socket.socket) -> None:
     if not heard:
         return
     unbroken.acquire(timeout=_PATIENCE)
+    for made in _unfinished:
+        _remove(made)
     words = f"{_ERASE_LINE if sys.stderr.isatty() else ''}{message()}\n"
     os.write(sys.stderr.fileno(), words.encode(errors="backslashreplace"))
     os._exit(CODE)

@@ -106,6 +106,22 @@ def test_ctrl_c_while_a_command_is_still_imported(tmp_path, imported):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("earlier", [True, False])
+def test_ctrl_c_while_results_are_written_leaves_the_earlier_ones(tmp_path, earlier):
+    out = tmp_path / "out"
+    if earlier:
+        out.mkdir()
+        (out / "metrics.csv").write_text("of another run", encoding="utf-8")
+    text = CONFIG.read_text(encoding="utf-8").replace('duration = "3 s"', 'duration = "0.1 s"')
+    short = tmp_path / "short.toml"
+    short.write_text(text.replace("samples = 3001", "samples = 101"), encoding="utf-8")
+    with Running("run", str(short), "--out", str(out), folder=tmp_path) as running:
+        assert running.stopped(lambda: any(out.glob(".run.part/*.csv"))).endswith(NOTHING)
+    assert [path.name for path in out.rglob("*")] == ["metrics.csv"] * earlier
+    assert out.exists() == earlier
+
+
+@pytest.mark.slow
 def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path, capsys):
     config, out = tmp_path / "study.toml", tmp_path / "out"
     config.write_text(small(samples=LONG, chunk=128, extremes="samples"), encoding="utf-8")

@@ -308,12 +308,14 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path, capsys, monkeypatch)
 
 
 @pytest.mark.slow
-def test_the_tradeoff_tells_what_float32_costs(config, capsys):
+def test_the_tradeoff_tells_what_float32_costs(config, capsys, tmp_path):
+    out = tmp_path / "out"
     with pytest.raises(SystemExit) as ended:
-        main(["tradeoff", str(config), "--json"])
+        main(["tradeoff", str(config), "--json", "--out", str(out)])
     assert not ended.value.code
     rows = json.loads(capsys.readouterr().out)["float32_quantiles"]
     assert len(rows) == 9
     for row in rows:
         assert row["relative_shift"] < 1e-3
         assert row["float32_arcmin"] == pytest.approx(row["float64_arcmin"], rel=1e-3)
+    assert len((out / "float32_quantiles.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(rows)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gearjax.cli.written import NAME, Folder
+from gearjax.cli.written import NAME, Folder, replacing
 from tests.test_cli import command
 
 
@@ -35,6 +35,33 @@ def test_what_only_the_run_before_wrote_is_removed(tmp_path):
     assert Folder(tmp_path).keep("identify", made(tmp_path, "report.html"))[1:] == [
         "removed, of the gearjax identify before: joint/joint.xml"
     ]
+
+
+def test_new_results_come_all_together(tmp_path):
+    said, out = [], tmp_path / "new" / "out"
+    with replacing(out, "run", said.append) as new:
+        new.add(made(new.folder, "a.csv", "joint/joint.xml"))
+        assert [path.name for path in out.iterdir()] == [new.folder.name]
+    assert said == [f"written to {out}: a.csv, joint.xml"]
+    assert sorted(path.name for path in out.rglob("*")) == ["a.csv", "joint", "joint.xml", NAME]
+    (out / "a.csv").write_text("old", encoding="utf-8")
+    with pytest.raises(KeyboardInterrupt), replacing(out, "run", said.append) as new:  # noqa: PT012
+        new.add(made(new.folder, "a.csv"))
+        raise KeyboardInterrupt
+    assert (out / "a.csv").read_text(encoding="utf-8") == "old"
+    assert sorted(path.name for path in out.rglob("*")) == ["a.csv", "joint", "joint.xml", NAME]
+    made(out, ".run.part/b.csv")  # of a process that was killed
+    with replacing(out, "run", said.append) as new:
+        new.add(made(new.folder, "c.csv"))
+    assert sorted(path.name for path in out.iterdir()) == ["c.csv", "joint", NAME]
+    assert said[1:] == [f"written to {out}: c.csv", "removed, of the gearjax run before: a.csv, joint/joint.xml"]
+
+
+def test_nothing_is_left_of_a_folder_that_was_never_filled(tmp_path):
+    with pytest.raises(ValueError, match="no figure"), replacing(tmp_path / "new" / "out", "run", print) as new:  # noqa: PT012
+        made(new.folder, "a.csv")
+        raise ValueError("no figure")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"run": 1}', '{"run": ["../outside"]}', "\x00"])

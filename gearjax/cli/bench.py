@@ -19,9 +19,9 @@ from gearjax.cli.commands import (
     say,
     text_of,
     told_read,
-    told_written,
 )
 from gearjax.cli.report import Report, ReportOption
+from gearjax.cli.written import replacing
 
 if TYPE_CHECKING:
     from gearjax.config import IdentifySection
@@ -66,8 +66,9 @@ def compare(
     if folder is not None:
         from gearjax.plot.identification import save_comparison_figures
 
-        written = save_comparison(beside, folder) + save_comparison_figures(beside, folder)
-        told_written(folder, written, "compare")
+        with replacing(folder, "compare", say) as results:
+            results.add(save_comparison(beside, results.folder))
+            results.add(save_comparison_figures(beside, results.folder))
     if json_:
         print(json.dumps({"config": str(config)} | beside.as_json(), allow_nan=False))
     else:
@@ -104,11 +105,11 @@ def identify(
     if folder is not None:
         from gearjax.plot.identification import save_identification_figures
 
-        written = save_identified(result, text, folder, config.parent)
-        with page.drawing():
-            written += save_identification_figures(result.found, result.beside, folder)
-        written += page.write(f"gearjax identify {config.name}", told, text)
-        told_written(folder, written, "identify")
+        with replacing(folder, "identify", say) as results:
+            results.add(save_identified(result, text, results.folder, config.parent))
+            with page.drawing():
+                results.add(save_identification_figures(result.found, result.beside, results.folder))
+            results.add(page.write(results.folder, f"gearjax identify {config.name}", told, text))
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:

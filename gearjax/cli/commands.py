@@ -13,7 +13,7 @@ from rich.console import Console
 import gearjax
 from gearjax.checks import MissingExtraError, ParameterError, check_path, nearest
 from gearjax.cli.report import Report, ReportOption
-from gearjax.cli.written import Folder
+from gearjax.cli.written import replacing
 from gearjax.files import writable, write_file
 from gearjax.reproduce import NAMES
 from gearjax.units import arcmin
@@ -137,11 +137,11 @@ def _run(
     if folder is not None:
         from gearjax.plot import save_figures  # matplotlib takes a second to import; a run with --json need not wait
 
-        written = results.save(scene, cases, self_contained(text, config.parent), folder)
-        with page.drawing():
-            written += save_figures(scene, cases, folder)
-        written += page.write(f"gearjax run {config.name}", told, text)
-        told_written(folder, written, "run")
+        with replacing(folder, "run", say) as new:
+            new.add(results.save(scene, cases, self_contained(text, config.parent), new.folder))
+            with page.drawing():
+                new.add(save_figures(scene, cases, new.folder))
+            new.add(page.write(new.folder, f"gearjax run {config.name}", told, text))
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
@@ -155,11 +155,6 @@ def noted(page: Report, words: str, kind: str = "note") -> None:
     """Report something that a reader of the results should know, now and on the page of a report."""
     page.note(words)
     _progress.print(f"{kind}: {words}", soft_wrap=True)
-
-
-def told_written(folder: Path, files: list[Path], command: str) -> None:
-    for line in Folder(folder).keep(command, files):
-        say(line)
 
 
 def _graded(scene: "Scene") -> "list[GradedGear]":
@@ -258,10 +253,11 @@ def optimise(
     if folder is not None:
         from gearjax.plot import save_optimisation_figures
 
-        written = save_optimisation(optimisation, text, folder, config.parent)
-        with page.drawing():
-            written += save_optimisation_figures(optimisation, folder)
-        told_written(folder, written + page.write(f"gearjax optimise {config.name}", told, text), "optimise")
+        with replacing(folder, "optimise", say) as new:
+            new.add(save_optimisation(optimisation, text, new.folder, config.parent))
+            with page.drawing():
+                new.add(save_optimisation_figures(optimisation, new.folder))
+            new.add(page.write(new.folder, f"gearjax optimise {config.name}", told, text))
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:
@@ -288,35 +284,31 @@ def tradeoff(
     from gearjax.cli.tables import print_shifts, print_tradeoff
     from gearjax.config import loads_tolerance, read_tables
     from gearjax.results import save_tradeoff, tradeoff_as_json
+    from gearjax.results.tolerance import save_shifts, shifts, shifts_as_json
     from gearjax.studies.tradeoff import tradeoff as run_tradeoff
 
-    moving = scene.run is not None and "dynamic" in scene.run.analyses
-    shifted = []
+    shifted, compared = [], None
     if "tolerance" in read_tables(text):
-        from gearjax.results.tolerance import shifts, shifts_as_json
-
         say("float32 against float64: quantiles of the tolerance study")
         shifted = shifts(loads_tolerance(text, config.parent)[2])
-        if not moving:
-            if json_:
-                print(json.dumps({"config": str(config), "float32_quantiles": shifts_as_json(shifted)}))
-            else:
-                print_shifts(shifted)
-            return
-    comparison = run_tradeoff(scene, allowed, say, workers=os.cpu_count() or 1)
+    if not shifted or (scene.run is not None and "dynamic" in scene.run.analyses):
+        compared = run_tradeoff(scene, allowed, say, workers=os.cpu_count() or 1)
     if folder is not None:
         from gearjax.plot import save_tradeoff_figure
 
-        told_written(folder, save_tradeoff(comparison, folder) + save_tradeoff_figure(comparison, folder), "tradeoff")
+        with replacing(folder, "tradeoff", say) as new:
+            new.add(save_shifts(shifted, new.folder))
+            if compared is not None:
+                new.add(save_tradeoff(compared, new.folder) + save_tradeoff_figure(compared, new.folder))
     if json_:
-        entries = tradeoff_as_json(str(config), comparison)
-        if shifted:
-            entries["float32_quantiles"] = shifts_as_json(shifted)
-        print(json.dumps(entries, allow_nan=False))
-    else:
-        print_tradeoff(comparison)
-        if shifted:
-            print_shifts(shifted)
+        entries = {"config": str(config)} if compared is None else tradeoff_as_json(str(config), compared)
+        further = {"float32_quantiles": shifts_as_json(shifted)} if shifted else {}
+        print(json.dumps(entries | further, allow_nan=False))
+        return
+    if compared is not None:
+        print_tradeoff(compared)
+    if shifted:
+        print_shifts(shifted)
 
 
 @app.command()
@@ -349,10 +341,11 @@ def tolerance(
     if folder is not None:
         from gearjax.plot import save_tolerance_figures
 
-        written = save_tolerance(results, work, text, folder, config.parent)
-        with page.drawing():
-            written += save_tolerance_figures(results, folder)
-        told_written(folder, written + page.write(f"gearjax tolerance {config.name}", told, text), "tolerance")
+        with replacing(folder, "tolerance", say) as new:
+            new.add(save_tolerance(results, work, text, new.folder, config.parent))
+            with page.drawing():
+                new.add(save_tolerance_figures(results, new.folder))
+            new.add(page.write(new.folder, f"gearjax tolerance {config.name}", told, text))
     if json_:
         print(json.dumps(told, allow_nan=False))
     else:

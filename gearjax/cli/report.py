@@ -23,7 +23,7 @@ class Report:
 
     Args:
         wanted: whether a page is asked for.
-        folder: folder of the page.
+        folder: folder of the results, if there is one.
 
     Raises:
         ParameterError: a page is asked for, but there is no folder.
@@ -32,7 +32,7 @@ class Report:
     def __init__(self, wanted: bool, folder: Path | None):
         if wanted and folder is None:
             raise ParameterError("--report", "with --json", "needs a folder: give --out DIR")
-        self.folder = folder if wanted else None
+        self.wanted = wanted
         self.notes: list[str] = []
         self.figures: Mapping[str, Figure] = {}
 
@@ -63,11 +63,11 @@ class Report:
         with figures_kept() as self.figures:
             yield
 
-    def write(self, title: str, told: Mapping[str, Any], config: str) -> list[Path]:
+    def write(self, folder: Path, title: str, told: Mapping[str, Any], config: str) -> list[Path]:
         """Write the page with title, results and text of the configuration; no file if no page is asked for."""
-        if self.folder is None:
+        if not self.wanted:
             return []
         from gearjax.plot import report_page
 
         page = report_page(title, told, self.figures, config, dict.fromkeys(self.notes))
-        return [write_file(self.folder / NAME, page)]
+        return [write_file(folder / NAME, page)]

@@ -1,11 +1,68 @@
 """Which files of a folder belong to which command, so that results of different runs are not taken for one."""
 
+import contextlib
 import json
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from gearjax.files import write_file
+from gearjax.checks import writing
+from gearjax.files import settle, write_file
+from gearjax.stopping import unbroken, unfinished
 
 NAME = "written.json"
+
+
+class Results:
+    """Results of a command on their way into their folder.
+
+    Args:
+        folder: folder for the time of writing.
+        files: files that were written there.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.files: list[Path] = []
+
+    def add(self, files: list[Path]) -> None:
+        """Note files that were written."""
+        self.files += files
+
+
+@contextlib.contextmanager
+def replacing(folder: Path, command: str, say: Callable[[str], None]) -> Iterator[Results]:
+    """Results that a command writes in the block; they come into their folder all together at its end.
+
+    A command that is stopped while it writes leaves the results of an earlier run as they were.
+
+    Args:
+        folder: folder of the results.
+        command: name of the command.
+        say: called with lines on what was written.
+
+    Raises:
+        GearjaxError: the folder cannot be written.
+    """
+    part = folder / f".{command}.part"
+    with contextlib.ExitStack() as stack:
+        with writing(folder):
+            shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
+            stack.enter_context(unfinished(part))
+        results = Results(part)
+        yield results
+        with writing(folder), unbroken:
+            lines = Folder(folder).keep(command, [_moved(file, part, folder) for file in results.files])
+            settle(folder)
+    for line in lines:
+        say(line)
+
+
+def _moved(file: Path, part: Path, folder: Path) -> Path:
+    """A file, moved from one folder to the same place in another one."""
+    place = folder / file.relative_to(part)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    return file.replace(place)
 
 
 class Folder:

@@ -320,6 +320,17 @@ def shifts_as_json(shifted: list[PrecisionShift]) -> list[dict[str, Any]]:
     ]
 
 
+def save_shifts(shifted: list[PrecisionShift], folder: Path) -> list[Path]:
+    """Write ``float32_quantiles.csv``; no file if no quantiles are given.
+
+    Raises:
+        GearjaxError: the folder cannot be written.
+    """
+    lines = ["measure,quantile [-],float64 [arcmin],float32 [arcmin],relative shift [-]"]
+    lines += [",".join(str(value) for value in entry.values()) for entry in shifts_as_json(shifted)]
+    return [write_file(folder / "float32_quantiles.csv", "\n".join(lines) + "\n")] if shifted else []
+
+
 def _named(section: ToleranceSection, name: str):
     return next(measure for measure in section.measures if measure.name == name)
 
