@@ -10,6 +10,7 @@ import xarray as xr
 
 from gearjax.checks import GearjaxError
 from gearjax.config import loads_tolerance
+from gearjax.results.further import Further
 from gearjax.results.store import NAME, Store
 from gearjax.results.tolerance import prepared
 from tests.test_tolerance_command import command, small
@@ -184,6 +185,21 @@ def test_a_chunk_of_another_study_is_not_taken(finished, tmp_path):
     for name in (*other.work.names, "result", "done"):
         shutil.copy(other.folder / NAME / name / "c" / "2", folder / NAME / name / "c" / "2")
     assert Store(folder, finished.tables, finished.work, "").pending == [(10, 15)]
+
+
+def test_a_study_belongs_to_the_contents_of_the_files_it_names(finished, tmp_path):
+    table = tmp_path / "external.npz"
+    named = {"kind": "influence_matrix", "external_file": str(table), "internal_file": str(tmp_path / "missing.npz")}
+    tables = finished.tables | {"compliance": named}
+    table.write_bytes(b"one")
+    Store(tmp_path / "out", tables, finished.work, "")
+    Further(tmp_path / "out", tables).get("kept", lambda: {"from": "one"})
+    Store(tmp_path / "out", tables, finished.work, "")
+    assert Further(tmp_path / "out", tables).get("kept", lambda: {"from": "other"}) == {"from": "one"}
+    table.write_bytes(b"other")
+    with pytest.raises(GearjaxError, match=r"another study \(contents of compliance.external_file: .* there, .* now"):
+        Store(tmp_path / "out", tables, finished.work, "")
+    assert Further(tmp_path / "out", tables).get("kept", lambda: {"from": "other"}) == {"from": "other"}
 
 
 def test_what_changes_while_a_run_works_is_noticed_at_its_end(finished, tmp_path):

@@ -1,6 +1,7 @@
 """Building of a scene from the tables of a configuration. The keys of a table are the declared fields of its class."""
 
 import dataclasses
+import hashlib
 import os
 import re
 import tomllib
@@ -149,14 +150,31 @@ def with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     errors = tables.get("errors")
     if isinstance(errors, dict):
         tables = {**tables, "errors": {name: _read_in(name, table, folder) for name, table in errors.items()}}
+    full = {key: os.path.abspath(folder / os.path.expanduser(name)) for key, name in _files_of(tables).items()}
+    return {**tables, "compliance": {**tables["compliance"], **full}} if full else tables
+
+
+def _files_of(tables: dict[str, Any]) -> dict[str, str]:
+    """Names of files and folders in the compliance section, by key."""
     given = tables.get("compliance")
     if not isinstance(given, dict):
-        return tables
+        return {}
     part = next((known for known in kinds("gearjax.compliances") if known.kind == given.get("kind")), None)
     files = [key for key, parameter in declared(part).items() if parameter.is_file] if part else []
-    named = {key: given[key] for key in files if isinstance(given.get(key), str) and given[key]}
-    full = {key: os.path.abspath(folder / os.path.expanduser(name)) for key, name in named.items()}
-    return {**tables, "compliance": {**given, **full}} if full else tables
+    return {key: given[key] for key in files if isinstance(given.get(key), str) and given[key]}
+
+
+def contents(tables: dict[str, Any]) -> dict[str, str]:
+    """Hashes of the files that the tables of a configuration name still after `with_files`, by path of the key.
+
+    A study belongs to the contents of these files, not to their names.
+    """
+    named = {key: Path(name) for key, name in _files_of(tables).items()}
+    return {
+        f"contents of compliance.{key}": hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        for key, path in named.items()
+        if path.is_file()
+    }
 
 
 def _read_in(name: str, table: Any, folder: Path) -> Any:

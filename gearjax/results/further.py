@@ -15,6 +15,7 @@ import numpy as np
 
 import gearjax
 from gearjax.checks import writing
+from gearjax.config.build import contents
 from gearjax.config.tables import flattened
 from gearjax.files import write_file
 from gearjax.tolerance.allocation import AllocatedTolerances
@@ -44,7 +45,7 @@ class Further:
 
     def __init__(self, folder: Path | None, definition: dict[str, Any]):
         self.folder = None if folder is None else folder / FOLDER
-        wanted = {"format": _FORMAT, "gearjax": gearjax.__version__} | flattened(definition)
+        wanted = {"format": _FORMAT, "gearjax": gearjax.__version__} | flattened(definition) | contents(definition)
         self._study = json.dumps(wanted, sort_keys=True)
         self.shown_again: list[str] = []
 

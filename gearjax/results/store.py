@@ -20,6 +20,7 @@ import numpy as np
 
 import gearjax
 from gearjax.checks import GearjaxError, place, writing
+from gearjax.config.build import contents
 from gearjax.config.tables import flattened
 from gearjax.config.tolerance import sampled
 from gearjax.files import settle, write_file
@@ -57,7 +58,7 @@ class Store:
     def __init__(self, folder: Path, definition: dict[str, Any], work: Work, config: str):
         self.path, self.work = folder / NAME, work
         wanted = {"format": _FORMAT, "gearjax": gearjax.__version__, "chunk": work.chunk}
-        wanted |= flattened(sampled(definition))
+        wanted |= flattened(sampled(definition)) | contents(definition)
         self._study = json.dumps(wanted, sort_keys=True)
         self._columns = {name: np.dtype("<f8") for name in work.names} | {_CODES: np.dtype("<i4")}
         about = self._metadata(config)
