@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 
 import gearjax as gj
 from gearjax.units import arcmin
-from tests.helical_pairs import GUO_1, scene_of
+from tests.conftest import ROOT
+from tests.helical_pairs import GUO_1, TEETH, scene_of
 from tests.test_matrix import KINDS, MOVES, TORQUE, Case, on_supports
 
 
@@ -93,3 +95,39 @@ def test_single_precision_after_double_precision_in_one_process(gear_set):
     for wide, narrow in zip(*found, strict=True):
         assert narrow.dtype == np.float32
         np.testing.assert_allclose(narrow, wide, rtol=0.0, atol=2e-3 * np.abs(wide).max())
+
+
+def _few_teeth() -> gj.Scene:
+    """An involute RV reducer whose external gear has its root below the base circle."""
+    scene = gj.load(ROOT / "configs/involute_rv/yang_2019.toml")
+    given = {"external_teeth": 30, "internal_teeth": 34, "pairs": 1, "profile_points": 2, "internal_shift": 0.6}
+    given |= {"module": 2e-3, "external_addendum": 0.7, "internal_addendum": 0.6, "centre_distance": 4.6e-3}
+    teeth = dataclasses.replace(scene.compliance, rim=2e-3, neighbours=0)
+    return dataclasses.replace(scene, system=dataclasses.replace(scene.system, **given), compliance=teeth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("teeth", ["straight root", "hertz", "elastic_teeth"])
+def test_gradients_by_all_numbers_of_teeth(teeth):
+    """At the base circle slopes are infinite: in float32 the beginning of a flank was at the base circle itself."""
+    found = []
+    for wide in (True, False):
+        with jax.enable_x64(wide):
+            if teeth == "elastic_teeth":
+                scene, torque = _few_teeth(), 40.0
+            else:
+                own = dataclasses.replace(TEETH, contact="hertz") if teeth == "hertz" else TEETH
+                scene, torque = scene_of(GUO_1, {}, own, slices=2), 830.0
+            kind = jnp.float64 if wide else jnp.float32
+            scene = jax.tree.map(lambda leaf, kind=kind: jnp.asarray(leaf, kind), scene)
+
+            def position(scene, torque=torque):
+                return gj.transmission_error(scene, jnp.asarray([0.3]), torque, extremes="samples").te[0]
+
+            slopes = jax.tree.leaves(eqx.filter_jit(eqx.filter_grad(position))(scene))
+            found.append([np.asarray(slope, float) for slope in slopes])
+    sizes = [np.abs(np.asarray(leaf, float)) for leaf in jax.tree.leaves(scene)]
+    largest = max(float((np.abs(slope) * size).max()) for slope, size in zip(found[0], sizes, strict=True))
+    assert largest > 0
+    for one, other, size in zip(*found, sizes, strict=True):
+        np.testing.assert_allclose(other * size, one * size, rtol=2e-3, atol=1e-4 * largest)

@@ -1,5 +1,6 @@
 """Types of springs of the contacts: independent linear springs, independent line contacts, and coupled springs."""
 
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -93,8 +94,9 @@ class LineSprings(eqx.Module):
         """
         end = jnp.exp(self.level - LAST)
         furthest = LAST * self.slope * end
-        touching, beyond = penetration > SHALLOWEST, penetration > furthest
-        inside = jnp.where(touching & ~beyond, penetration, jnp.where(beyond, furthest, SHALLOWEST))
+        least = _shallowest(penetration.dtype)
+        touching, beyond = penetration > least, penetration > furthest
+        inside = jnp.where(touching & ~beyond, penetration, jnp.where(beyond, furthest, least))
         target = jnp.log(inside / self.slope)  # F (level - ln F)
         known = jax.lax.stop_gradient((target, self.level))
         x = known[1] - _lambert(known[1] - known[0])
@@ -105,7 +107,7 @@ class LineSprings(eqx.Module):
 
     def secant(self, penetration: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Force per approach at an approach [N/m]; zero if the bodies do not touch."""
-        touching = penetration > SHALLOWEST
+        touching = penetration > _shallowest(penetration.dtype)
         return self.force(penetration) / jnp.where(touching, penetration, 1.0)
 
     @property
@@ -121,6 +123,12 @@ class LineSprings(eqx.Module):
         """
         left = self.level - jnp.log(indentation / self.slope)
         return 1 / (self.slope * (jnp.maximum(left, LAST) - 1.0))
+
+
+def _shallowest(dtype: jnp.dtype) -> float:
+    """Smallest approach that makes a force [m]; the second derivative of its logarithm is finite in single precision
+    too."""
+    return max(SHALLOWEST, 10 / math.sqrt(float(jnp.finfo(dtype).max)))
 
 
 def _lambert(c: Array) -> Array:

@@ -8,6 +8,7 @@ from gearjax.typing import Array, Scalar
 
 INVOLUTE_STEPS = 6  # steps of Newton's method
 ABOVE = 1e-9  # height of the beginning of a flank, in base radii: at the base circle itself slopes are infinite
+ROUNDED = 8  # the same, at least, in units of rounding
 
 
 def involute(angle: Array) -> Array:
@@ -162,7 +163,8 @@ class InvoluteGear(eqx.Module):
     @property
     def first_radius(self) -> Scalar:
         """Radius at which a flank begins, just above the base circle [m]."""
-        return self.base_radius * (1 + ABOVE)
+        rounding = float(jnp.finfo(jnp.result_type(self.base_radius)).eps)
+        return self.base_radius * (1 + max(ABOVE, ROUNDED * rounding))
 
     def section(self, radius: Array) -> tuple[Array, Array, Array]:
         """Section of a tooth at points of its profile, given by radii of any shape [m].
