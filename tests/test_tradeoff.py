@@ -1,5 +1,6 @@
 """The trade-off report: what it measures, what it recommends, and what it refuses."""
 
+import dataclasses
 import itertools
 import json
 
@@ -11,9 +12,13 @@ import tomli_w
 import gearjax as gj
 from gearjax.config import loads
 from gearjax.plot.tradeoff import tradeoff_figure
+from gearjax.run import Run
 from gearjax.studies.accurate_step import accurate_step
-from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, settings, static_choices, tradeoff
+from gearjax.studies.static_choices import static_choices
+from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, resolving, settings, tradeoff
 from gearjax.units import arcmin
+from tests.conftest import ROOT
+from tests.helical_pairs import GUO_1, TEETH, scene_of
 from tests.test_cli import command
 from tests.test_matrix import GEAR_SETS, MOVES, RUN
 
@@ -55,7 +60,7 @@ def test_tradeoff(short, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gear_set", [name for name in MOVES if name not in ("two_kv", "helical_train")])
+@pytest.mark.parametrize("gear_set", [name for name in MOVES if name != "two_kv"])
 def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     """One setting of each group; gradients are those of the 2K-V above.
 
@@ -79,19 +84,98 @@ def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     assert json.loads(out)
 
 
-@pytest.mark.parametrize(
-    ("gear_set", "words"),
-    [
-        ("helical_train", '"tradeoff" needs a scene in which only the output moves; in a train, shafts move too'),
-        ("helical_pair", "one_contact(scene, torque)"),  # slices do not move with a stiffness per pair
-    ],
-)
-def test_gear_sets_without_a_report_are_refused(gear_set, words, tmp_path, capsys):
+def test_slices_do_not_move_with_a_stiffness_per_pair(tmp_path, capsys):
     path = tmp_path / "mine.toml"
-    path.write_text(tomli_w.dumps(GEAR_SETS[gear_set].tables | {"run": RUN}), encoding="utf-8")
+    path.write_text(tomli_w.dumps(GEAR_SETS["helical_pair"].tables | {"run": RUN}), encoding="utf-8")
     code, out, err = command(capsys, "tradeoff", path)
     assert (code, out) == (2, "")
-    assert words in err
+    assert "one_contact(scene, torque)" in err
+
+
+def bearings(scene: gj.Scene, stiffness: float, **run) -> gj.Scene:
+    """The reducer with planet wheels on bearings, and another run section."""
+    names = ("planet_1", "planet_2")
+    return dataclasses.replace(
+        scene,
+        supports={name: gj.Support(x=stiffness, y=stiffness) for name in names},
+        body_inertia={name: gj.BodyInertia(0.8) for name in names},
+        run=Run(analyses=("static", "dynamic"), torques=(100.0,), samples=101, **run),
+    )
+
+
+@pytest.mark.slow
+def test_bodies_on_supports(scene, monkeypatch):
+    """Steps of constant modes against Runge-Kutta: the listed errors are those of another reference, too."""
+    monkeypatch.setattr("gearjax.studies.tradeoff.LONGEST_GRADIENT", 0.0)
+    every = settings
+    monkeypatch.setattr(
+        "gearjax.studies.tradeoff.settings", lambda *given: [one for one in every(*given) if "modes, 0" in one.name][:3]
+    )
+    times = np.linspace(0.0, 0.02, 101)
+    moving = bearings(scene, 2e8, duration=0.02)
+    found = tradeoff(moving, 1e-3 * arcmin)
+    assert [row.name for row in found.rows] == [f"constant modes, {size} rad" for size in (0.8, 0.4, 0.2)]
+    true = gj.simulate(moving, times, 100.0, stepper=gj.AdaptiveStep(1e-10, 1e-10, diffrax.Dopri8()))
+    assert found.truth[100.0]["std"] == pytest.approx(float(true.std), abs=1e-7 * arcmin)
+    assert found.rows[2].error < found.rows[0].error < 1e-2 * arcmin
+    own = float(
+        gj.simulate(moving, times, 100.0, stepper=gj.FixedStep(0.8 * resolving(moving, moving.run).longest)).std
+    )
+    assert own - float(true.std) == pytest.approx(found.rows[0].metrics[100.0]["std"] - float(true.std), rel=1e-6)
+    assert {(row.part, row.name) for row in found.statics} == {
+        ("supports", "rigid bearings"),
+        ("supports", "elastic bearings"),
+    }
+    stiff = bearings(scene, 1e14, duration=1.0)
+    with pytest.raises(gj.SceneError, match=r"the reference needs .* Runge-Kutta steps .* leave out stiff supports"):
+        tradeoff(stiff, 1e-3 * arcmin)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::gearjax.FewAngles")
+def test_models_of_parts_without_motion(tmp_path, capsys):
+    """Slices and coupled teeth: errors fall towards the most exact model of each part."""
+    text = (ROOT / "configs/involute_rv/yang_2019.toml").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("samples = 4801", "samples = 41").replace("pairs = 11", "pairs = 9"), encoding="utf-8")
+    code, out, err = command(capsys, "tradeoff", path, "--out", tmp_path / "out", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert (found["settings"], found["recommended"]) == ([], None)
+    points = [row["name"] for row in found["static_choices"] if row["part"] == "system"]
+    assert points == ["profile_points = 3", "profile_points = 5", "profile_points = 9"]
+    errors = {row["name"]: row["error_arcmin"] for row in found["static_choices"]}
+    assert errors["neighbours = 0"] > errors["neighbours = 1"] > errors["neighbours = 2"] > 0.0
+    assert errors["neighbours = 3"] == errors["profile_points = 9"] == 0.0
+    scene = loads(path.read_text(encoding="utf-8"))
+    theta = scene.system.input_speed * np.asarray(scene.run.times)
+    teeth = [dataclasses.replace(scene.compliance, neighbours=n) for n in (0, 3)]
+    metrics = [
+        gj.transmission_error(dataclasses.replace(scene, compliance=own), theta, scene.run.torques[0]) for own in teeth
+    ]
+    largest = max(
+        abs(float(getattr(metrics[0], name) - getattr(metrics[1], name)))
+        for name in ("mean", "std", "amplitude", "peak_to_peak")
+    )
+    assert errors["neighbours = 0"] == pytest.approx(largest / arcmin, rel=1e-9)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "static_choices.csv",
+        "static_choices.png",
+        "written.json",
+    ]
+
+
+@pytest.mark.slow
+def test_slices_are_choices_of_a_helical_pair():
+    apart, coupled = (
+        scene_of(GUO_1, {}, dataclasses.replace(TEETH, coupling_length=length), slices=8) for length in (None, 1.5)
+    )
+    run = Run(duration=0.001, samples=21, analyses=("static",), torques=(830.0,))
+    rows = static_choices(dataclasses.replace(apart, run=run))
+    assert [row.name for row in rows] == ["slices = 2", "slices = 4", "slices = 8", "slices = 16"]
+    assert rows[0].error > rows[1].error > rows[2].error > rows[3].error == 0.0
+    names = [row.name for row in static_choices(dataclasses.replace(coupled, run=run)) if row.part == "compliance"]
+    assert names == ["slices apart", "coupled slices"]
 
 
 @pytest.mark.slow

@@ -117,12 +117,17 @@ def suitable_step(scene: Scene, duration: float) -> FixedStep:
     Raises:
         SceneError: the record would need more than `MOST_STEPS` steps.
     """
-    return _suitable_step(scene, duration, evaluated(limits_of, scene.precomputed(*MODELLED)))
+    return _suitable_step(scene, duration, step_limits(scene))
+
+
+def step_limits(scene: Scene) -> Limits:
+    """The limits of a scene of known numbers."""
+    return evaluated(limits_of, scene.precomputed(*MODELLED))
 
 
 def memory_of(scene: Scene) -> float | None:
     """Time after which a motion has forgotten how it began [s]; ``None`` if that is not known."""
-    decay = float(evaluated(limits_of, scene.precomputed(*MODELLED)).decay)
+    decay = float(step_limits(scene).decay)
     return FORGOTTEN / decay if decay > 0 else None
 
 

@@ -24,6 +24,28 @@ WIDE = 10_000  # wider than any table
 
 
 def print_tradeoff(comparison: Tradeoff) -> None:
+    console = output()
+    if comparison.rows:
+        _print_settings(console, comparison)
+    if comparison.statics:
+        words = "Models of parts under static torque, compared with the last and most exact one of each part"
+        table = Table(title=words)
+        for column in ("part", "choice", "error [arcmin]", "force error [%]", "run [ms]", "compile [s]"):
+            table.add_column(column, justify="left" if column in ("part", "choice") else "right")
+        for one in comparison.statics:
+            off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
+            table.add_row(one.part, one.name, *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
+        show(console, table)
+    if not comparison.rows:
+        return
+    allowed = f"{comparison.error / arcmin:g} arcmin"
+    if comparison.best is None:
+        console.print(f"no setting is within {allowed}", soft_wrap=True)
+    else:
+        console.print(f"fastest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
+
+
+def _print_settings(console: Console, comparison: Tradeoff) -> None:
     table = Table(title="Error and time of each setting; one run, one torque")
     for column in ("setting", "", "error [arcmin]", "run [ms]", "gradient [ms]", "compile [s]"):
         table.add_column(column, justify="left" if column in ("setting", "") else "right")
@@ -32,22 +54,8 @@ def print_tradeoff(comparison: Tradeoff) -> None:
         gradient = gradient if row.gradient_measured or not gradient else f"~{gradient}"
         error = f"{row.error / arcmin:.2g}"
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
-    console = output()
     show(console, table)
     console.print("~: not measured, estimated from another setting of the same scheme", soft_wrap=True)
-    if comparison.statics:
-        table = Table(title="Geometry under static torque, compared with the most exact choice")
-        for column in ("choice", "error [arcmin]", "force error [%]", "run [ms]", "compile [s]"):
-            table.add_column(column, justify="left" if column == "choice" else "right")
-        for one in comparison.statics:
-            off = f"{one.error / arcmin:.2g}", f"{100 * one.force_error:.2g}"
-            table.add_row(one.name, *off, f"{1e3 * one.seconds:.0f}", f"{one.compile_seconds:.1f}")
-        show(console, table)
-    allowed = f"{comparison.error / arcmin:g} arcmin"
-    if comparison.best is None:
-        console.print(f"no setting is within {allowed}", soft_wrap=True)
-    else:
-        console.print(f"fastest within {allowed}: {comparison.best.group}: {comparison.best.name}", soft_wrap=True)
 
 
 def print_face_load(factors: dict[str, float]) -> None:

@@ -5,13 +5,14 @@ from typing import ClassVar
 
 import equinox as eqx
 
+from gearjax.compliance.choosing import Choosing
 from gearjax.compliance.line_contact import AbstractLineContact
 from gearjax.contact import Layout, Places, Slices, Springs, join_springs
 from gearjax.geometry.involute import InvoluteGear
 from gearjax.typing import Array, Float, Scalar
 
 
-class AbstractCompliance(eqx.Module):
+class AbstractCompliance(Choosing):
     """Stiffness of the pairs of a gear set. ``kind`` is its name in a configuration."""
 
     kind: eqx.AbstractClassVar[str]
@@ -44,7 +45,7 @@ class AbstractCompliance(eqx.Module):
         return self
 
 
-class AbstractCoupledCompliance(eqx.Module):
+class AbstractCoupledCompliance(Choosing):
     """Compliance of coupled contacts, such as the teeth of one body. ``kind`` is its name in a configuration.
 
     Contacts are coupled if a force on one of them moves the others too.
@@ -63,7 +64,7 @@ class AbstractCoupledCompliance(eqx.Module):
         """
 
 
-class AbstractToothCompliance(eqx.Module):
+class AbstractToothCompliance(Choosing):
     """Compliance of coupled contacts that depends on their places on the teeth. ``kind`` is its name in a
     configuration."""
 
@@ -130,7 +131,7 @@ class AbstractToothCompliance(eqx.Module):
         return None
 
 
-class AbstractSliceCompliance(eqx.Module):
+class AbstractSliceCompliance(Choosing):
     """Compliance of contacts that are slices of contact lines. ``kind`` is its name in a configuration."""
 
     kind: eqx.AbstractClassVar[str]

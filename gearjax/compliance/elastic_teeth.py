@@ -32,7 +32,9 @@ neighbouring teeth l is the rim depth if that is larger, and for the foundation 
 mean of both. This choice follows finite elements of one ring with a rim of 2 mm.
 """
 
+import dataclasses
 import math
+from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -58,6 +60,7 @@ SHORTEST = 1e-9  # m, shortest strip of contact
 FADING = 0.8  # distance, in half thicknesses, over which the contact deflection beside a force decays
 # distances, in lengths of a strip, whose logarithm is the mean of ln |x - x'| and of ln (x + x') over the strip
 ITSELF, MIRRORED = math.exp(-1.5), 4 * math.exp(-1.5)
+MOST_NEIGHBOURS = 20
 DEEPEST = 0.9  # greatest depth of an external gear's rim, as a share of its root radius
 
 
@@ -94,7 +97,7 @@ class ElasticTeeth(AbstractToothCompliance):
     internal_width: Number = length(at_least=1e-6, at_most=10.0, example="14 mm")
     coupling_length: Number = number(units.RATIO, above=0.0, at_most=100.0, default=1.5)
     rim: Number | None = length(at_least=1e-6, at_most=10.0, default=None, example="0.8 mm")
-    neighbours: int = count(at_least=0, at_most=20, default=0)
+    neighbours: int = count(at_least=0, at_most=MOST_NEIGHBOURS, default=0)
 
     known_layers: tuple[Float[Array, "distance 3 3"], Float[Array, "distance 3 3"]] | None = known_beside()
 
@@ -104,6 +107,12 @@ class ElasticTeeth(AbstractToothCompliance):
             raise ParameterError(
                 "neighbours", self.neighbours, "neighbouring teeth deflect each other through the rim: give rim too"
             )
+
+    def choices(self) -> Mapping[str, "ElasticTeeth"]:
+        if self.rim is None:
+            return {}
+        numbers = range(min(self.neighbours + 2, MOST_NEIGHBOURS + 1))
+        return {f"neighbours = {n}": dataclasses.replace(self, neighbours=n) for n in numbers}
 
     @property
     def line_contact(self) -> HertzLineContact:

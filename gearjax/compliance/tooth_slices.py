@@ -18,7 +18,9 @@ If the slices are coupled along the face, tooth and foundation deflect as an ela
 over a length l (``v - l^2 v''`` with free ends).
 """
 
+import dataclasses
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 import jax
@@ -98,6 +100,11 @@ class ToothSlices(AbstractSliceCompliance):
         if self.couples and self.contact == "hertz":
             words = 'is for uncoupled slices: leave out coupling_length, or use contact = "constant"'
             raise ParameterError("contact", self.contact, words)
+
+    def choices(self) -> Mapping[str, "ToothSlices"]:
+        if not self.couples:
+            return {}
+        return {"slices apart": dataclasses.replace(self, coupling_length=None), "coupled slices": self}
 
     @property
     def couples(self) -> bool:

@@ -261,7 +261,8 @@ def _measures(given: Any) -> tuple[Measure, ...]:
         try:
             measure = Measure.named(table["name"], **rest)
         except ParameterError as fault:
-            raise ParameterError(f"{key}.{fault.key}", table.get(fault.key, fault.given), fault.right) from fault
+            word = "name" if fault.key in ("measure", "metric") else fault.key
+            raise ParameterError(f"{key}.{word}", table.get(word, fault.given), fault.right) from fault
         if measure.name in [other.name for other in measures]:
             raise ParameterError(key, measure.name, "is listed twice")
         measures.append(measure)

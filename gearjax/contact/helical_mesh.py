@@ -26,6 +26,7 @@ from gearjax.geometry.plane_of_action import SlicePoints, slice_points
 from gearjax.typing import Array, Float, Scalar
 
 ROUNDING = 1e-6  # rounding of the total contact ratio
+MOST_SLICES = 1000
 MARGIN = {"ends": 0.2, "corner": 0.7}
 """What happens at the ends of the path of contact, and the number of pairs beyond the total contact ratio that other
 designs and loads may need."""
@@ -247,6 +248,11 @@ def pairs_of_teeth(pair: InvolutePair, tip_contact: str) -> tuple[int, int]:
 
 
 @functools.cache  # analyses ask for the layout at each call
+def numbers_of_slices(own: int) -> list[int]:
+    """Fewer slices than a face has, its own number, and twice as many."""
+    return sorted({max(1, own // 4), max(1, own // 2), own, min(2 * own, MOST_SLICES)})
+
+
 def helical_layout(pairs: tuple[int, ...], slices: int, back: bool) -> Layout:
     """Layout of meshes, each with its own number of pairs, in the order side, mesh, pair, slice (`slices.by_side`).
 

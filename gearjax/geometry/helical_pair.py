@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from gearjax import units
@@ -176,7 +177,9 @@ class InvolutePair(eqx.Module):
         self.normal_module, self.face_width = as_leaf(normal_module), as_leaf(face_width)
         self.normal_pressure_angle, self.helix_angle = as_leaf(normal_pressure_angle), as_leaf(helix_angle)
         self.profile_shifts = as_leaf(profile_shifts[0]), as_leaf(profile_shifts[1])
-        self.racks = racks_of(rack)
+        kind = jnp.result_type(self.normal_module)  # of racks by name, which are in double precision where JAX has it
+        one, other = (jax.tree.map(lambda part: jnp.asarray(part, kind), own) for own in racks_of(rack))
+        self.racks = one, other
         to_transverse = jnp.cos(self.helix_angle)  # transverse modules per normal module
         self.transverse_module = self.normal_module / to_transverse
         self.transverse_pressure_angle = jnp.arctan(jnp.tan(self.normal_pressure_angle) / to_transverse)

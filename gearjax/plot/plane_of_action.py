@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from gearjax.analysis.face_load import FaceLoad, across_face
+from gearjax.compliance import AbstractSliceCompliance
 from gearjax.contact import HelicalMesh
 from gearjax.plot.axes import gear_set_of
 from gearjax.scene import Scene
@@ -126,6 +127,10 @@ def _lines(
     slices = _slices(stage, jnp.asarray(turned, scene.dtype), scene.backlash is not None)
     shape = (len(turned), -1)
     line = np.asarray(slices[2]).reshape(shape)
+    if not isinstance(scene.compliance, AbstractSliceCompliance):
+        # springs of whole pairs: a slice that is partly on the path carries as if all of it were there
+        whole = stage.pair.face_width / (stage.slices * jnp.cos(stage.pair.base_helix_angle))
+        line = np.where(line > 0, float(whole), 0.0)
     load = np.where(line > 0, forces / np.where(line > 0, line, 1.0), 0.0) * PER_MM
     half = line.shape[1] // (2 if scene.backlash is not None else 1)
     back = load[:, half:].sum() > load[:, :half].sum()

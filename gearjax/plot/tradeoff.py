@@ -4,6 +4,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gearjax.plot.axes import finish, new_figure, save_figure, styles_of
 from gearjax.studies.tradeoff import Measured, Tradeoff
@@ -11,6 +12,7 @@ from gearjax.units import arcmin
 
 LEAST = 1e-8  # arcmin; smaller errors are drawn at this value
 MARKERS = "osD^v<>P"
+CLOSE = 300.0  # ratio of the ends of an axis below which ticks have plain numbers
 APART = 13.0  # distance of labels above each other [pt]
 Point = tuple[float, float, str]
 """Time [ms], error [arcmin] and name of a setting."""
@@ -39,6 +41,7 @@ def tradeoff_figure(comparison: Tradeoff) -> Figure:
         title = "one run" if kind == "run" else "gradient, measured once per scheme"
         finish(ax, f"Error against time, {title}", x="time [ms]", y="largest error of a metric [arcmin]")
         ax.margins(x=0.1, y=0.12)
+        _few_ticks(ax)
     figure.draw_without_rendering()  # labels are placed on the page, so that its layout must be known
     for ax, kind in zip(axes, best, strict=True):
         _name(ax, best[kind], figure.dpi / 72)
@@ -87,4 +90,46 @@ def save_tradeoff_figure(comparison: Tradeoff, folder: Path) -> list[Path]:
     Raises:
         GearjaxError: the file cannot be written.
     """
-    return [save_figure(tradeoff_figure(comparison), folder / "tradeoff.png")]
+    figures = {}
+    if comparison.rows:
+        figures["tradeoff.png"] = tradeoff_figure(comparison)
+    if comparison.statics:
+        figures["static_choices.png"] = static_choices_figure(comparison)
+    return [save_figure(figure, folder / name) for name, figure in figures.items()]
+
+
+def static_choices_figure(comparison: Tradeoff) -> Figure:
+    """Draw the error of each model of a part under static torque against its time, with a colour for each part.
+
+    The most exact model of a part has no error; it is drawn at the lower edge.
+    """
+    figure, (ax,) = new_figure(1, height=4.0)
+    parts, points = styles_of(one.part for one in comparison.statics), []
+    known = [one.error / arcmin for one in comparison.statics if one.error > 0]
+    least = max(LEAST, 0.1 * min(known, default=LEAST))
+    for place, (part, style) in enumerate(parts.items()):
+        own: list[Point] = [
+            (1e3 * one.seconds, max(one.error / arcmin, least), one.name)
+            for one in comparison.statics
+            if one.part == part
+        ]
+        drawn = {"color": style["color"], "marker": MARKERS[place % len(MARKERS)], "label": part}
+        ax.loglog([x for x, _, _ in own], [y for _, y, _ in own], linewidth=0.9, markersize=5, **drawn)
+        points += own
+    title = "Models under static torque; the most exact ones at the lower edge"
+    finish(ax, title, x="time of one torque [ms]", y="largest error of a metric [arcmin]")
+    ax.margins(x=0.15, y=0.12)
+    _few_ticks(ax)
+    figure.draw_without_rendering()
+    _name(ax, sorted(points, key=lambda point: -point[1]), figure.dpi / 72)
+    return figure
+
+
+def _few_ticks(ax: Axes) -> None:
+    """Ticks of logarithmic axes whose labels have room beside each other."""
+    for axis in (ax.xaxis, ax.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_minor_formatter(NullFormatter())
+        if high < CLOSE * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -28,6 +28,7 @@ def tradeoff_as_json(config: str, tradeoff: Tradeoff) -> dict:
         ],
         "static_choices": [
             {
+                "part": choice.part,
                 "name": choice.name,
                 "error_arcmin": choice.error / arcmin,
                 "force_error": choice.force_error,
@@ -48,16 +49,29 @@ def _metrics(metrics: dict[float, dict[str, float]]) -> list[dict]:
 
 
 def save_tradeoff(tradeoff: Tradeoff, folder: Path) -> list[Path]:
-    """Write ``tradeoff.csv``.
+    """Write ``tradeoff.csv`` and ``static_choices.csv``, as far as there is something to write.
 
     Raises:
         GearjaxError: the folder cannot be written.
     """
+    files = {"tradeoff.csv": _of_settings(tradeoff), "static_choices.csv": _of_choices(tradeoff)}
+    return [write_file(folder / name, "\n".join(lines) + "\n") for name, lines in files.items() if len(lines) > 1]
+
+
+def _of_choices(tradeoff: Tradeoff) -> list[str]:
+    lines = ["part,choice,error [arcmin],force error [-],run [s],compile [s]"]
+    for one in tradeoff.statics:
+        numbers = one.error / arcmin, one.force_error, one.seconds, one.compile_seconds
+        lines.append(",".join([one.part, one.name, *(f"{number:.6g}" for number in numbers)]))
+    return lines
+
+
+def _of_settings(tradeoff: Tradeoff) -> list[str]:
     lines = ["group,setting,error [arcmin],run [s],gradient [s],compile [s],gradient measured"]
     lines += [
         f"{row.group},{row.name.replace(',', ';')},{','.join(_numbers(row))},{_how(row)}" for row in tradeoff.rows
     ]
-    return [write_file(folder / "tradeoff.csv", "\n".join(lines) + "\n")]
+    return lines
 
 
 def _how(row: Measured) -> str:

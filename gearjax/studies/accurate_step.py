@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable
 
-from gearjax.analysis import FixedStep, RungeKutta4
+from gearjax.analysis import FixedStep
 from gearjax.analysis.choice import STEP
 from gearjax.checks import SceneError
 from gearjax.progress import Progress, silent
+from gearjax.run import Run
 from gearjax.scene import Scene
-from gearjax.studies.tradeoff import STEPS, Metrics, Setting, apart, dynamic_run, first_run, resolving
+from gearjax.studies.tradeoff import STEPS, Metrics, Resolving, Setting, apart, dynamic_run, first_run, resolving
 from gearjax.units import arcmin
 
 YARDSTICK = 0.05  # rad of the fastest motion: first Runge-Kutta steps of the reference of `accurate_step`
@@ -33,12 +34,13 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
         SceneError: there is no dynamic analysis, or no step is short enough.
     """
     run = dynamic_run(scene)
-    longest, usual = resolving(scene, run)
+    rates = resolving(scene, run)
+    longest, usual = rates.longest, rates.usual
 
     def metrics(stepper: FixedStep) -> Metrics:
         return first_run(Setting("solver", "", scene, stepper, run.samples)).metrics
 
-    truth, unsure = _yardstick(metrics, longest, error, progress)
+    truth, unsure = _yardstick(metrics, rates, run, error, progress)
     sizes = (*STEPS, STEPS[-1] / 2, STEPS[-1] / 4)
     size, tried = STEP, {}
     while size not in tried:
@@ -62,18 +64,18 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
 
 
 def _yardstick(
-    metrics: Callable[[FixedStep], Metrics], longest: float, error: float, progress: Progress
+    metrics: Callable[[FixedStep], Metrics], rates: Resolving, run: Run, error: float, progress: Progress
 ) -> tuple[Metrics, float]:
     """Metrics by Runge-Kutta, and their uncertainty: a third of the change when the step was halved [rad]."""
-    step = YARDSTICK * longest
-    coarse = metrics(FixedStep(2 * step, solver=RungeKutta4()))
+    size = YARDSTICK
+    coarse = metrics(rates.runge_kutta(2 * size, run))
     for _ in range(MOST_HALVINGS):
-        truth = metrics(FixedStep(step, solver=RungeKutta4()))
+        truth, step = metrics(rates.runge_kutta(size, run)), size * rates.whole
         unsure = apart(coarse, truth) / 3
         progress(f"reference: Runge-Kutta, steps of {step:.2g} s: within {unsure / arcmin:.2g} arcmin")
         if unsure <= UNSURE * error:
             return truth, unsure
-        coarse, step = truth, step / 2
+        coarse, size = truth, size / 2
     raise SceneError(
         f"accuracy: {error / arcmin:.2g} arcmin cannot be verified: the error of Runge-Kutta itself is larger"
     )

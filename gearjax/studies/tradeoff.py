@@ -1,8 +1,8 @@
 """Accuracy and cost of each choice on a scene: errors of the dynamic metrics, run time, gradient time, compile time."""
 
 import dataclasses
+import math
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -13,9 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate, transmission_error
-from gearjax.analysis.choice import STEP, suitable_step
-from gearjax.analysis.metrics import FewAngles
+from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate
+from gearjax.analysis.choice import STEP, step_limits, suitable_step
 from gearjax.analysis.solvers import LONGEST_STEP, Stepper
 from gearjax.checks import SceneError
 from gearjax.compliance import HarmonicStiffness
@@ -23,13 +22,14 @@ from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
 from gearjax.progress import Left, Progress, silent, told_seconds
 from gearjax.run import METRICS, Run
 from gearjax.scene import Scene
-from gearjax.scene_checks import require_springs_apart
+from gearjax.studies.static_choices import StaticChoice, static_choices
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 
 STEPS = (0.8, 0.4, 0.2, 0.1, 0.05)  # rad of the fastest motion
 WIDTHS = (1e-8, 1e-7, 1e-6)  # m
 TRUE_STEP = 0.0125  # rad of the fastest motion: Runge-Kutta steps of the reference
+MOST_RUNGE_KUTTA = 2e8  # steps of a run, which take some minutes
 LONGEST_GRADIENT = 20.0  # s: gradients that are expected to take longer are not measured
 DIFFERENTIATED = ("solver", "fidelity", "precision")  # groups whose gradients are timed
 REPEATS = 3
@@ -113,34 +113,15 @@ class Measured:
 
 
 @dataclasses.dataclass(frozen=True)
-class StaticChoice:
-    """Accuracy and cost of a choice of geometry under static torque.
-
-    Args:
-        name: name of the choice.
-        error: largest deviation of the metrics of the static TE under all torques from the most exact choice [rad].
-        force_error: largest deviation of a single contact force, over the largest force [-].
-        seconds: time of one torque, without compilation [s].
-        compile_seconds: compile time [s].
-    """
-
-    name: str
-    error: float
-    force_error: float
-    seconds: float
-    compile_seconds: float
-
-
-@dataclasses.dataclass(frozen=True)
 class Tradeoff:
     """All settings of a scene, and the fastest one that is accurate enough.
 
     Args:
         truth: metrics of the reference by torque and name [rad].
         truth_seconds: run time of the reference [s].
-        rows: the settings that were measured.
+        rows: the settings that were measured; empty if the run section lists no motion.
         error: allowed error [rad].
-        statics: choices of geometry under static torque; empty if the system has none.
+        statics: choices of the parts of the scene under static torque; empty if there are none.
     """
 
     truth: dict[float, dict[str, float]]
@@ -160,20 +141,24 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
     """Measure every setting on the run section of a scene.
 
     Args:
-        scene: a scene with a run section that lists ``dynamic``.
+        scene: a scene with a run section; settings of the motion are measured if it lists ``dynamic``, choices of the
+            parts of the scene if it lists ``static``.
         error: allowed error of the metrics [rad].
         progress: called with a line of text now and then.
         workers: number of settings whose programs are compiled in parallel, in threads; runs are timed alone. A thread
             uses the settings of the whole process, but not settings of the calling thread alone.
 
     Raises:
-        SceneError: there is no dynamic analysis to measure.
+        SceneError: there is nothing to measure, or Runge-Kutta steps of the reference would be too many.
     """
+    if scene.run is not None and "dynamic" not in scene.run.analyses and (statics := static_choices(scene, progress)):
+        return Tradeoff({}, 0.0, [], error, statics)
     run = dynamic_run(scene)
-    longest, usual = resolving(scene, run)
-    truth_step = FixedStep(TRUE_STEP * longest, solver=RungeKutta4())
+    rates = resolving(scene, run)
+    truth_step = rates.runge_kutta(TRUE_STEP, run)
     yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
-    tried = settings(scene, run, longest, usual)
+    tried = settings(scene, run, rates)
+    usual = rates.usual
     began = time.perf_counter()
     first_run(Setting("solver", "usual", scene, usual, run.samples))
     once, work = time.perf_counter() - began, len(tried) + TRUTH_WORK + GRADIENT_WORK * len(_schemes(tried))
@@ -188,28 +173,54 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
         truth = runs[0]
         rows = [_measured(*each, truth) for each in zip(tried, runs[1:], strict=True)]
         rows = _with_gradients(tried, rows, pool, left, progress)
-    statics = static_choices(scene)
-    for choice in statics:
-        progress(f"static TE, {choice.name}: {choice.seconds:.3g} s")
-    return Tradeoff(truth.metrics, truth.seconds, rows, error, statics)
+    return Tradeoff(truth.metrics, truth.seconds, rows, error, static_choices(scene, progress))
 
 
 def dynamic_run(scene: Scene) -> Run:
     """The run section of a scene.
 
     Raises:
-        SceneError: there is none that lists ``dynamic``, or springs of the scene are coupled.
+        SceneError: there is none that lists ``dynamic``.
     """
     if scene.run is None or "dynamic" not in scene.run.analyses:
         raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
-    require_springs_apart(scene, "tradeoff")
     return scene.run
 
 
-def resolving(scene: Scene, run: Run) -> tuple[float, FixedStep]:
-    """The longest step that resolves the fastest motion [s], and the usual steps of a run."""
-    usual = suitable_step(scene, run.duration)
-    return usual.step / STEP * LONGEST_STEP, usual
+class Resolving(NamedTuple):
+    """Steps that resolve the motion of a scene.
+
+    Args:
+        longest: longest step of the usual scheme that resolves the fastest motion [s].
+        whole: the same for other solvers, which have to resolve the supports too [s].
+        usual: the usual steps of a run.
+    """
+
+    longest: float
+    whole: float
+    usual: FixedStep
+
+    def runge_kutta(self, size: float, run: Run) -> FixedStep:
+        """Runge-Kutta steps of a size [rad of the fastest motion].
+
+        Raises:
+            SceneError: the run would need too many.
+        """
+        step = size * self.whole
+        if run.duration / step > MOST_RUNGE_KUTTA:
+            words = f"the reference needs {run.duration / step:.2g} Runge-Kutta steps of {step:.2g} s"
+            raise SceneError(
+                f"{words}, more than {MOST_RUNGE_KUTTA:g}: shorten run.duration, or leave out stiff supports"
+            )
+        return FixedStep(step, solver=RungeKutta4())
+
+
+def resolving(scene: Scene, run: Run) -> Resolving:
+    """Steps that resolve the motion of a scene."""
+    usual, limits = suitable_step(scene, run.duration), step_limits(scene)
+    longest = usual.step / STEP * LONGEST_STEP
+    whole = longest if limits.whole is None else LONGEST_STEP / float(limits.whole)
+    return Resolving(longest, whole, usual)
 
 
 def apart(one: Metrics, other: Metrics) -> float:
@@ -217,47 +228,22 @@ def apart(one: Metrics, other: Metrics) -> float:
     return max(abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS)
 
 
-def static_choices(scene: Scene) -> list[StaticChoice]:
-    """Accuracy and cost of the choices of a system's geometry under static torque, compared with the most exact choice.
-
-    Empty if the system has no choice, or the run section lists no static analysis.
-    """
-    run, choices = scene.run, scene.system.choices()
-    if run is None or "static" not in run.analyses or not choices:
-        return []
-    theta = scene.system.input_speed * jnp.asarray(run.times)
-    compared, metrics, forces, times = [], {}, {}, {}
-    for name, system in choices.items():
-        chosen = dataclasses.replace(scene, system=system)
-        with Stopwatch() as watch, warnings.catch_warnings():
-            warnings.simplefilter("ignore", FewAngles)  # all choices are compared at the same angles
-            errors = [transmission_error(chosen, theta, torque) for torque in run.torques]
-            metrics[name] = {
-                torque: {metric: float(getattr(te, metric)) for metric in METRICS}
-                for torque, te in zip(run.torques, errors, strict=True)
-            }
-        forces[name] = np.stack([np.asarray(te.forces) for te in errors])
-        times[name] = watch.seconds / len(run.torques), watch.compile_seconds
-    exact = list(choices)[-1]
-    for name in choices:
-        largest = float(forces[exact].max())
-        off = float(np.abs(forces[name] - forces[exact]).max()) / largest if largest > 0 else 0.0
-        compared.append(StaticChoice(name, apart(metrics[name], metrics[exact]), off, *times[name]))
-    return compared
-
-
-def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[Setting]:
-    """The settings to measure, from the longest step that resolves the motion of the scene [s] and the usual steps."""
-    alone, number, cut = FixedStep(usual.step), run.samples, usual.windows
+def settings(scene: Scene, run: Run, rates: Resolving) -> list[Setting]:
+    """The settings to measure."""
+    alone, number, cut = FixedStep(rates.usual.step), run.samples, rates.usual.windows
+    output_alone = scene.springs_apart
 
     def even(scheme: str, size: float, after: str = "", **options) -> Setting:
-        name, stepper = f"{scheme}, {size:g} rad{after}", FixedStep(size * longest, **options)
+        name, stepper = f"{scheme}, {size:g} rad{after}", FixedStep(size * rates.longest, **options)
         return Setting("solver", name, scene, stepper, number, scheme=scheme + after)
 
-    trials = [even("fitted", size) for size in STEPS]
+    trials = [even("fitted" if output_alone else "constant modes", size) for size in STEPS]
     if cut is not None:
         trials += [even("fitted", size, ", windows", windows=cut) for size in STEPS[:3]]
-    trials += [even("Runge-Kutta", size, solver=RungeKutta4()) for size in STEPS[:3]]
+    slow = 10.0 if output_alone else math.inf  # gradients of many coordinates compile for minutes
+    for size in STEPS[:3]:
+        stepper = rates.runge_kutta(size, run)
+        trials.append(Setting("solver", f"Runge-Kutta, {size:g} rad", scene, stepper, number, slow, "Runge-Kutta"))
     trials += [
         Setting(
             "solver",
@@ -265,7 +251,7 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
             scene,
             AdaptiveStep(tol, tol, solver),
             number,
-            400.0,
+            400.0 if output_alone else math.inf,
             "adaptive",
         )
         for solver, tol in ((diffrax.Tsit5(), 1e-4), (diffrax.Dopri5(), 1e-4), (diffrax.Dopri8(), 1e-7))
@@ -289,12 +275,13 @@ def settings(scene: Scene, run: Run, longest: float, usual: FixedStep) -> list[S
             parts = scene.compliance.mean, scene.compliance.relative_amplitudes[:kept], scene.compliance.phases[:kept]
             fewer_waves = dataclasses.replace(scene, compliance=HarmonicStiffness(*parts))
             trials.append(Setting("harmonics", f"{kept} kept", fewer_waves, alone, number))
-    trials += [
-        Setting("fidelity", name, scene, QuasiStatic(inertia), number)
-        for name, inertia in (("quasi-static", False), ("quasi-static, inertia corrected", True))
-    ]
+    if output_alone:
+        trials += [
+            Setting("fidelity", name, scene, QuasiStatic(inertia), number)
+            for name, inertia in (("quasi-static", False), ("quasi-static, inertia corrected", True))
+        ]
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
-    return [*trials, Setting("precision", "float32", single, alone, number, scheme="fitted")]
+    return [*trials, Setting("precision", "float32", single, alone, number, scheme=trials[0].scheme)]
 
 
 def _measured(setting: Setting, first: FirstRun, truth: FirstRun) -> Measured:

@@ -13,10 +13,12 @@ from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
 from gearjax.contact import GearSize, Layout, Pose, Request
 from gearjax.contact.helical_mesh import (
     MARGIN,
+    MOST_SLICES,
     WAYS,
     HelicalMesh,
     fault_of_gears,
     helical_layout,
+    numbers_of_slices,
     pairs_of_teeth,
     with_tips,
 )
@@ -108,7 +110,7 @@ class HelicalPair(AbstractSystem):
     pinion_tip_diameter: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="127.7 mm")
     wheel_tip_diameter: Number | None = length(at_least=1e-6, at_most=100.0, default=None, example="298.3 mm")
     wheel_kind: str = name(default="external", names=("external", "internal"))
-    slices: int = count(default=40, at_most=1000)
+    slices: int = count(default=40, at_most=MOST_SLICES)
     pairs: int | None = count(default=None, at_most=100, example=4)
     tip_contact: str = name(default="ends", names=tuple(MARGIN))
 
@@ -199,6 +201,9 @@ class HelicalPair(AbstractSystem):
 
     def gear_size(self, body: str) -> GearSize:
         return self.stages[0].gear_size(self.bodies.index(body))
+
+    def choices(self) -> Mapping[str, AbstractSystem]:
+        return {f"slices = {n}": dataclasses.replace(self, slices=n) for n in numbers_of_slices(self.slices)}
 
     def contact_name(self, contact: int) -> str:
         return self.stages[0].contact_name(contact)

@@ -1,5 +1,6 @@
 """Trains of helical and spur pairs on parallel shafts, such as a two-stage gearbox: helical meshes in series."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Mapping
@@ -16,11 +17,13 @@ from gearjax.checks import MISSING, ParameterError, is_concrete, nearest
 from gearjax.contact import BodyView, GearSize, Layout, Pose, ProfilePlace, Request
 from gearjax.contact.helical_mesh import (
     MARGIN,
+    MOST_SLICES,
     WAYS,
     HelicalMesh,
     MeshContacts,
     fault_of_gears,
     helical_layout,
+    numbers_of_slices,
     pairs_of_teeth,
     with_tips,
 )
@@ -106,7 +109,7 @@ class HelicalTrain(AbstractSystem):
     rack: str = name(default="ISO 53 A", names=tuple(ISO_53))
     pinion_tip_diameter: Number = series(units.LENGTH, at_least=1e-6, at_most=100.0, default=())
     wheel_tip_diameter: Number = series(units.LENGTH, at_least=1e-6, at_most=100.0, default=())
-    slices: int = count(default=20, at_most=1000)
+    slices: int = count(default=20, at_most=MOST_SLICES)
     pairs: int | None = count(default=None, at_most=100, example=4)
     tip_contact: str = name(default="ends", names=tuple(MARGIN))
 
@@ -272,6 +275,9 @@ class HelicalTrain(AbstractSystem):
     def gear_size(self, body: str) -> GearSize:
         mesh, gear = divmod(self._number(body), 2)
         return self.stages[mesh].gear_size(gear)
+
+    def choices(self) -> Mapping[str, AbstractSystem]:
+        return {f"slices = {n}": dataclasses.replace(self, slices=n) for n in numbers_of_slices(self.slices)}
 
     def contact_name(self, contact: int) -> str:
         numbers = [stage.pairs * stage.slices for stage in self.stages]

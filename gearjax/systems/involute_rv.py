@@ -1,5 +1,6 @@
 """Involute RV reducer: external gears on cranks in a fixed internal gear, few teeth fewer (Yang, Tang, Liang 2019)."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Mapping
@@ -24,6 +25,7 @@ from gearjax.typing import Array, Bool, Float, Int, Number, Scalar
 
 # roll angle [rad] between the tips of two flanks that do not face each other, beyond which the pair is not followed
 APART = 0.05
+MOST_POINTS = 100
 
 
 class Candidates(NamedTuple):
@@ -129,7 +131,7 @@ class InvoluteRV(AbstractSystem):
     internal_dedendum: Number = number(units.RATIO, at_least=0.01, at_most=3.0, default=1.25)
     gears: int = count(default=1, at_most=4)
     pairs: int = count(default=15, at_most=200)
-    profile_points: int = count(default=1, at_most=100)
+    profile_points: int = count(default=1, at_most=MOST_POINTS)
     face_points: int = count(default=1, at_most=100)
     sun_teeth: int | None = count(default=None, example=22)
     planet_teeth: int | None = count(default=None, example=60)
@@ -205,6 +207,13 @@ class InvoluteRV(AbstractSystem):
     @property
     def orders(self) -> Mapping[str, float]:
         return {name: float(order) for name, order in self._exact_orders.items()}
+
+    def choices(self) -> Mapping[str, AbstractSystem]:
+        own = self.profile_points
+        if own == 1:  # one point with a uniform pressure, or a stiffness of the whole pair
+            return {}
+        numbers = sorted({max(2, (own + 1) // 2), own, min(2 * own - 1, MOST_POINTS)})
+        return {f"profile_points = {number}": dataclasses.replace(self, profile_points=number) for number in numbers}
 
     def contact_name(self, contact: int) -> str:
         each = self.pairs * self.profile_points * self.face_points

@@ -11,6 +11,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.analysis.metrics import deviation
 from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.contact import HardContact
 from gearjax.progress import Left, Progress, silent
 from gearjax.scene_checks import require_output_alone
 from gearjax.studies.descent import default_optimiser, descend
@@ -182,6 +183,20 @@ def _searches(population: Tolerances, measure: Measure, where: tuple[str, ...], 
     ]
 
 
+def _lacking(measure: Measure, population: Tolerances) -> str:
+    """What a population lacks that has no quick curves of a measure."""
+    scene = population.scene
+    if measure.analysis == "dynamic":
+        return "a measure without motion"
+    if not isinstance(scene.contact, HardContact):
+        return "hard contacts"
+    if scene.system.exact:
+        return 'clearance = "linear"'
+    if measure.analysis == "static" and not scene.springs_apart:
+        return "linear springs of pairs of teeth; a measure without load does not"
+    return "phases and amplitudes of errors alone as the numbers that vary"
+
+
 class _Search:
     """The descent of many gear sets from many starts at once: each row is one start of one gear set."""
 
@@ -194,7 +209,7 @@ class _Search:
         self.measures = Measures([measure], population, jnp.asarray(theta, population.scene.dtype), "samples")
         if self.measures.curves is None:
             require_output_alone(population.scene, "matched assembly")
-            raise SceneError(f"matched assembly: {measure.name} needs a quasi-static analysis with hard contacts")
+            raise SceneError(f"matched assembly by {measure.name} needs {_lacking(measure, population)}")
         self.devices = work.devices
 
     def of_all(self, inputs: np.ndarray, starts: np.ndarray, progress: Progress) -> np.ndarray:
