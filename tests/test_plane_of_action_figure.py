@@ -14,7 +14,7 @@ from tests.helical_pairs import GUO_1, TEETH, scene_of
 @pytest.mark.slow
 @pytest.mark.parametrize("whole", [False, True])
 def test_loads_times_lengths_are_the_forces(whole):
-    """Springs of whole pairs load a slice at the end of the path as if all of it were there; loads were endless there."""
+    """Springs of whole pairs load a slice at the end of the path as if all of it were there: no endless loads."""
     scene = scene_of(GUO_1, {}, TEETH, slices=8)
     if whole:
         scene = dataclasses.replace(scene, compliance=gj.HarmonicStiffness(1e9, [], []))

@@ -219,6 +219,7 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
         ('"errors.planet_1.amplitude" =', '"errors.planet_7.amplitude" =', "did you mean"),
         ('"backlash.initial" = {', '"backlash.initial" = { kind = "uniform_phase" } #', "period of one turn"),
         ("no_load.peak_to_peak", "no_load.peaktopeak", "did you mean"),
+        ("no_load.peak_to_peak", "no_load.peak", 'tolerance.measures[0].name = "no_load.peak"'),
         ('limit = "2 arcmin"', 'limit = "2 um"', "is a length; needs an angle"),
         (', torque = "100 N*m"', "", "needs a torque"),
         ('sampler = "sobol"', 'sampler = "sobel"', "did you mean"),

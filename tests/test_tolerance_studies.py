@@ -184,6 +184,19 @@ def test_matched_assembly_finds_what_a_long_search_finds(population, angles):
     assert found.quantiles(0.5)[1].value == pytest.approx(np.median(found.matched), rel=0.05)
 
 
+def test_a_matched_assembly_that_is_not_possible_says_what_it_needs():
+    scene = rv.scene(with_errors=True)
+    where = "errors.run_out_1.phase"
+    of = {where: gj.UniformPhase(), "errors.run_out_1.amplitude": gj.Rayleigh(um)}
+    line = dataclasses.replace(scene, compliance=gj.HertzLineContact(206e9, 0.3, 0.01))
+    exact = dataclasses.replace(scene, system=dataclasses.replace(scene.system, clearance="exact"))
+    soft = dataclasses.replace(scene, contact=gj.QuadraticContact(1e-7))
+    static = gj.Measure("static", "peak_to_peak", torque=784.0)
+    for other, words in ((line, "linear springs"), (exact, 'clearance = "linear"'), (soft, "hard contacts")):
+        with pytest.raises(gj.SceneError, match=f"static.peak_to_peak@784Nm needs {words}"):
+            gj.matched_assembly(gj.Tolerances(other, of), static, where=(where,), units=2, theta=rv.angles(2, 41))
+
+
 @pytest.mark.slow
 @pytest.mark.runs_long
 def test_matched_assembly_of_rv_reducers_finds_what_a_long_search_finds():
