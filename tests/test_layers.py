@@ -17,6 +17,7 @@ LAYERS = {
     "units": 0,
     "typing": 0,
     "checks": 0,
+    "choosing": 0,
     "dependence": 0,
     "elimination": 0,
     "batches": 0,

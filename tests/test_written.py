@@ -37,6 +37,13 @@ def test_what_only_the_run_before_wrote_is_removed(tmp_path):
     ]
 
 
+def broken_off(folder, fault):
+    """A command that ends while it writes."""
+    with replacing(folder, "run", print) as new:
+        new.add(made(new.folder, "a.csv"))
+        raise fault
+
+
 def test_new_results_come_all_together(tmp_path):
     said, out = [], tmp_path / "new" / "out"
     with replacing(out, "run", said.append) as new:
@@ -45,9 +52,8 @@ def test_new_results_come_all_together(tmp_path):
     assert said == [f"written to {out}: a.csv, joint.xml"]
     assert sorted(path.name for path in out.rglob("*")) == ["a.csv", "joint", "joint.xml", NAME]
     (out / "a.csv").write_text("old", encoding="utf-8")
-    with pytest.raises(KeyboardInterrupt), replacing(out, "run", said.append) as new:  # noqa: PT012
-        new.add(made(new.folder, "a.csv"))
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        broken_off(out, KeyboardInterrupt())
     assert (out / "a.csv").read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in out.rglob("*")) == ["a.csv", "joint", "joint.xml", NAME]
     made(out, ".run.part/b.csv")  # of a process that was killed
@@ -58,9 +64,8 @@ def test_new_results_come_all_together(tmp_path):
 
 
 def test_nothing_is_left_of_a_folder_that_was_never_filled(tmp_path):
-    with pytest.raises(ValueError, match="no figure"), replacing(tmp_path / "new" / "out", "run", print) as new:  # noqa: PT012
-        made(new.folder, "a.csv")
-        raise ValueError("no figure")
+    with pytest.raises(ValueError, match="no figure"):
+        broken_off(tmp_path / "new" / "out", ValueError("no figure"))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from gearjax.compliance.choosing import Choosing
+from gearjax.choosing import Choosing
 from gearjax.compliance.line_contact import AbstractLineContact
 from gearjax.contact import Layout, Places, Slices, Springs, join_springs
 from gearjax.geometry.involute import InvoluteGear

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from gearjax import units
+from gearjax.choosing import Choosing
 from gearjax.contact import LineSprings, Places, Slices
 from gearjax.contact.slices import by_side
 from gearjax.geometry.line_contact import Radii
@@ -16,7 +17,7 @@ from gearjax.typing import Array, Float, Number, Scalar
 DEEPEST = 1.0  # m, greatest depth of a reference point: the approach of an infinitely deep point would be infinite
 
 
-class AbstractLineContact(eqx.Module):
+class AbstractLineContact(Choosing):
     """Line contact of a pin on a flank of the same material.
 
     The approach under a force F is that of two reference points, one in each body. Each point is as deep in its body as

@@ -34,13 +34,13 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
         SceneError: there is no dynamic analysis, or no step is short enough.
     """
     run = dynamic_run(scene)
-    rates = resolving(scene, run)
-    longest, usual = rates.longest, rates.usual
+    resolved = resolving(scene, run)
+    longest, usual = resolved.longest, resolved.usual
 
     def metrics(stepper: FixedStep) -> Metrics:
         return first_run(Setting("solver", "", scene, stepper, run.samples)).metrics
 
-    truth, unsure = _yardstick(metrics, rates, run, error, progress)
+    truth, unsure = _yardstick(metrics, resolved, run, error, progress)
     sizes = (*STEPS, STEPS[-1] / 2, STEPS[-1] / 4)
     size, tried = STEP, {}
     while size not in tried:
@@ -64,13 +64,13 @@ def accurate_step(scene: Scene, error: float, progress: Progress = silent) -> Fi
 
 
 def _yardstick(
-    metrics: Callable[[FixedStep], Metrics], rates: Resolving, run: Run, error: float, progress: Progress
+    metrics: Callable[[FixedStep], Metrics], resolved: Resolving, run: Run, error: float, progress: Progress
 ) -> tuple[Metrics, float]:
     """Metrics by Runge-Kutta, and their uncertainty: a third of the change when the step was halved [rad]."""
     size = YARDSTICK
-    coarse = metrics(rates.runge_kutta(2 * size, run))
+    coarse = metrics(resolved.runge_kutta(2 * size, run))
     for _ in range(MOST_HALVINGS):
-        truth, step = metrics(rates.runge_kutta(size, run)), size * rates.whole
+        truth, step = metrics(resolved.runge_kutta(size, run)), size * resolved.whole
         unsure = apart(coarse, truth) / 3
         progress(f"reference: Runge-Kutta, steps of {step:.2g} s: within {unsure / arcmin:.2g} arcmin")
         if unsure <= UNSURE * error:

@@ -9,6 +9,7 @@ import numpy as np
 from gearjax.analysis import transmission_error
 from gearjax.analysis.metrics import FewAngles
 from gearjax.checks import FewCandidates
+from gearjax.choosing import Choosing
 from gearjax.progress import Progress, silent
 from gearjax.run import METRICS
 from gearjax.scene import Scene
@@ -40,12 +41,11 @@ class StaticChoice:
 def choices_of(scene: Scene) -> dict[str, dict[str, Scene]]:
     """The scene with each model that one of its parts offers, by part and name; the most exact model is last."""
     found: dict[str, dict[str, Scene]] = {}
-    for field in dataclasses.fields(scene):
-        offered = getattr(getattr(scene, field.name), "choices", dict)()
+    for slot in (field.name for field in dataclasses.fields(scene)):
+        own = getattr(scene, slot)
+        offered = own.choices() if isinstance(own, Choosing) else {}
         if offered:
-            found[field.name] = {
-                name: dataclasses.replace(scene, **{field.name: part}) for name, part in offered.items()
-            }
+            found[slot] = {name: dataclasses.replace(scene, **{slot: part}) for name, part in offered.items()}
     if scene.supports:
         stiff = dataclasses.replace(scene, supports={}, body_inertia={})
         found["supports"] = {"rigid bearings": stiff, "elastic bearings": scene}

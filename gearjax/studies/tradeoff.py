@@ -154,11 +154,11 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
     if scene.run is not None and "dynamic" not in scene.run.analyses and (statics := static_choices(scene, progress)):
         return Tradeoff({}, 0.0, [], error, statics)
     run = dynamic_run(scene)
-    rates = resolving(scene, run)
-    truth_step = rates.runge_kutta(TRUE_STEP, run)
+    resolved = resolving(scene, run)
+    truth_step = resolved.runge_kutta(TRUE_STEP, run)
     yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
-    tried = settings(scene, run, rates)
-    usual = rates.usual
+    tried = settings(scene, run, resolved)
+    usual = resolved.usual
     began = time.perf_counter()
     first_run(Setting("solver", "usual", scene, usual, run.samples))
     once, work = time.perf_counter() - began, len(tried) + TRUTH_WORK + GRADIENT_WORK * len(_schemes(tried))
@@ -228,13 +228,13 @@ def apart(one: Metrics, other: Metrics) -> float:
     return max(abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS)
 
 
-def settings(scene: Scene, run: Run, rates: Resolving) -> list[Setting]:
+def settings(scene: Scene, run: Run, resolved: Resolving) -> list[Setting]:
     """The settings to measure."""
-    alone, number, cut = FixedStep(rates.usual.step), run.samples, rates.usual.windows
+    alone, number, cut = FixedStep(resolved.usual.step), run.samples, resolved.usual.windows
     output_alone = scene.springs_apart
 
     def even(scheme: str, size: float, after: str = "", **options) -> Setting:
-        name, stepper = f"{scheme}, {size:g} rad{after}", FixedStep(size * rates.longest, **options)
+        name, stepper = f"{scheme}, {size:g} rad{after}", FixedStep(size * resolved.longest, **options)
         return Setting("solver", name, scene, stepper, number, scheme=scheme + after)
 
     trials = [even("fitted" if output_alone else "constant modes", size) for size in STEPS]
@@ -242,7 +242,7 @@ def settings(scene: Scene, run: Run, rates: Resolving) -> list[Setting]:
         trials += [even("fitted", size, ", windows", windows=cut) for size in STEPS[:3]]
     slow = 10.0 if output_alone else math.inf  # gradients of many coordinates compile for minutes
     for size in STEPS[:3]:
-        stepper = rates.runge_kutta(size, run)
+        stepper = resolved.runge_kutta(size, run)
         trials.append(Setting("solver", f"Runge-Kutta, {size:g} rad", scene, stepper, number, slow, "Runge-Kutta"))
     trials += [
         Setting(

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax.choosing import Choosing
 from gearjax.contact import GearSize, Layout, Moved, Movements, Places, Pose, Request
 from gearjax.dependence import depends
 from gearjax.geometry.cycloid import Cycloid
@@ -76,7 +77,7 @@ class MeshingIn(NamedTuple):
     leverage: Callable[[Scalar], Scalar]
 
 
-class AbstractSystem(eqx.Module):
+class AbstractSystem(Choosing):
     """A gear set: its geometry and topology, nothing else.
 
     Each subclass is one file with its parameters as fields (`gearjax.parameters`) and the methods below. ``kind`` is
@@ -203,13 +204,6 @@ class AbstractSystem(eqx.Module):
             return jax.jvp(lambda at: self.output(self.input_speed * at), (time,), (jnp.ones_like(time),))[1]
 
         return jax.jvp(rate, (time,), (jnp.ones_like(time),))[1]
-
-    def choices(self) -> Mapping[str, "AbstractSystem"]:
-        """The same gear set with each available accuracy of its geometry, the most exact one last.
-
-        The mapping is empty if the gear set has only one accuracy.
-        """
-        return {}
 
     @property
     def told_of_forces(self) -> str | None:

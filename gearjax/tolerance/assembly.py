@@ -194,7 +194,7 @@ def _lacking(measure: Measure, population: Tolerances) -> str:
         return 'clearance = "linear"'
     if measure.analysis == "static" and not scene.springs_apart:
         return "linear springs of pairs of teeth; a measure without load does not"
-    return "phases and amplitudes of errors alone as the numbers that vary"
+    return "numbers of errors alone as those that vary"
 
 
 class _Search:

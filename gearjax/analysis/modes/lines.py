@@ -61,7 +61,9 @@ class Lines(eqx.Module):
 
     @classmethod
     def of(cls, equation: StructureEquation, now: Excitation) -> "Lines":
-        """Lines that suit a scene, with the mean springs of the contacts that carry at the start.
+        """Lines that suit a scene, with mean springs of contacts on the side that the torque loads.
+
+        If the levers of contacts decide their sides, only those are counted that carry at the start.
 
         Args:
             equation: equation of motion.
