@@ -46,6 +46,20 @@ class Lanes(NamedTuple):
     step: Int[Array, ""]
 
 
+class Begin(NamedTuple):
+    """A start of the iteration.
+
+    Args:
+        forces: contact forces that hold the load, shape (contact, lane).
+        inside: whether each contact carries.
+        usable: whether a lane can start from them, shape (1, lane).
+    """
+
+    forces: Float[Array, "contact lane"]
+    inside: Bool[Array, "contact lane"]
+    usable: Bool[Array, "1 lane"]
+
+
 def descended(
     influence: Float[Array, "contact contact"],
     lever: Float[Array, "contact lane"],
@@ -54,6 +68,7 @@ def descended(
     allowed: Bool[Array, "contact lane"],
     most: int,
     one_sided: bool = True,
+    begin: Begin | None = None,
 ) -> Lanes:
     """Forces and positions of many lanes after a limited number of steps.
 
@@ -66,6 +81,8 @@ def descended(
         most: greatest number of steps.
         one_sided: whether contacts can only press. If not, all allowed contacts carry forces of either sign, and their
             levers may have any sign.
+        begin: start of the lanes for which it is usable; all conditions are looked at again. Other lanes start with all
+            allowed contacts.
     """
     rounding = jnp.finfo(gap.dtype).eps * (ROUNDING if gap.dtype == jnp.float64 else ROUNDING_OF_SINGLE)
 
@@ -119,8 +136,10 @@ def descended(
     start = arms * (applied / jnp.where(spread > 0, spread, 1.0))
     none, rest, no = jnp.zeros_like(gap), jnp.zeros_like(applied), jnp.zeros(applied.shape, bool)
     inside = allowed & ((applied != 0) | (gap == 0)) if one_sided else allowed
-    begin = Lanes(
+    if begin is not None:
+        start, inside = (jnp.where(begin.usable, *both) for both in ((begin.forces, start), (begin.inside, inside)))
+    first = Lanes(
         start, none, none, inside, ~no, rest, rest, ~allowed.any(axis=0, keepdims=True), jnp.zeros((), jnp.int32)
     )
-    at = jax.lax.while_loop(lambda at: ~at.done.all() & (at.step < most), advance, begin)
+    at = jax.lax.while_loop(lambda at: ~at.done.all() & (at.step < most), advance, first)
     return at._replace(fresh=at.fresh[0], place=at.place[0], first=at.first[0], done=at.done[0])

@@ -8,8 +8,8 @@ positions of shafts that turn freely) solve a linear complementarity problem:
 with the influence matrix ``S`` [m/N], symmetric and positive definite. The search finds the active set, that is the set
 of contacts that carry, exactly (`active_set`); from `MANY` contacts on it starts from a guess by conjugate gradients. A
 batch of many gaps and loads with one common matrix (`jax.vmap` over the other arguments) is solved together by products
-with this matrix, without a factorisation (`conjugate`). Lanes, that is problems of the batch, that are not finished
-then are finished by the exact steps one by one.
+with this matrix, without a factorisation (`conjugate`), first among the contacts that are likely to carry (`likely`).
+Lanes, that is problems of the batch, that are not finished then are finished by the exact steps one by one.
 
 Derivatives are implicit and keep the active set fixed. A contact that just touches has two one-sided derivatives: the
 result is that of the open contact if its force is rounded to zero, else that of the closed contact.
@@ -27,6 +27,7 @@ from gearjax.contact.blocks import search_of_blocks, solved_of_blocks
 from gearjax.contact.conjugate import descended
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.lanes import finished, in_parts, side_by_side
+from gearjax.contact.likely import WORTH_WHILE, Example, descended_among_few, linear_among_few
 from gearjax.contact.train import closed_first
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
@@ -196,10 +197,14 @@ def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded:
     """Solve many problems with one matrix by conjugate gradients, and unfinished problems by exact steps."""
     if applied.shape[1] > 1:
         return jax.lax.map(lambda each: _exact(influence, *each), (levers, apart, applied, loaded))
+    descend = partial(descended, influence)
+    if len(applied) >= WORTH_WHILE:
+        example = Example.of(influence, levers[:, :, 0], apart, applied[:, 0], loaded)
+        descend = partial(descended_among_few, example, influence)
 
     def part(levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
         lever, gap = levers[:, :, 0].T, apart.T
-        at = descended(influence, lever, gap, applied[:, 0], loaded.T, ENOUGH)
+        at = descend(lever, gap, applied[:, 0], loaded.T, ENOUGH)
         turned = lever * at.place[None]
         reach = jnp.finfo(gap.dtype).eps * CLOSED * (jnp.abs(at.slope - gap) + jnp.abs(gap) + jnp.abs(turned))
         clear = (loaded.T | (turned - at.slope <= reach)).all(axis=0)  # whether the other side stays open
@@ -221,12 +226,13 @@ def _many_linear(influence: Array, levers: Array, rest: Array, applied: Array, c
         return jax.lax.map(lambda each: solved(influence, *each), (levers, rest, applied, closed))
 
     def part(levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
-        at = descended(influence, levers[:, :, 0].T, rest.T, applied[:, 0], closed.T, ENOUGH, one_sided=False)
+        lanes = levers[:, :, 0].T, rest.T, applied[:, 0], closed.T
+        forces, place, done = linear_among_few(influence, *lanes, ENOUGH)
 
         def exact(lane: Array) -> tuple:
             return solved(influence, levers[lane], rest[lane], applied[lane], closed[lane])
 
-        return finished((at.place[:, None], at.forces.T), at.done, exact)
+        return finished((place[:, None], forces.T), done, exact)
 
     return in_parts(part, LANES, levers, rest, applied, closed)
 

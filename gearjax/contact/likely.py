@@ -1,0 +1,138 @@
+"""Many gaps and loads under one matrix, solved among those contacts that are likely to carry.
+
+The errors of a population move gaps by little, so that of many contacts the same few carry in all lanes: a lane is one
+problem of a batch. One lane, the most heavily loaded one, is solved roughly among all contacts. With its forces, the
+opening of every contact in every other lane is estimated; contacts that are closed by this estimate in some lane are
+taken out, and all lanes are solved among them by conjugate gradients. The result is a start for the same method among
+all contacts, which looks at every condition again: a wrong estimate takes time and changes no result.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from gearjax.contact.conjugate import Begin, Lanes, descended
+from gearjax.typing import Array, Bool, Float, Int, Scalar
+
+ROUGH = 20  # steps of conjugate gradients for one lane
+SIZES = 1 / 4, 3 / 8, 1 / 2, 3 / 4  # shares of the contacts that are taken out; with more, nothing is gained
+WORTH_WHILE = 24  # lanes; with fewer, the rough solution and the look at the result take longer than they save
+
+
+class Example(NamedTuple):
+    """One lane, roughly solved.
+
+    Args:
+        forces: contact forces, shape (contact,) [N].
+        opening: how far each contact is open [m].
+        lever: lever of each contact [m/rad].
+        gap: gaps at position zero [m].
+        applied: generalised force [N m].
+    """
+
+    forces: Float[Array, " contact"]
+    opening: Float[Array, " contact"]
+    lever: Float[Array, " contact"]
+    gap: Float[Array, " contact"]
+    applied: Scalar
+
+    @classmethod
+    def of(cls, influence: Array, levers: Array, gaps: Array, applied: Array, allowed: Array) -> "Example":
+        """The lane with the largest load; arguments as for `descended`, with the lanes first."""
+        heaviest = jnp.argmax(jnp.where(jnp.isfinite(applied), jnp.abs(applied), 0.0))
+        lever, gap, load = levers[heaviest], gaps[heaviest], applied[heaviest]
+        at = descended(influence, lever[:, None], gap[:, None], load[None], allowed[heaviest][:, None], ROUGH)
+        forces = jnp.where(at.inside[:, 0], jnp.maximum(at.forces[:, 0], 0.0), 0.0)
+        return cls(forces, at.slope[:, 0] - lever * at.place[0], lever, gap, load)
+
+    def likely(self, gap: Array, applied: Array, allowed: Array) -> Bool[Array, " contact"]:
+        """Contacts that are closed in some lane if the forces are those of the example; arguments as for `descended`.
+
+        The output turns back by the mean change of the gaps, weighted by the forces (virtual work). The first contact
+        to touch is always one of them; so is every contact if a lane is loaded in the other sense.
+        """
+        moved = gap - self.gap[:, None]
+        back = (self.forces @ moved) / jnp.where(self.applied == 0, 1.0, self.applied)
+        opening = self.opening[:, None] + moved - self.lever[:, None] * back[None]
+        closed = (opening <= 0) | (gap <= 0)
+        return (allowed & (closed | (applied * self.applied < 0)[None])).any(axis=1) | (self.forces > 0)
+
+    def begin(self, index: Array, lever: Array, applied: Array, allowed: Array) -> Begin:
+        """The forces of the example, scaled to the load of each lane, as a start among the contacts of an index.
+
+        A lane in which they hold no load cannot start from them.
+        """
+        forces = jnp.where(allowed, self.forces.at[index].get(mode="fill", fill_value=0.0)[:, None], 0.0)
+        held = (lever * forces).sum(axis=0, keepdims=True)
+        share = applied[None] / jnp.where(held == 0, 1.0, held)
+        return Begin(share * forces, forces > 0, (share > 0) & jnp.isfinite(share))
+
+
+def descended_among_few(
+    example: Example, influence: Array, lever: Array, gap: Array, applied: Array, allowed: Array, most: int
+) -> Lanes:
+    """The same as `descended`, begun from the solution among contacts that are likely to carry."""
+
+    def few(index: Array, inner: Array, lever: Array, gap: Array, allowed: Array) -> Begin:
+        begin = example.begin(index, lever, applied, allowed)
+        at = descended(inner, lever, gap, applied, allowed, most, begin=begin)
+        forces, inside = (laid_back(part, index, len(influence)) for part in (at.forces, at.inside))
+        return Begin(forces, inside, at.done[None])
+
+    def not_worth_while() -> Begin:
+        return Begin(jnp.zeros_like(gap), jnp.zeros_like(allowed), jnp.zeros((1, len(applied)), bool))
+
+    likely = example.likely(gap, applied, allowed)
+    begin = among(likely, influence, (lever, gap, allowed), few, not_worth_while)
+    return descended(influence, lever, gap, applied, allowed, most, begin=begin)
+
+
+def linear_among_few(
+    influence: Array, lever: Array, gap: Array, applied: Array, closed: Array, most: int
+) -> tuple[Float[Array, "contact lane"], Float[Array, " lane"], Bool[Array, " lane"]]:
+    """Forces, positions, and whether they are found, of lanes whose closed contacts are known."""
+
+    def few(index: Array, inner: Array, lever: Array, gap: Array, closed: Array) -> tuple[Array, Array, Array]:
+        at = descended(inner, lever, gap, applied, closed, most, one_sided=False)
+        return laid_back(at.forces, index, len(influence)), at.place, at.done
+
+    def all_of_them() -> tuple[Array, Array, Array]:
+        at = descended(influence, lever, gap, applied, closed, most, one_sided=False)
+        return at.forces, at.place, at.done
+
+    return among(closed.any(axis=1), influence, (lever, gap, closed), few, all_of_them)
+
+
+def among(
+    chosen: Bool[Array, " contact"], influence: Array, lanes: tuple[Array, ...], few: Callable, otherwise: Callable
+) -> Any:
+    """Result of a function of the chosen contacts alone, or of another function if these are nearly all.
+
+    Args:
+        chosen: the contacts; others fill up the next of the `SIZES`.
+        influence: matrix of all contacts.
+        lanes: arrays of the shape (contact, lane), of which the last says which contacts may carry.
+        few: function of the numbers of the chosen contacts, their matrix and their arrays.
+        otherwise: function without arguments, with results of the same shapes.
+    """
+    number = len(influence)
+    sizes = sorted({max(1, round(share * number)) for share in SIZES})
+
+    def of_size(size: int) -> Callable:
+        def gathered() -> Any:
+            (index,) = jnp.nonzero(chosen, size=size, fill_value=number)
+            at, there = jnp.minimum(index, number - 1), index < number
+            *arrays, may = (part[at] for part in lanes)
+            return few(index, influence[at[:, None], at[None, :]], *arrays, may & there[:, None])
+
+        return gathered
+
+    fits = sum(((chosen.sum() > size).astype(jnp.int32) for size in sizes), start=jnp.zeros((), jnp.int32))
+    return jax.lax.switch(fits, [*(of_size(size) for size in sizes), otherwise])
+
+
+def laid_back(part: Array, index: Int[Array, " few"], number: int) -> Array:
+    """Rows of the chosen contacts among the rows of all, which are zero."""
+    return jnp.zeros((number, *part.shape[1:]), part.dtype).at[index].set(part, mode="drop")

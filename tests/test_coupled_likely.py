@@ -1,0 +1,159 @@
+"""Many gaps and loads that few contacts carry: the answers of single problems, also where the estimate errs."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gearjax.contact.conjugate import descended
+from gearjax.contact.coupled import ENOUGH, MANY, coupled_balance
+from gearjax.contact.likely import SIZES, WORTH_WHILE, Example, descended_among_few, linear_among_few
+from tests.test_coupled import balance, missed
+
+pytestmark = pytest.mark.slow
+
+NUMBER, LANES = 2 * MANY, WORTH_WHILE + 8
+over = jax.jit(jax.vmap(coupled_balance, (None, 0, 0, 0)))
+
+
+def population(rng, spread: float = 0.05) -> tuple[np.ndarray, ...]:
+    """Contacts in a row on an elastic body, whose gaps grow to both sides and move by little from lane to lane."""
+    place = np.linspace(-1, 1, NUMBER)
+    matrix = np.exp(-5 * np.abs(place[:, None] - place)) + 0.3 * np.eye(NUMBER)
+    shift = rng.normal(size=(LANES, 1)) * spread
+    gaps = 8 * (place - shift) ** 2 + 3 * spread * rng.normal(size=(LANES, 1)) + 0.2 * spread * rng.normal(size=NUMBER)
+    levers = np.broadcast_to(-rng.uniform(0.8, 1.2, NUMBER), gaps.shape)
+    return matrix, levers, gaps, np.full(LANES, -1.0)
+
+
+def are_single_problems(matrix, levers, gaps, loads) -> np.ndarray:
+    """Check every lane by itself; the forces."""
+    positions, forces, results = (np.asarray(part) for part in over(matrix, levers, gaps, loads))
+    np.testing.assert_array_equal(results, 0)
+    for lane in range(LANES):
+        position, alone, _ = balance(matrix, levers[lane], gaps[lane], loads[lane])
+        np.testing.assert_allclose(forces[lane], alone, atol=1e-12 * float(alone.max()))
+        assert positions[lane] == pytest.approx(float(position), rel=1e-12)
+        if loads[lane]:
+            assert missed(matrix, levers[lane], gaps[lane], loads[lane], positions[lane], forces[lane]) < 1e-12
+    return forces
+
+
+def columns(_, levers, gaps, loads) -> tuple:
+    """Arguments of the solution of many lanes, with the lanes last."""
+    apart = gaps - levers * (gaps / levers).max(axis=1, keepdims=True)
+    return tuple(jnp.asarray(part) for part in (levers.T, apart.T, loads, levers.T < 0))
+
+
+def example_of(matrix, levers, gaps, loads) -> Example:
+    lever, apart, load, loaded = columns(matrix, levers, gaps, loads)
+    return Example.of(jnp.asarray(matrix), lever.T, apart.T, load, loaded.T)
+
+
+def test_the_estimate_names_all_that_carry_and_few_others(rng):
+    given = population(rng)
+    _, apart, load, loaded = columns(*given)
+    likely = np.asarray(example_of(*given).likely(apart, load, loaded))
+    carry = are_single_problems(*given) > 0
+    assert not (carry & ~likely).any()
+    assert likely.sum() <= 2 * carry.any(axis=0).sum() < 0.5 * NUMBER
+
+
+def test_what_is_found_among_few_needs_one_look_at_all(rng):
+    """Without the start among few, the same takes many products with the whole matrix."""
+    given = population(rng)
+    matrix, lanes = jnp.asarray(given[0]), columns(*given)
+    at = descended_among_few(example_of(*given), matrix, *lanes, ENOUGH)
+    assert at.done.all()
+    assert int(at.step) == 1
+    assert int(descended(matrix, *lanes, ENOUGH).step) > 15
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "another place",
+        "the other sense",
+        "back flanks",
+        "light",
+        "without load",
+        "own levers",
+        "many carry",
+        "one carries",
+        "no size fits",
+    ],
+)
+def test_every_lane_is_a_single_problem(kind, rng):
+    matrix, levers, gaps, loads = population(rng)
+    odd = [3, LANES - 2]  # lanes that the estimate knows nothing about
+    if kind == "another place":
+        gaps[odd] = np.roll(gaps[odd], NUMBER // 3, axis=1)
+    elif kind == "the other sense":
+        levers = levers * np.where(np.arange(NUMBER) % 2, 1.0, -1.0)
+        loads[odd] = 1.0
+    elif kind == "back flanks":  # the gaps to both sides are narrow, so that the other flank must stay open
+        levers = levers * np.where(np.arange(NUMBER) % 2, 1.0, -1.0)
+        gaps = gaps + 0.5
+    elif kind == "light":
+        loads[:] = -np.geomspace(1e-9, 1.0, LANES)
+    elif kind == "without load":
+        loads[odd] = 0.0
+    elif kind == "own levers":
+        levers = levers * rng.uniform(0.7, 1.4, levers.shape)
+    elif kind == "many carry":
+        levers, loads = np.full(levers.shape, -1.0), np.full(LANES, -300.0)
+    elif kind == "one carries":
+        gaps[:, NUMBER // 2] -= 5.0
+    elif kind == "no size fits":
+        gaps = 0.1 * gaps
+        loads[odd] = -30.0
+    forces = are_single_problems(matrix, levers, gaps, loads)
+    if kind == "many carry":
+        assert ((forces > 0).any(axis=0)).mean() > max(SIZES)
+    if kind == "one carries":
+        assert ((forces > 0).sum(axis=1) == 1).all()
+
+
+def test_a_lane_that_is_not_a_number_leaves_the_others_alone(rng):
+    matrix, levers, gaps, loads = population(rng)
+    known = np.asarray(over(matrix, levers, gaps, loads)[1])
+    gaps[5] = np.nan
+    loads[9] = np.nan
+    forces = np.asarray(over(matrix, levers, gaps, loads)[1])
+    well = np.delete(np.arange(LANES), [5, 9])
+    np.testing.assert_allclose(forces[well], known[well], atol=1e-12 * known.max())
+    assert not np.isfinite(forces[[5, 9]]).any()
+
+
+def test_lanes_of_known_contacts_are_solved_among_them(rng):
+    """Also with forces that pull, and with more contacts than any size holds."""
+    matrix, levers, gaps, loads = population(rng)
+    for share in (0.2, 0.9):
+        closed = np.broadcast_to(rng.random(NUMBER) < share, gaps.shape) & (rng.random(gaps.shape) < 0.9)
+        given = (jnp.asarray(part) for part in (levers.T, gaps.T, loads, closed.T))
+        forces, places, done = (np.asarray(part) for part in linear_among_few(jnp.asarray(matrix), *given, ENOUGH))
+        assert done.all()
+        for lane in range(LANES):
+            own = closed[lane]
+            border = levers[lane, own][:, None]
+            whole = np.block([[matrix[np.ix_(own, own)], -border], [border.T, np.zeros((1, 1))]])
+            known = np.linalg.solve(whole, np.append(-gaps[lane, own], loads[lane]))
+            np.testing.assert_allclose(forces[own, lane], known[:-1], atol=1e-10 * np.abs(known[:-1]).max())
+            assert places[lane] == pytest.approx(known[-1], rel=1e-10)
+            assert not forces[~own, lane].any()
+
+
+def test_gradients_of_a_population_are_those_of_single_problems(rng):
+    matrix, levers, gaps, loads = population(rng)
+    weights = jnp.asarray(rng.normal(size=NUMBER))
+
+    def told(*given):
+        position, forces, _ = coupled_balance(*given)
+        return position + weights @ forces
+
+    slopes = jax.grad(told, argnums=(0, 1, 2, 3))
+    together, alone = jax.jit(jax.vmap(slopes, (None, 0, 0, 0)))(matrix, levers, gaps, loads), jax.jit(slopes)
+    for lane in (0, 7, LANES - 1):
+        known = alone(matrix, levers[lane], gaps[lane], loads[lane])
+        for one, other in zip(together, known, strict=True):
+            np.testing.assert_allclose(one[lane], other, rtol=1e-8, atol=1e-10 * float(jnp.abs(other).max()))
