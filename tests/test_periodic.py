@@ -150,10 +150,14 @@ def test_implicit_gradients(scene_of_one_pair, solve):
 
 
 def test_refusals(scene_of_one_pair):
+    scene, period = turning(clearance(scene_of_one_pair), 0.85)
+    moving = scene, TORQUE, period
     with pytest.raises(gj.SceneError, match="multiple of 8"):
         gj.shooting(clearance(scene_of_one_pair), TORQUE, 0.01, steps=100)
     with pytest.raises(gj.SceneError, match="samples"):
         gj.harmonic_balance(clearance(scene_of_one_pair), TORQUE, 0.01, harmonics=8, samples=10)
+    with pytest.raises(gj.ParameterError, match=r"guess = \(0,\): is a shape: give the transmission error over"):
+        gj.harmonic_balance(*moving, harmonics=8, guess=np.zeros(0))
     with pytest.raises(gj.SceneError, match="inertia"):
         gj.shooting(dataclasses.replace(scene_of_one_pair, inertia=None), TORQUE, 0.01)
 

@@ -182,6 +182,7 @@ FAULTS = {
     "wrong unit": ("input angle [mm],te [arcmin]", TABLE[:, 1:3], "is a length"),
     "counts": ("input angle [counts],te [arcmin]", TABLE[:, 1:3], r"give input_counts \(counts per turn\)"),
     "twice": ("te [deg],input angle [deg],te [arcmin],x", TABLE, "two columns are named te"),
+    "misspelt": ("time [s],input angle [deg],te [arcmin],torqe [N m]", TABLE, '"torqe" would be ignored; .* "torque"'),
     "constant": (INPUT_AND_TE, np.stack([0 * THETA, TE], axis=1), "input angle holds the same value"),
     "stuck": ("input angle [deg],output angle [deg]", np.stack([THETA, 0 * TE + 1], axis=1), "output angle holds the"),
     "missing": (INPUT_AND_TE, np.stack([THETA, np.where(np.arange(ROWS) % 2, np.nan, TE)], axis=1), "300 of 600 rows"),

@@ -161,3 +161,52 @@ def test_a_load_that_does_not_repeat_is_refused(linear):
     waves = gj.HarmonicStiffness(9e7, [0.1], [0.0])
     with pytest.raises(gj.SceneError, match="its stiffness differs"):
         gj.shooting(dataclasses.replace(linear, errors={}, compliance=waves), 300.0, 0.7 * mesh_of(linear), steps=32)
+
+
+def test_a_load_in_hertz_repeats_at_some_speeds_only(linear):
+    """It repeats with the mesh at the speeds of which it is a mesh harmonic, whatever the speed of the scene is."""
+    calm, mesh = dataclasses.replace(linear, errors={}), float(linear.system.orders["mesh"])
+    own = 40.0  # rad/s, not that of the scene
+    shaken = dataclasses.replace(calm, load=gj.SinusoidalLoad(2 * own * mesh / (2 * np.pi)))
+    for function, given in ((gj.waterfall, {"harmonics": 2}), (gj.speed_sweep, {"periods": 2})):
+        assert np.isfinite(function(shaken, 300.0, np.array([own, 2 * own]), steps=32, **given).peak_to_peak).all()
+        with pytest.raises(gj.SceneError, match="its load differs at 60 rad/s"):
+            function(shaken, 300.0, np.array([own, 60.0]), steps=32, **given)
+
+
+def test_levers_of_non_circular_gears_repeat_with_the_turn():
+    """Without errors gaps, stiffness and load repeat with the mesh; levers and the speed of the output do not."""
+    scene = gj.load(CONFIG.parents[1] / "elliptic" / "dong_2020.toml")
+    stiff = gj.HarmonicStiffness(3e8, [], [])
+    scene = dataclasses.replace(scene, errors={}, backlash=None, compliance=stiff, load=gj.ConstantLoad())
+    assert what_differs(scene, 2 * np.pi) is None
+    assert what_differs(scene, 2 * np.pi / scene.system.orders["mesh"]) == "its levers differ"
+    with pytest.raises(gj.SceneError, match="its levers differ"):
+        gj.shooting(scene, 100.0, mesh_of(scene), steps=32)
+
+
+def test_discs_that_change_places_are_not_the_same_disc():
+    """Two discs half a pin apart: their gaps swap after half a pin, but one of them alone is on a bearing."""
+    scene = gj.load(CONFIG.parents[1] / "rv_cycloidal" / "hu_2020.toml")
+    scene = dataclasses.replace(scene, system=dataclasses.replace(scene.system, pins=39, discs=2), errors={})
+    half = np.pi / scene.system.orders["mesh"]
+    held = dataclasses.replace(scene, supports={"disc_1": gj.Support(y=5e7)})
+    assert what_differs(scene, half) is None
+    assert what_differs(held, half) == "its levers differ"
+    assert what_differs(held, 2 * half) is None
+
+
+@pytest.mark.slow
+def test_the_dynamic_factor_of_a_load_that_alternates(linear):
+    """Both flanks always touch: T (k + i w c) / (k - w^2 J + i w c) is the torque of the contacts."""
+    load, none = gj.SinusoidalLoad("mesh"), gj.InitialBacklash(0.0)
+    scene = dataclasses.replace(linear, errors={}, load=load, backlash=none)
+    lever, pairs = float(np.abs(scene.contacts(jnp.zeros(()), "mean").lever[0])), 2
+    mass, stiffness = float(scene.inertia.at_contacts(jnp.full(2, lever))), 9e7
+    springs, inertia = pairs * stiffness * lever**2, mass * lever**2
+    drag = pairs * float(scene.damping.coefficient(jnp.asarray(stiffness), jnp.asarray(mass))) * lever**2
+    ratios = np.array([0.3, 0.7, 1.5, 2.0])
+    rate = ratios * math.sqrt(springs / inertia)
+    found = gj.waterfall(scene, 113.0, rate / scene.system.orders["mesh"], steps=256)
+    answer = np.abs((springs + 1j * rate * drag) / (springs - rate**2 * inertia + 1j * rate * drag))
+    np.testing.assert_allclose(found.dynamic_factor, answer, rtol=2e-3)

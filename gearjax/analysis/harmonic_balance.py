@@ -49,6 +49,9 @@ def harmonic_balance(
 ) -> Periodic:
     """Motion that repeats after a period, as a Fourier series; the contact forces are evaluated in time.
 
+    The ``residual`` of the result contains the harmonics of the series alone: what further harmonics would change shows
+    in a second run with more of them, or by `shooting`.
+
     Args:
         scene: the scene, with compliance, load and inertia.
         torque: size of the load torque [N m].
@@ -68,7 +71,7 @@ def harmonic_balance(
     if guess is not None:
         names, shape = problem.scene.coordinates, jnp.shape(guess)
         wanted = shape[:1] if problem.scene.output_alone else (*shape[:1], len(names))
-        if not shape or shape != wanted:
+        if not shape or 0 in shape or shape != wanted:
             words = "the transmission error over the period, shape (n,)"
             if not problem.scene.output_alone:
                 words = f"{', '.join(names)} over the period, shape (n, {len(names)})"

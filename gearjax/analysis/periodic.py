@@ -268,7 +268,7 @@ def speed_sweep(
     if steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
     turns, physics = scene.system.orders[order], scene.precomputed(*MODELLED)
-    check_repeats(scene, 2 * np.pi / turns)
+    check_repeats(scene, 2 * np.pi / turns, speeds)
     torque = jnp.asarray(torque, scene.dtype)
     sweep = _speed_sweep(physics, torque, speeds, periods, steps, turns)
     return dataclasses.replace(sweep, ends=sweep.ends[..., 0]) if scene.output_alone else sweep

@@ -27,7 +27,8 @@ class Waterfall(eqx.Module):
         orders: multiples of the order, shape (harmonic,) [cycles per turn of the input].
         amplitudes: amplitude of the TE at each speed and order, shape (n, harmonic) [rad].
         peak_to_peak: peak-to-peak value of the TE at each speed, shape (n,) [rad].
-        dynamic_factor: highest torque of the contacts on the output over the load torque, shape (n,) [-].
+        dynamic_factor: highest torque of the contacts on the output over the size of the load torque, shape (n,) [-];
+            nan without a load torque.
         stable: whether a disturbance of the motion dies out, shape (n,).
         result: 0 if a motion was found, 1 if not, shape (n,).
     """
@@ -74,7 +75,7 @@ def waterfall(
     if steps % 8 or steps < 4 * harmonics:
         raise SceneError(f"steps = {steps}: must be a multiple of 8, and at least {4 * harmonics} for these harmonics")
     turns, torque = scene.system.orders[order], jnp.asarray(torque, scene.dtype)
-    check_repeats(scene, 2 * np.pi / turns)
+    check_repeats(scene, 2 * np.pi / turns, speeds)
     return _waterfall(scene.precomputed(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
 
 
@@ -93,7 +94,10 @@ def _waterfall(
         held = jnp.fft.irfft((jnp.fft.rfft(motion.q, axis=0) * dynamic_stiffness).sum(axis=1), steps)
         if not problem.scene.system.turns_evenly:  # torque that accelerates the ideal output
             held = held + parts.mass[0, 0] * jax.vmap(problem.scene.system.output_acceleration)(motion.ts)
-        factor = jnp.max((torque + held - parts.push[0]) / torque)
+        course = problem.scene.load
+        assert course is not None  # `at_speeds` requires it
+        load = torque * course.shape(speed * motion.ts / (2 * jnp.pi), motion.ts, problem.scene.system.orders)
+        factor = jnp.max((load + held - parts.push[0]) / torque)
         return lines, motion.peak_to_peak, factor, motion.stable, motion.result
 
     several = OF_SEVERAL if len(scene.layout.pair) <= len(scene.coordinates) else OF_CONTACTS

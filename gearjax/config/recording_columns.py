@@ -1,6 +1,7 @@
 """Columns of recordings: the column and the unit of each quantity, from the first line and a TOML file beside."""
 
 import dataclasses
+import difflib
 import re
 import tomllib
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gearjax import units
-from gearjax.checks import GearjaxError, ParameterError, nearest
+from gearjax.checks import GearjaxError, ParameterError, nearest, shown
 from gearjax.config.quantities import read_quantity, unit_size
 from gearjax.config.tables import known_keys
 
@@ -22,6 +23,7 @@ DIMENSIONS = {
 }
 ALSO = {"transmission error": "te", "t": "time", "input": "input angle", "output": "output angle", "load": "torque"}
 BESIDE = ("columns", "torque", "turned", "input_counts", "output_counts", "name")
+ALIKE = 0.81  # likeness of two names of which one may be the other misspelt: torqe and torque have 0.91
 OF_COLUMN = ("column", "unit", "sign")
 _COLUMN = re.compile(r"([^\[(]+?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?")
 
@@ -101,6 +103,7 @@ def columns_of(key: str, header: list[str], beside: dict[str, Any]) -> dict[str,
             raise GearjaxError(f"{key}: line 1: two columns are named {name}")
         found[name] = Column(place, _size(f"{key}: line 1: {name}", name, _unit(text), beside))
     _require(key, found, header)
+    _misspelt(key, found, plain)
     return found
 
 
@@ -112,6 +115,17 @@ def _require(key: str, found: dict[str, Column], header: list[str]) -> None:
         raise GearjaxError(f"{key}: line 1 must name a column input angle{words}; {has}")
     if "output angle" not in found and "te" not in found:
         raise GearjaxError(f"{key}: line 1 must name a column output angle, or te; {has}")
+
+
+def _misspelt(key: str, found: dict[str, Column], plain: list[str]) -> None:
+    """Refuse a column that would be ignored although it seems to be one that may be left out: its name is misspelt."""
+    lacking = [name for name in DIMENSIONS if name not in found]
+    taken = {column.place for column in found.values()}
+    for place, name in enumerate(plain):
+        close = [] if place in taken else difflib.get_close_matches(name[:100], lacking, n=1, cutoff=ALIKE)
+        if close:
+            words = f'the column {shown(name)} would be ignored; did you mean "{close[0]}"? If not, name it otherwise'
+            raise GearjaxError(f"{key}: line 1: {words}")
 
 
 def _plain(text: str) -> str:
