@@ -31,7 +31,7 @@ _unfinished: list[list[Path]] = []
 
 def nothing_kept() -> str:
     """The message of a command that writes its results only at its end."""
-    return "nothing of this run was saved; run the same command to start again"
+    return "nothing of this run was saved; run the same command again"
 
 
 @contextlib.contextmanager

@@ -83,7 +83,7 @@ def test_what_good_ends_have_in_common(rng):
     ends = np.stack([turns, turns + np.pi + rng.uniform(-0.05, 0.05, 20), 1.0 + rng.uniform(-0.1, 0.1, 20)], axis=1)
     ends = np.concatenate([(ends + np.pi) % (2 * np.pi) - np.pi, [[0.0, 0.0, -2.0]]])
     labels, objectives = np.zeros(21, dtype=int), np.append(np.full(20, 1.0), 1.1)
-    search = gj.Minimisation(paths, ends, ends, objectives, labels, labels, ends, 1, 0.0, 0.0)
+    search = gj.Minimisation(paths, ends, ends, objectives, labels >= 0, labels, labels, ends, 1, 0.0, 0.0)
     spans, alike = in_common(search, [True] * 3)
     assert list(spans) == list(paths)
     assert spans[paths[0]] == pytest.approx(5.5)

@@ -20,7 +20,7 @@ from tests.test_tolerance_command import CONFIG as WHOLE
 from tests.test_tolerance_command import LONG, command, small
 
 PHASES = ROOT / "configs" / "two_kv" / "wang_2020_phases.toml"
-NOTHING = "nothing of this run was saved; run the same command to start again"
+NOTHING = "nothing of this run was saved; run the same command again"
 # A process of a script's background inherits that SIGINT is ignored, and so would the commands that are started here.
 HEARS_SIGINT = """
 import os, signal, sys

@@ -223,7 +223,7 @@ def transmission_error(
         return _with_interference(scene, _transmission_error(scene.precomputed(), theta, None, extremes or "between"))
     require(scene, "static", "compliance")
     torque = torque_on(scene, theta, torque)
-    places = extremes or ("samples" if _each_is_dear(scene) else "between")
+    places = extremes or ("samples" if each_is_dear(scene) else "between")
     te = _transmission_error(scene.precomputed("backlash", "compliance"), theta, torque, places)
     _warn_of_few_candidates(scene, te)
     return te if scene.has_back else _with_interference(scene, te)
@@ -237,7 +237,7 @@ def _with_interference(scene: Scene, te: TransmissionError) -> TransmissionError
     return dataclasses.replace(te, interference=found, result=found.result if te.forces is None else te.result)
 
 
-def _each_is_dear(scene: Scene) -> bool:
+def each_is_dear(scene: Scene) -> bool:
     """Whether an equilibrium takes so long that by default extremes are searched only at the samples."""
     return isinstance(scene.compliance, AbstractSliceCompliance) or couples(scene.compliance)
 

@@ -55,6 +55,9 @@ def study(
     Raises:
         GearjaxError: a mistake in the configuration.
     """
+    unchanged = f"the files in {folder} are unchanged; run the same command to continue"
+    if folder is not None and folder.is_dir():
+        say_when_stopped(lambda: unchanged)
     if scheduler is None and workers is None:
         use_all_cores()
     tables, _, section = loads_tolerance(text, base)
@@ -63,7 +66,7 @@ def study(
     with contextlib.ExitStack() as stack:
         if folder is not None:
             stack.enter_context(held(folder))
-            say_when_stopped(lambda: f"the files in {folder} are unchanged; run the same command to continue")
+            say_when_stopped(lambda: unchanged)
         work = prepared(section)
         if folder is None:
             kept: Kept | Store = Kept(work)

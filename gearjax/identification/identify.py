@@ -9,7 +9,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import GearjaxError, ParameterError, SceneError, nearest
 from gearjax.identification.advice import suggestions
-from gearjax.identification.fit import AS_GOOD, Fit, coarse, fitted, starts_of
+from gearjax.identification.fit import AS_GOOD, POLISHED, Fit, coarse, fitted, starts_of
 from gearjax.identification.found import Identification
 from gearjax.identification.measurement import Measurement, a_measurement, check_turned, several
 from gearjax.identification.model import Model, Problem
@@ -237,8 +237,8 @@ def _found(scene: Scene, wanted: _Wanted) -> _Result:
             "spread over a turn of the slowest body"
         )
     model = Model.of(unknowns, records, loaded=wanted.loaded)
-    slow = Searching(wanted.progress, "curves computed, with derivatives", 2 * USUAL)
-    fit = _fit(model, scene, records, wanted.free, options, None, _uncounted if model.straight else slow)
+    counted = _counted(model, wanted, options.starts or FEW_STARTS)
+    fit = _fit(model, scene, records, wanted.free, options, None, counted)
     if wanted.moves:
         model, fit = _in_motion(model, fit, scene, wanted)
     else:
@@ -259,9 +259,18 @@ def _in_motion(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple[M
         if width == WIDE:
             steps = sum(PER_SAMPLE * course.samples for course in moving.courses if course is not None)
             wanted.progress(f"integrating {steps} steps of motion, with derivatives, some tens of times")
-            told = Searching(wanted.progress, "motions integrated, with derivatives", 2 * USUAL * len(starts))
+            told = _counted(moving, wanted, len(starts))
         fit = _fit(moving, scene, records, wanted.free, wanted.options, starts, told)
     return moving, fit
+
+
+def _counted(model: Model, wanted: _Wanted, starts: int) -> Callable[[int], None]:
+    """What is told while a fit is sought from a number of starts; nothing if it takes less than a second."""
+    moves = isinstance(model, MovingModel)
+    if model.straight and not moves:
+        return _uncounted
+    words = "motions integrated" if moves else "curves computed"
+    return Searching(wanted.progress, f"{words}, with derivatives", 2 * USUAL * min(starts, POLISHED))
 
 
 def _uncounted(points: int) -> None:
@@ -332,7 +341,7 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
     like a slow wave.
     """
     known: list[Order | Drift] = []
-    names = [record.name for record in wanted.records]
+    names, told = [record.name for record in wanted.records], _counted(model, wanted, 1 + len(fit.others))
     while len(known) < MOST_ORDERS:
         left = unexplained(fit, scene, names, [each.column for each in known])
         if left is None:
@@ -341,11 +350,11 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
         wanted.progress(f"added to the fit: {left.in_words}")
         ends = np.concatenate([fit.values[None], fit.others])
         starts = np.concatenate([ends, np.zeros((len(ends), 2))], axis=1)
-        fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
+        fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts, told)
         sharper = sharpened(known, fit, scene)
         if sharper != known:
             known, starts = sharper, np.concatenate([fit.values[None], fit.others])
-            fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
+            fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts, told)
     while known:
         known = weighed(known, fit)
         least = min(range(len(known)), key=lambda i: known[i].significance)
@@ -355,7 +364,7 @@ def _with_orders(model: Model, fit: Fit, scene: Scene, wanted: _Wanted) -> tuple
         place = fit.values.size - 2 * (len(known) - least)
         starts = np.delete(np.concatenate([fit.values[None], fit.others]), [place, place + 1], axis=1)
         known = known[:least] + known[least + 1 :]
-        fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts)
+        fit = _fit(model, scene, wanted.records, [each.column for each in known], wanted.options, starts, told)
     parts = fit.values[fit.values.size - 2 * len(known) :].reshape(-1, 2)
     return fit, [each.with_values(*map(float, own)) for each, own in zip(known, parts, strict=True)]
 

@@ -14,11 +14,13 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import GearjaxError, ParameterError
+from gearjax.compliance import couples
 from gearjax.progress import Left, Progress, silent
 from gearjax.scene import Scene
 from gearjax.studies import valleys
 from gearjax.studies.blocks import in_blocks
 from gearjax.studies.descent import Optimiser, check_optimiser, default_optimiser, descend
+from gearjax.studies.judging import JUDGED, judge
 from gearjax.studies.minimax import Polished, polish
 from gearjax.studies.objective import Objective
 from gearjax.studies.select import Bounds, Free, Where, pick
@@ -38,9 +40,10 @@ SETTLED = 1e-3  # share of the objective: a start has converged if one more step
 DESCENT_SAMPLES, POLISH_SAMPLES = 10, 16  # per turn of the fastest error
 MOST_NUMBERS = 2**22  # samples times starts that are computed at once
 MOST_STARTS = 256  # at once
+MANY_MATRICES = 1024  # angles of coupled contacts from which on the starts are computed one by one
 MOST_MOTIONS = 16  # starts at once of an objective with dynamic terms
 BLOCK = 64  # points evaluated at once: a fixed size, so that one program serves any number of points
-JUDGED = 10  # best ends that are evaluated on all angles
+FINISHED = 4  # judged ends that are polished on all angles, if a part of them shows something else
 SMALLEST = 1e-12  # rad of TE: least objective to which a temperature is relative
 
 
@@ -51,8 +54,10 @@ class Minimisation(eqx.Module):
         paths: the free numbers.
         starts: starting points, shape (starts, free), SI.
         ends: end points, shape (starts, free), SI.
-        objectives: objectives of the end points, inf for a dropped start, shape (starts,); over all angles for the ten
-            best, over 16 samples per turn with the extremes between them for the others.
+        objectives: objectives of the end points, inf for a dropped start, shape (starts,); over all angles for the best
+            ones, over 16 samples per turn with the extremes between them for the others.
+        judged: whether the objective of each end point is that over all angles, shape (starts,). The best one is, and
+            each one that 16 samples per turn show to be better than it.
         valley: number of the valley of each end point, 0 for the valley of the best, -1 if dropped, shape (starts,).
         result: 0 converged, 1 still falling, 2 dropped because not finite, 3 no better than its start, which is then
             its end (`CODES`), shape (starts,).
@@ -67,6 +72,7 @@ class Minimisation(eqx.Module):
     starts: np.ndarray
     ends: np.ndarray
     objectives: np.ndarray
+    judged: np.ndarray
     valley: np.ndarray
     result: np.ndarray
     history: np.ndarray
@@ -81,7 +87,11 @@ class Minimisation(eqx.Module):
 
     @property
     def objective(self) -> float:
-        """The objective at the best end point, by the scene's own contact law, over all angles."""
+        """The objective at the best end point, by the scene's own contact law, over all angles.
+
+        Its extremes are where the analyses search them by default: between samples too, but not for slices and coupled
+        contacts under torque.
+        """
         return float(self.objectives.min())
 
     @property
@@ -126,8 +136,8 @@ def minimise(
     Each start descends the smoothed objective (`gearjax.studies.objective`) while its temperature falls. The end is
     polished on the objective with the hard contact law (`gearjax.studies.minimax`), whose optima lie on kinks. Angles
     are periodic; other numbers stay within their bounds, by a logistic transform in the descent and exactly in the
-    polish. The descent uses 10 samples per turn of the fastest error, the polish 16 with the extremes between them; the
-    objectives of the ten best ends are computed on all samples.
+    polish. The descent uses 10 samples per turn of the fastest error, the polish 16 with the extremes between them, and
+    both more where an order asks for it; the best ends are then judged on all samples.
 
     Args:
         loss: what to minimise: a name such as ``"no_load_amplitude"``, `Term`\ s to be summed, or a function of the
@@ -174,14 +184,12 @@ def minimise(
         sampled = values(coarse, scene, free, "sampled", BLOCK)
         require_influence(coarse, scene, free, *free.box)
         begun = sampled(points)
-        search = _Search(
+        descent, physics = (
             objective.coarse(scene, DESCENT_SAMPLES).tabulated(scene, free),
-            coarse,
-            free,
-            (steps, polish_steps),
-            jnp.array(temperatures),
+            objective.physics(scene, free),
         )
-        descents = _in_chunks(search, objective.physics(scene, free), points, begun, optimiser, progress or silent)
+        search = _Search(descent, coarse, free, (steps, polish_steps), jnp.array(temperatures))
+        descents = _in_chunks(search, physics, points, begun, optimiser, progress or silent)
         result = np.asarray(descents.result)
         if (result == 2).all():
             raise GearjaxError(f"minimise {objective.name}: no start has a finite objective ({len(points)} dropped)")
@@ -192,15 +200,25 @@ def minimise(
         result = np.where(back, 3, result)
         if not (result < 2).any():
             warnings.warn(f"minimise {objective.name}: {UNIMPROVED}", stacklevel=3)
-        first = np.argsort(objectives, kind="stable")[:JUDGED]
-        first = first[result[first] != 2]
-        objectives[first] = values(objective, scene, free)(ends[first])
+        seen, exactly = objectives.copy(), values(objective, scene, free, block=JUDGED)
+        judged, best = judge(objectives, ends, exactly), np.argmin(objectives)
+        apart = abs(seen[best] - objectives[best]) > SETTLED * abs(objectives[best])
+        if polish_steps and apart and not objective.between_alone(scene):
+            first = np.argsort(np.where(judged, objectives, np.inf), kind="stable")[: min(FINISHED, judged.sum())]
+            last = search.over(objective.tabulated(scene, free))
+            finished = _in_chunks(last, physics, ends[first], objectives[first], optimiser, silent)
+            there = free.wrapped(np.asarray(finished.ends))
+            reached = exactly(there)
+            better = reached < objectives[first]
+            first = first[better]
+            ends[first], objectives[first], result[first] = there[better], reached[better], finished.result[better]
         labels = valleys.label(free, ends, objectives, sampled)
     return Minimisation(
         paths=free.paths,
         starts=points,
         ends=ends,
         objectives=objectives,
+        judged=judged,
         valley=labels,
         result=result,
         history=np.concatenate([begun[:, None], np.asarray(descents.history)], axis=1),
@@ -275,6 +293,10 @@ class _Search(eqx.Module):
         history = jnp.concatenate([losses * size, ended.history])
         return _Descents(ended.numbers, ended.value, result, history, evaluations + self.steps[1])
 
+    def over(self, whole: Objective) -> "_Search":
+        """The polish alone, on another objective."""
+        return _Search(whole, whole, self.free, (0, self.steps[1]), self.temperatures)
+
     def _loss(self, physics: Scene, numbers: Float[Array, " free"], share: Scalar, size: Scalar) -> Scalar:
         """The smoothed objective divided by the objective at the start, of which the temperature is a share."""
         moved = self.free.set(physics, self.free.constrained(numbers))
@@ -316,6 +338,8 @@ def _in_chunks(
     """Run all starts, in chunks that fit into memory."""
     dtype = search.descent.theta.dtype
     most = max(1, min(MOST_STARTS, MOST_NUMBERS // search.polishing.theta.shape[0]))
+    if couples(physics.compliance) and search.polishing.theta.shape[0] > MANY_MATRICES:
+        most = 1  # of each angle there is a matrix
     if search.descent.is_dynamic:
         most = min(most, MOST_MOTIONS)
     if search.descent.scatter is not None:

@@ -21,7 +21,7 @@ from gearjax.analysis import FixedStep, Motion, backlash, simulate, transmission
 from gearjax.analysis.choice import suitable_step
 from gearjax.analysis.extremes import highest
 from gearjax.analysis.metrics import top, warn_of_few_angles
-from gearjax.analysis.quasi_static import Backlash, TransmissionError
+from gearjax.analysis.quasi_static import Backlash, TransmissionError, each_is_dear
 from gearjax.analysis.resting import carriers, rest
 from gearjax.analysis.spectrum import order_amplitude, order_phasor
 from gearjax.checks import ParameterError
@@ -39,6 +39,7 @@ from gearjax.units import Dimension
 
 SAMPLES = 8001  # default number of samples of one cycle
 EXTREMES = 32  # highest points, and as many lowest ones, in `pieces`; a polished curve has many equal extremes
+PER_CYCLE = 8  # angles of a search per cycle of an order
 SPLITS = 5  # of the intervals that contain the extremes
 DIRECTIONS = 16  # on which the phasor of an order is projected
 WIDTH = 1 / 1.5  # smoothing of the contacts per smoothing over time
@@ -156,14 +157,20 @@ class Objective(eqx.Module):
         return dataclasses.replace(self, table=_tabulate(self.physics(scene, free), self.theta))
 
     def coarse(self, scene: Scene, per_turn: int) -> "Objective":
-        """The same objective over a part of its angles: ``per_turn`` of them per turn of the fastest error."""
+        """The same objective over a part of its angles: ``per_turn`` of them per turn of the fastest error.
+
+        An order has at least `PER_CYCLE` of them per cycle, evenly: fewer would show another order in its place.
+        """
         if self.function is not None or self.theta.shape[0] < 2:
             return self
-        orders = [order for name, order in scene.system.orders.items() if name != "mesh"]
-        theta = np.asarray(self.theta)
-        turns = max(orders, default=1.0) * (theta[-1] - theta[0]) / (2 * np.pi)
-        number = min(theta.size, max(4 * per_turn, round(turns * per_turn)))
-        chosen = np.unique(np.linspace(0, theta.size - 1, number).round().astype(int))
+        fastest = max((order for name, order in scene.system.orders.items() if name != "mesh"), default=1.0)
+        asked = max((term.per_turn(scene) for term in self.terms if term.metric == "order"), default=0.0)
+        last, turns = self.theta.shape[0] - 1, float(self.theta[-1] - self.theta[0]) / (2 * np.pi)
+        number = max(4 * per_turn, round(turns * max(fastest * per_turn, asked * PER_CYCLE)))
+        if asked:
+            strides = range(max(1, last // number), 0, -1)
+            return self.at(self.theta[:: next(stride for stride in strides if last % stride == 0)])
+        chosen = np.unique(np.linspace(0, last, min(last + 1, number)).round().astype(int))
         return self.at(self.theta[chosen])
 
     def result(self, scene: Scene, term: Term) -> TransmissionError | Backlash | Motion:
@@ -201,7 +208,7 @@ class Objective(eqx.Module):
         return self.scatter.mean(lambda scene: of(alone, scene), scene)
 
     def hard(self, scene: Scene) -> Scalar:
-        """The objective by the scene's own contact law, with the extremes between samples."""
+        """The objective by the scene's own contact law, with extremes where the analyses search them by default."""
         if self.scatter is not None:
             return self._mean(Objective.hard, scene)
         if self.function is not None:
@@ -344,6 +351,11 @@ class Objective(eqx.Module):
         """Whether a part of the samples bounds the objective from below, as it is made of largest values over time."""
         bounded = ("amplitude", "peak_to_peak")
         return bool(self.terms) and all(t.metric in bounded and t.analysis != "dynamic" for t in self.terms)
+
+    def between_alone(self, scene: Scene) -> bool:
+        """Whether `pieces` have extremes between samples, and `hard`, as the analyses by default, has not."""
+        sought = (t.analysis == "static" and t.metric in ("amplitude", "peak_to_peak") for t in self.terms)
+        return each_is_dear(scene) and any(sought)
 
     @property
     def is_bent(self) -> bool:
