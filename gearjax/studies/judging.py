@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 JUDGED = 16  # points that are evaluated on all angles at once
+ALIKE = 1e-6  # share of the objective by which points are not told apart: many starts end at the same place
 
 
 def judge(objectives: np.ndarray, ends: np.ndarray, exactly: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -25,8 +26,11 @@ def judge(objectives: np.ndarray, ends: np.ndarray, exactly: Callable[[np.ndarra
     while True:
         best = objectives[judged].min(initial=np.inf)
         order = np.argsort(np.where(judged, np.inf, objectives), kind="stable")[:JUDGED]
-        first = order[~judged[order] & (objectives[order] < best)]
+        least = best - ALIKE * abs(best) if np.isfinite(best) else best
+        first = order[~judged[order] & (objectives[order] < least)]
         if not len(first):
+            above = np.maximum(objectives, np.nextafter(best, np.inf))  # so that the least one is judged
+            objectives[:] = np.where(judged, objectives, above)
             return judged
         objectives[first], judged[first] = exactly(ends[first]), True
         objectives[first] = np.where(np.isfinite(objectives[first]), objectives[first], np.inf)
