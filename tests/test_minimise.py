@@ -103,9 +103,12 @@ def test_the_best_end_is_one_that_was_judged_on_all_angles(rng):
             assert sum(asked) == JUDGED  # what a part of the angles shows is right: the first look is the last
     assert not judge(np.full(3, np.inf), np.zeros((3, 1)), exactly).any()
     asked, same = [], 1.5 + 1e-9 * rng.normal(size=300)  # as many starts end at one place: one look is enough
-    judged = judge(
-        same, np.arange(300.0)[:, None], lambda points: asked.append(len(points)) or np.full(len(points), 1.5)
-    )
+
+    def alike(points):
+        asked.append(len(points))
+        return np.full(len(points), 1.5)
+
+    judged = judge(same, np.arange(300.0)[:, None], alike)
     assert asked == [JUDGED]
     assert judged[np.argmin(same)]
 
