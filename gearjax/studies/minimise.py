@@ -3,6 +3,7 @@
 The best ends are finally evaluated with the hard contact law on all angles.
 """
 
+import functools
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -184,11 +185,9 @@ def minimise(
         sampled = values(coarse, scene, free, "sampled", BLOCK)
         require_influence(coarse, scene, free, *free.box)
         begun = sampled(points)
-        descent, physics = (
-            objective.coarse(scene, DESCENT_SAMPLES).tabulated(scene, free),
-            objective.physics(scene, free),
-        )
-        search = _Search(descent, coarse, free, (steps, polish_steps), jnp.array(temperatures))
+        physics, descent = objective.physics(scene, free), objective.coarse(scene, DESCENT_SAMPLES)
+        numbers = (steps, polish_steps), jnp.array(temperatures)
+        search = _Search(descent.tabulated(scene, free), coarse, free, *numbers)
         descents = _in_chunks(search, physics, points, begun, optimiser, progress or silent)
         result = np.asarray(descents.result)
         if (result == 2).all():
@@ -203,15 +202,12 @@ def minimise(
         seen, exactly = objectives.copy(), values(objective, scene, free, block=JUDGED)
         judged, best = judge(objectives, ends, exactly), np.argmin(objectives)
         apart = abs(seen[best] - objectives[best]) > SETTLED * abs(objectives[best])
+        evaluations = int(np.asarray(descents.evaluations).sum())
         if polish_steps and apart and not objective.between_alone(scene):
-            first = np.argsort(np.where(judged, objectives, np.inf), kind="stable")[: min(FINISHED, judged.sum())]
             last = search.over(objective.tabulated(scene, free))
-            finished = _in_chunks(last, physics, ends[first], objectives[first], optimiser, silent)
-            there = free.wrapped(np.asarray(finished.ends))
-            reached = exactly(there)
-            better = reached < objectives[first]
-            first = first[better]
-            ends[first], objectives[first], result[first] = there[better], reached[better], finished.result[better]
+            finish = functools.partial(_in_chunks, last, physics, optimiser=optimiser, progress=silent)
+            evaluations += _finish(finish, ends, objectives, result, judged, exactly)
+            ends = free.wrapped(ends)
         labels = valleys.label(free, ends, objectives, sampled)
     return Minimisation(
         paths=free.paths,
@@ -222,10 +218,36 @@ def minimise(
         valley=labels,
         result=result,
         history=np.concatenate([begun[:, None], np.asarray(descents.history)], axis=1),
-        evaluations=int(np.asarray(descents.evaluations).sum()),
+        evaluations=evaluations,
         seconds=watch.seconds,
         compile_seconds=watch.compile_seconds,
     )
+
+
+def _finish(
+    finish: Callable[[np.ndarray, np.ndarray], "_Descents"],
+    ends: np.ndarray,
+    objectives: np.ndarray,
+    result: np.ndarray,
+    judged: np.ndarray,
+    exactly: Callable[[np.ndarray], np.ndarray],
+) -> int:
+    """Polish the best ends on all angles, and put what is better in their place: the number of evaluations.
+
+    Args:
+        finish: the polish, of ends with their objectives.
+        ends, objectives, result: those of all starts; they are changed.
+        judged: whether the objective of each end is that over all angles.
+        exactly: function from points to objectives over all angles.
+    """
+    first = np.argsort(np.where(judged, objectives, np.inf), kind="stable")[: min(FINISHED, judged.sum())]
+    finished = finish(ends[first], objectives[first])
+    there = np.asarray(finished.ends)
+    reached = exactly(there)
+    better = reached < objectives[first]
+    first = first[better]
+    ends[first], objectives[first], result[first] = there[better], reached[better], np.asarray(finished.result)[better]
+    return int(np.asarray(finished.evaluations).sum())
 
 
 def _check(steps: int, polish_steps: int, temperatures: tuple[float, float]) -> None:
