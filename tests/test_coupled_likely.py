@@ -5,9 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gearjax.contact.conjugate import descended
+from gearjax.contact.conjugate import Begin, descended
 from gearjax.contact.coupled import ENOUGH, MANY, coupled_balance
-from gearjax.contact.likely import SIZES, WORTH_WHILE, Example, descended_among_few, linear_among_few
+from gearjax.contact.likely import (
+    SIZES,
+    WORTH_WHILE,
+    Example,
+    descended_among_few,
+    linear_among_few,
+    preconditioner_of,
+)
 from tests.test_coupled import balance, missed
 
 pytestmark = pytest.mark.slow
@@ -67,6 +74,30 @@ def test_what_is_found_among_few_needs_one_look_at_all(rng):
     assert at.done.all()
     assert int(at.step) == 1
     assert int(descended(matrix, *lanes, ENOUGH).step) > 15
+
+
+def test_a_preconditioner_saves_steps_and_moves_nothing(rng):
+    """Made for the contacts that carry in the first lane; in the others some differ."""
+    matrix, levers, gaps, loads = population(rng, 0.005)
+    middle = slice(NUMBER // 2 - 20, NUMBER // 2 + 20)
+    lever, gap, load, loaded = columns(matrix, levers[:, middle], gaps[:, middle], loads)
+    inner = jnp.asarray(matrix[middle, middle])
+    held = descended(inner, lever[:, :1], gap[:, :1], load[:1], loaded[:, :1], ENOUGH).forces
+    near, forces = preconditioner_of(inner, held[:, 0] > 0), jnp.broadcast_to(held, gap.shape)
+    begin = Begin(forces, forces > 0, jnp.ones((1, LANES), bool))
+    plain = descended(inner, lever, gap, load, loaded, ENOUGH, begin=begin)
+    quick = descended(inner, lever, gap, load, loaded, ENOUGH, begin=begin, preconditioner=near)
+    assert plain.done.all()
+    assert quick.done.all()
+    np.testing.assert_array_equal(quick.inside, plain.inside)
+    np.testing.assert_allclose(quick.forces, plain.forces, atol=1e-11 * float(plain.forces.max()))
+    assert int(quick.step) < 0.6 * int(plain.step)
+    # if the contacts are known, the lane that it was made for takes a step, and one to look at the result
+    first = lever[:, :1], gap[:, :1], load[:1], plain.inside[:, :1]
+    exact = descended(inner, *first, ENOUGH, one_sided=False, preconditioner=near)
+    assert int(exact.step) <= 4 < int(descended(inner, *first, ENOUGH, one_sided=False).step)
+    np.testing.assert_allclose(exact.forces[:, 0], plain.forces[:, 0], atol=1e-11 * float(plain.forces.max()))
+    assert preconditioner_of(jnp.asarray(matrix), jnp.ones(NUMBER, bool)) is None  # of many it would take longer
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,30 @@ class Begin(NamedTuple):
     usable: Bool[Array, "1 lane"]
 
 
+def _rounding(gap: Array) -> float:
+    """Share of an opening that counts as rounding."""
+    return float(jnp.finfo(gap.dtype).eps) * (ROUNDING if gap.dtype == jnp.float64 else ROUNDING_OF_SINGLE)
+
+
+def _standing(slope: Array, lever: Array, gap: Array, inside: Array) -> tuple[Array, Array, Array, Array]:
+    """How far lanes are from equilibrium: position, overlaps, and the largest of carrying contacts beside its rounding.
+
+    Shapes (1, lane), (contact, lane), (1, lane), (1, lane).
+    """
+    arms = jnp.where(inside, lever, 0.0)
+    place = (arms * slope).sum(axis=0, keepdims=True) / (arms * arms).sum(axis=0, keepdims=True)
+    beyond = lever * place - slope
+    left = jnp.abs(jnp.where(inside, beyond, 0.0)).max(axis=0, keepdims=True)
+    size = jnp.where(inside, jnp.abs(slope - gap) + jnp.abs(gap), 0.0).max(axis=0, keepdims=True)
+    reach = _rounding(gap) * (size + jnp.abs(place) * jnp.abs(arms).max(axis=0, keepdims=True))
+    return place, beyond, left, reach
+
+
+def _at_rest(way: Array, arms: Array, seen: Array) -> Array:
+    """The part of a way, along ``arms``, that leaves the load as it is, where ``seen`` are the levers."""
+    return way - arms * ((seen * way).sum(axis=0, keepdims=True) / (seen * arms).sum(axis=0, keepdims=True))
+
+
 def descended(
     influence: Float[Array, "contact contact"],
     lever: Float[Array, "contact lane"],
@@ -69,6 +93,7 @@ def descended(
     most: int,
     one_sided: bool = True,
     begin: Begin | None = None,
+    preconditioner: Float[Array, "contact contact"] | None = None,
 ) -> Lanes:
     """Forces and positions of many lanes after a limited number of steps.
 
@@ -81,11 +106,11 @@ def descended(
         most: greatest number of steps.
         one_sided: whether contacts can only press. If not, all allowed contacts carry forces of either sign, and their
             levers may have any sign.
+        preconditioner: matrix near the inverse of the influence of the contacts that carry, symmetric and positive
+            definite: the nearer it is, the fewer steps are needed.
         begin: start of the lanes for which it is usable; all conditions are looked at again. Other lanes start with all
             allowed contacts.
     """
-    rounding = jnp.finfo(gap.dtype).eps * (ROUNDING if gap.dtype == jnp.float64 else ROUNDING_OF_SINGLE)
-
     applied = applied[None]  # one row, so that the values of lanes broadcast over their contacts
 
     def advance(at: Lanes) -> Lanes:
@@ -96,18 +121,13 @@ def descended(
         share = jnp.where(at.fresh | at.done, 0.0, -(at.way * at.slope).sum(axis=0, keepdims=True) / bend)
         forces = at.forces + share * at.way
         slope = jnp.where(at.fresh, product + gap, at.slope + share * product)
-        arms = jnp.where(at.inside, lever, 0.0)
-        place = (arms * slope).sum(axis=0, keepdims=True) / (arms * arms).sum(axis=0, keepdims=True)
-        beyond = lever * place - slope  # overlap
-        left = jnp.abs(jnp.where(at.inside, beyond, 0.0)).max(axis=0, keepdims=True)
-        size = jnp.where(at.inside, jnp.abs(slope - gap) + jnp.abs(gap), 0.0).max(axis=0, keepdims=True)
-        reach = rounding * (size + jnp.abs(place) * jnp.abs(arms).max(axis=0, keepdims=True))
+        place, beyond, left, reach = _standing(slope, lever, gap, at.inside)
         settled, first, inside, cut = left <= reach, jnp.where(at.fresh, left, at.first), at.inside, at.done & False
         changed = cut
         if one_sided:
             eased = settled | (left <= EASED * first)
             pulls = inside & (forces < 0) & eased
-            joins = ~inside & allowed & (beyond > reach + rounding * jnp.abs(gap)) & eased
+            joins = ~inside & allowed & (beyond > reach + _rounding(gap) * jnp.abs(gap)) & eased
             cut, changed = pulls.any(axis=0, keepdims=True), (pulls | joins).any(axis=0, keepdims=True)
             inside = (inside & ~pulls) | joins
             pressing = jnp.where(inside, jnp.maximum(forces, 0.0), 0.0)
@@ -116,9 +136,14 @@ def descended(
             settled = settled & ~changed
         arms = jnp.where(inside, lever, 0.0)
         level = jnp.where(inside, beyond, 0.0)
-        level = level - arms * ((arms * level).sum(axis=0, keepdims=True) / (arms * arms).sum(axis=0, keepdims=True))
-        turn = jnp.where(at.fresh | changed, 0.0, -(level * product).sum(axis=0, keepdims=True) / bend)
-        way = level + turn * jnp.where(inside, at.way, 0.0)
+        if preconditioner is None:
+            level = _at_rest(level, arms, arms)
+            steepest = level
+        else:
+            steepest, spread = (jnp.where(inside, preconditioner @ part, 0.0) for part in (level, arms))
+            steepest = _at_rest(steepest, spread, arms)
+        turn = jnp.where(at.fresh | changed, 0.0, -(steepest * product).sum(axis=0, keepdims=True) / bend)
+        way = steepest + turn * jnp.where(inside, at.way, 0.0)
         return Lanes(
             forces=jnp.where(at.done, at.forces, forces),
             way=way,
