@@ -148,12 +148,12 @@ def test_every_lane_is_a_single_problem(kind, rng):
 def test_a_lane_that_is_not_a_number_leaves_the_others_alone(rng):
     matrix, levers, gaps, loads = population(rng)
     known = np.asarray(over(matrix, levers, gaps, loads)[1])
-    gaps[5] = np.nan
+    gaps[0] = np.nan
     loads[9] = np.nan
     forces = np.asarray(over(matrix, levers, gaps, loads)[1])
-    well = np.delete(np.arange(LANES), [5, 9])
+    well = np.delete(np.arange(LANES), [0, 9])
     np.testing.assert_allclose(forces[well], known[well], atol=1e-12 * known.max())
-    assert not np.isfinite(forces[[5, 9]]).any()
+    assert not np.isfinite(forces[[0, 9]]).any()
 
 
 def test_lanes_of_known_contacts_are_solved_among_them(rng):

@@ -4,8 +4,9 @@ A lane is one problem of a batch; the last axis of all arrays is the lane. The m
 under ``J f = Q`` over the forces of the contacts that carry. When the residual of a set of contacts has become small,
 the set changes: contacts with a tensile force are opened, the remaining forces are scaled to the load, and open
 contacts that overlap are closed. Each step needs one product of the matrix with a column per lane. The column is the
-search direction, or the forces themselves after contacts were opened and before a result counts as found. Nothing is
-factorised. A result either fulfils all conditions to rounding or counts as not found.
+search direction, or the forces themselves after contacts were opened and before a result counts as found. No matrix of
+a single lane is factorised; a preconditioner may be given for all. A result either fulfils all conditions to rounding
+or counts as not found.
 """
 
 from typing import NamedTuple
@@ -106,10 +107,10 @@ def descended(
         most: greatest number of steps.
         one_sided: whether contacts can only press. If not, all allowed contacts carry forces of either sign, and their
             levers may have any sign.
-        preconditioner: matrix near the inverse of the influence of the contacts that carry, symmetric and positive
-            definite: the nearer it is, the fewer steps are needed.
         begin: start of the lanes for which it is usable; all conditions are looked at again. Other lanes start with all
             allowed contacts.
+        preconditioner: matrix near the inverse of the influence of the contacts that carry, symmetric and positive
+            definite: the nearer it is, the fewer steps are needed.
     """
     applied = applied[None]  # one row, so that the values of lanes broadcast over their contacts
 

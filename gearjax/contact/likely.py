@@ -44,7 +44,8 @@ class Example(NamedTuple):
     @classmethod
     def of(cls, influence: Array, levers: Array, gaps: Array, applied: Array, allowed: Array) -> "Example":
         """The lane with the largest load; arguments as for `descended`, with the lanes first."""
-        heaviest = jnp.argmax(jnp.where(jnp.isfinite(applied), jnp.abs(applied), 0.0))
+        known = jnp.isfinite(applied) & jnp.isfinite(gaps).all(axis=1)
+        heaviest = jnp.argmax(jnp.where(known, jnp.abs(applied), -1.0))
         lever, gap, load = levers[heaviest], gaps[heaviest], applied[heaviest]
         at = descended(influence, lever[:, None], gap[:, None], load[None], allowed[heaviest][:, None], ROUGH)
         forces = jnp.where(at.inside[:, 0], jnp.maximum(at.forces[:, 0], 0.0), 0.0)
@@ -83,11 +84,8 @@ def descended_among_few(
     """The same as `descended`, begun from the solution among contacts that are likely to carry."""
 
     def few(index: Array, inner: Array, lever: Array, gap: Array, allowed: Array) -> Begin:
-        begin, preconditioner = (
-            example.begin(index, lever, applied, allowed),
-            preconditioner_of(inner, example.carrying(index)),
-        )
-        at = descended(inner, lever, gap, applied, allowed, most, begin=begin, preconditioner=preconditioner)
+        near, begin = preconditioner_of(inner, example.carrying(index)), example.begin(index, lever, applied, allowed)
+        at = descended(inner, lever, gap, applied, allowed, most, begin=begin, preconditioner=near)
         forces, inside = (laid_back(part, index, len(influence)) for part in (at.forces, at.inside))
         return Begin(forces, inside, at.done[None])
 
