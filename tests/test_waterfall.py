@@ -163,6 +163,7 @@ def test_a_load_that_does_not_repeat_is_refused(linear):
         gj.shooting(dataclasses.replace(linear, errors={}, compliance=waves), 300.0, 0.7 * mesh_of(linear), steps=32)
 
 
+@pytest.mark.slow
 def test_a_load_in_hertz_repeats_at_some_speeds_only(linear):
     """It repeats with the mesh at the speeds of which it is a mesh harmonic, whatever the speed of the scene is."""
     calm, mesh = dataclasses.replace(linear, errors={}), float(linear.system.orders["mesh"])

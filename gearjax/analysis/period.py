@@ -66,9 +66,8 @@ def what_differs(scene: Scene, angle: float, speeds: ArrayLike | None = None) ->
     if (off := differs(seen[0], NOTHING).max(initial=0.0)) > 0:
         return f"gaps differ by {off * 1e6:.3g} um"
     *alike, load = [differs(part, NOTHING * float(np.abs(part[0]).max(initial=0.0))) for part in seen[1:]]
-    for words, off in zip(
-        ("stiffness differs", "levers differ", "the output's acceleration differs"), alike, strict=True
-    ):
+    told = "stiffness differs", "levers differ", "output's acceleration differs"
+    for words, off in zip(told, alike, strict=True):
         if off.any():
             return f"its {words}"
     if load.any():

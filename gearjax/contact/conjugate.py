@@ -67,9 +67,9 @@ def _rounding(gap: Array) -> float:
 
 
 def _standing(slope: Array, lever: Array, gap: Array, inside: Array) -> tuple[Array, Array, Array, Array]:
-    """How far lanes are from equilibrium: position, overlaps, and the largest of carrying contacts beside its rounding.
+    """Positions, overlaps, the largest overlap of the contacts that carry, and how much of it counts as rounding.
 
-    Shapes (1, lane), (contact, lane), (1, lane), (1, lane).
+    Their shapes are (1, lane), (contact, lane), (1, lane) and (1, lane).
     """
     arms = jnp.where(inside, lever, 0.0)
     place = (arms * slope).sum(axis=0, keepdims=True) / (arms * arms).sum(axis=0, keepdims=True)
@@ -80,9 +80,9 @@ def _standing(slope: Array, lever: Array, gap: Array, inside: Array) -> tuple[Ar
     return place, beyond, left, reach
 
 
-def _at_rest(way: Array, arms: Array, seen: Array) -> Array:
-    """The part of a way, along ``arms``, that leaves the load as it is, where ``seen`` are the levers."""
-    return way - arms * ((seen * way).sum(axis=0, keepdims=True) / (seen * arms).sum(axis=0, keepdims=True))
+def _without_load(way: Array, along: Array, lever: Array) -> Array:
+    """A search direction, less so much of the direction ``along`` that it does not change the load."""
+    return way - along * ((lever * way).sum(axis=0, keepdims=True) / (lever * along).sum(axis=0, keepdims=True))
 
 
 def descended(
@@ -138,11 +138,11 @@ def descended(
         arms = jnp.where(inside, lever, 0.0)
         level = jnp.where(inside, beyond, 0.0)
         if preconditioner is None:
-            level = _at_rest(level, arms, arms)
+            level = _without_load(level, arms, arms)
             steepest = level
         else:
             steepest, spread = (jnp.where(inside, preconditioner @ part, 0.0) for part in (level, arms))
-            steepest = _at_rest(steepest, spread, arms)
+            steepest = _without_load(steepest, spread, arms)
         turn = jnp.where(at.fresh | changed, 0.0, -(steepest * product).sum(axis=0, keepdims=True) / bend)
         way = steepest + turn * jnp.where(inside, at.way, 0.0)
         return Lanes(

@@ -63,16 +63,16 @@ class Example(NamedTuple):
         closed = (opening <= 0) | (gap <= 0)
         return (allowed & (closed | (applied * self.applied < 0)[None])).any(axis=1) | (self.forces > 0)
 
-    def carrying(self, index: Array) -> Bool[Array, " few"]:
-        """Whether each contact of an index carries in the example."""
-        return self.forces.at[index].get(mode="fill", fill_value=0.0) > 0
+    def at(self, index: Array) -> Float[Array, " few"]:
+        """Forces of the contacts of an index; zero beyond the last contact."""
+        return self.forces.at[index].get(mode="fill", fill_value=0.0)
 
     def begin(self, index: Array, lever: Array, applied: Array, allowed: Array) -> Begin:
         """The forces of the example, scaled to the load of each lane, as a start among the contacts of an index.
 
         A lane in which they hold no load cannot start from them.
         """
-        forces = jnp.where(allowed, self.forces.at[index].get(mode="fill", fill_value=0.0)[:, None], 0.0)
+        forces = jnp.where(allowed, self.at(index)[:, None], 0.0)
         held = (lever * forces).sum(axis=0, keepdims=True)
         share = applied[None] / jnp.where(held == 0, 1.0, held)
         return Begin(share * forces, forces > 0, (share > 0) & jnp.isfinite(share))
@@ -84,7 +84,7 @@ def descended_among_few(
     """The same as `descended`, begun from the solution among contacts that are likely to carry."""
 
     def few(index: Array, inner: Array, lever: Array, gap: Array, allowed: Array) -> Begin:
-        near, begin = preconditioner_of(inner, example.carrying(index)), example.begin(index, lever, applied, allowed)
+        near, begin = preconditioner_of(inner, example.at(index) > 0), example.begin(index, lever, applied, allowed)
         at = descended(inner, lever, gap, applied, allowed, most, begin=begin, preconditioner=near)
         forces, inside = (laid_back(part, index, len(influence)) for part in (at.forces, at.inside))
         return Begin(forces, inside, at.done[None])

@@ -56,7 +56,7 @@ class Minimisation(eqx.Module):
         starts: starting points, shape (starts, free), SI.
         ends: end points, shape (starts, free), SI.
         objectives: objectives of the end points, inf for a dropped start, shape (starts,); over all angles for the best
-            ones, over 16 samples per turn with the extremes between them for the others.
+            ones, over 16 samples per turn with the extremes between them for the others, but not below the best.
         judged: whether the objective of each end point is that over all angles, shape (starts,). The best one is, and
             each one that 16 samples per turn show to be better than it.
         valley: number of the valley of each end point, 0 for the valley of the best, -1 if dropped, shape (starts,).
@@ -206,8 +206,7 @@ def minimise(
         if polish_steps and apart and not objective.between_alone(scene):
             last = search.over(objective.tabulated(scene, free))
             finish = functools.partial(_in_chunks, last, physics, optimiser=optimiser, progress=silent)
-            evaluations += _finish(finish, ends, objectives, result, judged, exactly)
-            ends = free.wrapped(ends)
+            evaluations += _finish(finish, free, ends, objectives, result, judged, exactly)
         labels = valleys.label(free, ends, objectives, sampled)
     return Minimisation(
         paths=free.paths,
@@ -226,6 +225,7 @@ def minimise(
 
 def _finish(
     finish: Callable[[np.ndarray, np.ndarray], "_Descents"],
+    free: Free,
     ends: np.ndarray,
     objectives: np.ndarray,
     result: np.ndarray,
@@ -236,13 +236,14 @@ def _finish(
 
     Args:
         finish: the polish, of ends with their objectives.
+        free: the free numbers.
         ends, objectives, result: those of all starts; they are changed.
         judged: whether the objective of each end is that over all angles.
         exactly: function from points to objectives over all angles.
     """
     first = np.argsort(np.where(judged, objectives, np.inf), kind="stable")[: min(FINISHED, judged.sum())]
     finished = finish(ends[first], objectives[first])
-    there = np.asarray(finished.ends)
+    there = free.wrapped(np.asarray(finished.ends))
     reached = exactly(there)
     better = reached < objectives[first]
     first = first[better]
