@@ -14,13 +14,17 @@ LIBRARY_FROM = 48  # rows; a library solves larger problems faster, and they are
 WRITTEN_OUT = 8  # rows up to which a loop is not worth while
 
 
-def eliminated(matrix: Float[Array, "row row"], right: Float[Array, "row side"]) -> Float[Array, "row side"]:
+def eliminated(
+    matrix: Float[Array, "row row"], right: Float[Array, "row side"], library_from: int = LIBRARY_FROM
+) -> Float[Array, "row side"]:
     """Solution of a linear problem with a symmetric positive definite matrix, for several right-hand sides.
 
     The solution is nan if the matrix is not positive definite. Where derivatives are needed, use `solved_definite`.
+    With many right-hand sides, the library divides them among threads of its own, which wait for each other on a busy
+    machine; ``library_from`` is the number of rows from which the library is used all the same.
     """
     rows = matrix.shape[0]
-    if rows >= LIBRARY_FROM:
+    if rows >= library_from:
         return cho_solve(cho_factor(matrix, lower=True), right)
     table, place = jnp.concatenate([matrix, right], axis=1), jnp.arange(rows)[:, None]
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gearjax.contact.conjugate import Begin, descended
+from gearjax.contact.conjugate import FEWER, Begin, descended
 from gearjax.contact.coupled import ENOUGH, MANY, coupled_balance
 from gearjax.contact.likely import (
     SIZES,
@@ -66,14 +66,51 @@ def test_the_estimate_names_all_that_carry_and_few_others(rng):
     assert likely.sum() <= 2 * carry.any(axis=0).sum() < 0.5 * NUMBER
 
 
-def test_what_is_found_among_few_needs_one_look_at_all(rng):
+def test_what_is_found_among_few_needs_no_step_among_all(rng):
     """Without the start among few, the same takes many products with the whole matrix."""
     given = population(rng)
     matrix, lanes = jnp.asarray(given[0]), columns(*given)
     at = descended_among_few(example_of(*given), matrix, *lanes, ENOUGH)
     assert at.done.all()
-    assert int(at.step) == 1
+    assert int(at.step) == 0
     assert int(descended(matrix, *lanes, ENOUGH).step) > 15
+
+
+@pytest.mark.parametrize("lacking", [(), (0,), (3, 4)])
+def test_a_start_counts_as_found_only_if_all_contacts_agree(lacking, rng):
+    """Forces that are exact without some contacts: in lanes in which one of these would carry, they are no result."""
+    matrix, levers, gaps, loads = population(rng)
+    lever, gap, load, loaded = columns(matrix, levers, gaps, loads)
+    matrix, without = jnp.asarray(matrix), loaded
+    right = descended(matrix, lever, gap, load, loaded, ENOUGH)
+    for place in lacking:
+        without = without.at[int(jnp.argsort(-right.forces[:, 0])[place])].set(False)
+    part = descended(matrix, lever, gap, load, without, ENOUGH)
+    begin = Begin(part.forces, part.inside, jnp.ones((1, LANES), bool), matrix @ part.forces + gap)
+    at = descended(matrix, lever, gap, load, loaded, 0, begin=begin)
+    np.testing.assert_array_equal(at.done, (part.inside == right.inside).all(axis=0))
+    assert at.done.all() == (not lacking)
+    ended = descended(matrix, lever, gap, load, loaded, ENOUGH, begin=begin)
+    np.testing.assert_allclose(ended.forces, right.forces, atol=1e-11 * float(right.forces.max()))
+    np.testing.assert_allclose(ended.place, right.place, rtol=1e-12)
+
+
+def test_the_last_unfinished_lanes_continue_by_themselves(rng, monkeypatch):
+    """Lanes that need many steps, between others: nothing moves, and no lane gets the forces of another."""
+    matrix, levers, gaps, loads = population(rng)
+    hard = [2, LANES - 1]
+    gaps[hard] = 0.02 * rng.normal(size=(2, NUMBER)) ** 2
+    lanes = columns(matrix, levers, gaps, loads)
+    matrix = jnp.asarray(matrix)
+    assert int(FEWER * LANES) >= len(hard)
+    apart = descended(matrix, *lanes, ENOUGH)
+    monkeypatch.setattr("gearjax.contact.conjugate.FEWER", 0.0)
+    together = descended(matrix, *lanes, ENOUGH)
+    assert apart.done.all()
+    assert int(apart.step) == int(together.step)
+    np.testing.assert_array_equal(apart.inside, together.inside)
+    np.testing.assert_allclose(apart.forces, together.forces, atol=1e-13 * float(together.forces.max()))
+    np.testing.assert_allclose(apart.place, together.place, rtol=1e-13)
 
 
 def test_a_preconditioner_saves_steps_and_moves_nothing(rng):

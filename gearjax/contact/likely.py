@@ -19,7 +19,7 @@ from gearjax.elimination import eliminated
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
 ROUGH = 20  # steps of conjugate gradients for one lane
-SIZES = 1 / 4, 3 / 8, 1 / 2, 3 / 4  # shares of the contacts that are taken out; with more, nothing is gained
+SIZES = 1 / 4, 1 / 2  # shares of the contacts that are taken out; with more, nothing is gained
 PRECONDITIONED = 64  # contacts up to which the steps are preconditioned
 WORTH_WHILE = 24  # lanes; with fewer, the rough solution and the look at the result take longer than they save
 
@@ -67,15 +67,24 @@ class Example(NamedTuple):
         """Forces of the contacts of an index; zero beyond the last contact."""
         return self.forces.at[index].get(mode="fill", fill_value=0.0)
 
-    def begin(self, index: Array, lever: Array, applied: Array, allowed: Array) -> Begin:
-        """The forces of the example, scaled to the load of each lane, as a start among the contacts of an index.
+    def begin(
+        self, index: Array, near: Array | None, lever: Array, gap: Array, applied: Array, allowed: Array
+    ) -> Begin:
+        """A start among the contacts of an index: those that carry in the example carry the load of each lane.
 
-        A lane in which they hold no load cannot start from them.
+        Their forces are exact where ``near`` is the inverse of their influence; without it, they are the scaled forces
+        of the example. A lane in which they hold no load cannot start from them.
         """
-        forces = jnp.where(allowed, self.at(index)[:, None], 0.0)
-        held = (lever * forces).sum(axis=0, keepdims=True)
-        share = applied[None] / jnp.where(held == 0, 1.0, held)
-        return Begin(share * forces, forces > 0, (share > 0) & jnp.isfinite(share))
+        inside = allowed & (self.at(index) > 0)[:, None]
+        arms, gap = jnp.where(inside, lever, 0.0), jnp.where(inside, gap, 0.0)
+        if near is None:
+            per_turn, at_rest = jnp.where(inside, self.at(index)[:, None], 0.0), jnp.zeros_like(gap)
+        else:
+            per_turn, at_rest = (jnp.where(inside, near @ part, 0.0) for part in (arms, gap))
+        steepness = (arms * per_turn).sum(axis=0, keepdims=True)
+        turn = (applied[None] + (arms * at_rest).sum(axis=0, keepdims=True)) / jnp.where(steepness == 0, 1.0, steepness)
+        usable = (steepness != 0) & (applied != 0)[None] & jnp.isfinite(turn)
+        return Begin(turn * per_turn - at_rest, inside, usable)
 
 
 def descended_among_few(
@@ -84,15 +93,17 @@ def descended_among_few(
     """The same as `descended`, begun from the solution among contacts that are likely to carry."""
 
     def few(index: Array, inner: Array, lever: Array, gap: Array, allowed: Array) -> Begin:
-        near, begin = preconditioner_of(inner, example.at(index) > 0), example.begin(index, lever, applied, allowed)
-        at = descended(inner, lever, gap, applied, allowed, most, begin=begin, preconditioner=near)
+        near = preconditioner_of(inner, example.at(index) > 0)
+        begin = example.begin(index, near, lever, gap, applied, allowed)
+        at = descended(inner, lever, gap, applied, allowed, most, begin=begin, preconditioner=near, checked=False)
         forces, inside = (laid_back(part, index, len(influence)) for part in (at.forces, at.inside))
-        return Begin(forces, inside, at.done[None])
+        columns = influence.at[:, index].get(mode="fill", fill_value=0.0)
+        return Begin(forces, inside, at.done[None], columns @ at.forces + all_gaps)
 
     def not_worth_while() -> Begin:
-        return Begin(jnp.zeros_like(gap), jnp.zeros_like(allowed), jnp.zeros((1, len(applied)), bool))
+        return Begin(jnp.zeros_like(gap), jnp.zeros_like(allowed), jnp.zeros((1, len(applied)), bool), gap)
 
-    likely = example.likely(gap, applied, allowed)
+    all_gaps, likely = gap, example.likely(gap, applied, allowed)
     begin = among(likely, influence, (lever, gap, allowed), few, not_worth_while)
     return descended(influence, lever, gap, applied, allowed, most, begin=begin)
 
@@ -123,7 +134,8 @@ def preconditioner_of(influence: Float[Array, "few few"], core: Bool[Array, " fe
     if len(core) > PRECONDITIONED:
         return None
     own = jnp.diag(jnp.diagonal(influence))
-    return eliminated(jnp.where(core[:, None] & core[None, :], influence, own), jnp.eye(len(core), dtype=own.dtype))
+    near, unit = jnp.where(core[:, None] & core[None, :], influence, own), jnp.eye(len(core), dtype=own.dtype)
+    return eliminated(near, unit, library_from=PRECONDITIONED + 1)
 
 
 def among(
