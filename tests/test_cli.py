@@ -66,6 +66,9 @@ def test_run_writes_what_it_shows(capsys, tmp_path, fast):
         assert stored.time.attrs["units"] == "s"
         assert stored.static_300_Nm.dims == ("time",)
         assert stored.dynamic_30_Nm_force.dims == ("time", "contact")
+        names = stored.dynamic_30_Nm_force.attrs["contacts"].split("; ")
+        assert names[0] == "the driving flank of planet_1"
+        assert len(names) == stored.dynamic_30_Nm_force.shape[1]
         assert stored.no_load.attrs["peak_to_peak_rad"] >= float(np.ptp(stored.no_load.values))
     with (folder / "curves.csv").open() as lines:
         rows = list(csv.reader(lines))

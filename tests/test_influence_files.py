@@ -80,6 +80,13 @@ def test_damaged_files_are_refused_in_one_line(gear, table, tmp_path):
             gj.read_influence(path, gear)
 
 
+def test_a_table_of_text_is_called_no_archive(gear, tmp_path):
+    path = tmp_path / "teeth.npz"
+    path.write_text("radius,face\n1,2\n")
+    with pytest.raises(gj.GearjaxError, match=r"no influence table \(no archive .npz of numpy\)$"):
+        gj.read_influence(path, gear)
+
+
 def changed_header(path, **changed):
     with np.load(path) as file:
         arrays = dict(file)

@@ -120,6 +120,14 @@ def test_gradients_are_those_of_differences(yang):
         np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-5)
 
 
+def test_an_error_that_looks_periodic_at_one_angle_is_refused():
+    """The run-out of the pinion has the same value at both ends of one mesh, and changes in between."""
+    scene = gj.load(ROOT / "configs" / "helical" / "guo_2018.toml")
+    scene = dataclasses.replace(scene, errors={"runout": gj.Eccentricity("pinion", 30e-6, np.radians(60.2476))})
+    with pytest.raises(SceneError, match=r"repeat after scene\.system\.cycle"):
+        gj.one_contact(scene, 830.0)
+
+
 def test_what_has_no_one_contact_is_refused_in_one_line(yang, wang):
     with pytest.raises(SceneError, match="compliance"):
         gj.one_contact(dataclasses.replace(yang, compliance=None), 100.0)

@@ -120,7 +120,7 @@ def test_tables_without_a_grid(capsys, tmp_path):
     code, out, _ = command(capsys, "optimise", path, "--out", tmp_path / "out")
     assert code == 0
     assert "of 8 starts within 1 % of the best" in out
-    assert "assembled with errors of up to 10 deg" in out
+    assert "assembled without error or 10 deg off to either side" in out
     assert "grid" not in out
 
 

@@ -306,3 +306,13 @@ def test_a_comparison_says_what_seems_wrong(te, words, scene):
     assert not any("wrong" in told or "sign" in told for told in gj.compare(scene, record).notes)
     (told,) = (told for told in gj.compare(scene, spoilt).notes if words in told)
     assert told.startswith(record.name)
+
+
+def test_a_torque_of_each_row_stays_with_its_row_when_the_input_turns_backward(scene):
+    """Evenly spaced in time, as without turning backward; each row has the TE under its own torque."""
+    torque = np.linspace(-20.0, -120.0, 50)
+    ahead = gj.synthetic_measurement(scene, torque[::-1], rows=50, noise=0.0)
+    back = gj.synthetic_measurement(scene, torque, rows=50, noise=0.0, backward=True)
+    np.testing.assert_array_equal(back.torque, torque)
+    np.testing.assert_array_equal(back.theta, ahead.theta[::-1])
+    np.testing.assert_allclose(back.output, ahead.output[::-1], rtol=0, atol=1e-15)

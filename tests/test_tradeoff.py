@@ -12,10 +12,10 @@ import tomli_w
 import gearjax as gj
 from gearjax.config import loads
 from gearjax.plot.tradeoff import tradeoff_figure
-from gearjax.run import Run
+from gearjax.run import METRICS, Run
 from gearjax.studies.accurate_step import accurate_step
-from gearjax.studies.static_choices import static_choices
-from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, resolving, settings, tradeoff
+from gearjax.studies.static_choices import choices_of, static_choices
+from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, apart, resolving, settings, tradeoff
 from gearjax.units import arcmin
 from tests.conftest import ROOT
 from tests.helical_pairs import GUO_1, TEETH, scene_of
@@ -206,6 +206,23 @@ def test_choices_of_geometry_are_told_with_their_cost(rv_text):
     assert 1e-4 < rows[0].error / arcmin < 0.05
     assert 0.02 < rows[0].force_error < 0.3
     assert rows[1].error == rows[1].force_error == 0.0
+
+
+@pytest.mark.parametrize("path", ["elliptic/dong_2020.toml", "rv_cycloidal/hu_2020.toml"])
+def test_a_choice_that_another_part_refuses_is_left_out(path):
+    """An exact clearance does not go together with supports."""
+    scene = gj.load(ROOT / "configs" / path)
+    assert list(choices_of(scene)) == ["system"]
+    body = next(iter(scene.system.coordinates))
+    chosen = choices_of(dataclasses.replace(scene, supports={body: gj.Support(x=2e8)}))
+    assert {part: list(named) for part, named in chosen.items()} == {"supports": ["rigid bearings", "elastic bearings"]}
+
+
+def test_a_metric_that_is_not_a_number_is_no_accuracy():
+    good = {torque: dict.fromkeys(METRICS, 0.0) for torque in (1.0, 2.0)}
+    bad = good | {2.0: dict.fromkeys(METRICS, float("nan"))}
+    assert apart(good, good) == 0.0
+    assert np.isnan(apart(bad, good))
 
 
 @pytest.mark.slow

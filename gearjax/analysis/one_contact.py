@@ -60,7 +60,7 @@ class Reduction(eqx.Module):
         of another number of contacts.
         """
         torque = jnp.asarray(torque, self.theta.dtype)
-        return jnp.abs(self.static(torque) - _rest(self.whole, _with_end(self.theta), torque)[0][:-1]).max()
+        return jnp.abs(self.static(torque) - _rest(self.whole, _with_end(self.theta), torque)[0][:-2]).max()
 
 
 @arguments.checked()
@@ -120,7 +120,7 @@ def one_contact(
     place, stiffness, pairs, result = _rest(whole, _with_end(theta), torque)
     if is_concrete(result):
         _check_rest(whole, place, result, torque, period)
-    place, stiffness, pairs = (each[:-1] for each in (place, stiffness, pairs))
+    place, stiffness, pairs = (each[:-2] for each in (place, stiffness, pairs))
     lever = jnp.abs(whole.contacts(theta[0]).output_levers).mean()
     waves = Waves.of(stiffness / lever**2, harmonics)
     compliance = WaveStiffness(waves)
@@ -128,7 +128,7 @@ def one_contact(
     pressed = torque / (lever * waves.at(phase))
     gaps = [-lever * place - pressed]
     if whole.has_back:
-        gaps.append(lever * _rest(whole, _with_end(theta), -torque)[0][:-1] - pressed)
+        gaps.append(lever * _rest(whole, _with_end(theta), -torque)[0][:-2] - pressed)
     names = tuple((name, order) for name, order in system.orders.items() if name not in ("mesh", "waves"))
     reduced = OneContact(
         jnp.asarray(system.input_speed), lever, tuple(Waves.of(gap, harmonics) for gap in gaps), period, names
@@ -145,8 +145,12 @@ def one_contact(
 
 
 def _with_end(theta: Float[Array, " n"]) -> Float[Array, " m"]:
-    """Angles of a period with its end, which shows whether the TE repeats; all callers then share one program."""
-    return jnp.append(theta, theta[-1] + theta[1])
+    """Angles of a period, its end and the middle of the next one; all callers then share one program.
+
+    The last two show whether the TE repeats: a slow wave may happen to have the same value at both ends of a period.
+    """
+    end = theta[-1] + theta[1]
+    return jnp.concatenate([theta, jnp.stack([end, end + theta[theta.size // 2]])])
 
 
 @eqx.filter_jit
@@ -180,7 +184,8 @@ def _check(scene: Scene, torque: ArrayLike, period: float, mesh: float, samples:
 def _check_rest(scene: Scene, place: Array, result: Array, torque: Scalar, period: float) -> None:
     if (np.asarray(result) != 0).any():
         raise SceneError(f"one contact: there is no equilibrium under {float(torque):g} N*m at some angles")
-    off, lag = abs(float(place[-1] - place[0])), abs(float(place.mean()))
+    number = place.size - 2
+    off, lag = float(jnp.abs(place[-2:] - place[np.array([0, number // 2])]).max()), abs(float(place.mean()))
     if off > max(REPEATS, 100 * float(jnp.finfo(place.dtype).eps)) * lag:
         words = f"the static TE differs by {off:.2g} rad after a period of {period:g} rad"
         raise SceneError(f"one contact: {words}: errors repeat after scene.system.cycle = {scene.system.cycle:.6g} rad")

@@ -144,8 +144,8 @@ def print_optimisation(optimisation: Optimisation) -> None:
             )
     for deviation, mean, worst in zip(around.deviations, around.mean, around.worst, strict=True):
         console.print(
-            f"assembled with errors of up to {around.told(deviation)}: {mean / unit.per_shown:.4f} {unit.shown} "
-            f"on average, {worst / unit.per_shown:.4f} at worst",
+            f"assembled without error or {around.told(deviation)} off to either side: "
+            f"{mean / unit.per_shown:.4f} {unit.shown} on average, {worst / unit.per_shown:.4f} at worst",
             soft_wrap=True,
         )
     _print_stages(console, optimisation)

@@ -87,12 +87,13 @@ def _even(key: str, path: Path, columns: int) -> None:
 
 
 class _Reader:
-    """State while a file is read: the repairs so far, and the turns of angles that wrap around."""
+    """State while a file is read: the repairs so far, and the turns of angles that wrap around, and their names."""
 
     def __init__(self, key: str, beside: dict[str, Any]):
         self.key, self.beside = key, beside
         self.repairs: dict[str, int] = {}
         self.wrapped: dict[str, tuple[float, float]] = {}
+        self.wraps: set[str] = set()
 
     def count(self, what: str, where: np.ndarray) -> None:
         """Add to the count of a repair; ``where`` marks the rows concerned, or holds numbers to add."""
@@ -245,6 +246,7 @@ def _unwrapped(name: str, angle: np.ndarray, own: _Reader, time: np.ndarray | No
     wraps = np.ptp(given) <= turn * 1.001 and bool((np.abs(steps) > turn / 2).any())
     falls = -np.round(steps / turn) if wraps else np.zeros(angle.size)
     if wraps:
+        own.wraps.add(name)
         usual = np.median(np.abs(steps + turn * falls))
         if usual > FARTHEST * turn:
             words = f"moves {usual / units.deg:.3g} deg from row to row, more than {360 * FARTHEST:.3g} deg"
@@ -301,6 +303,7 @@ def _record(
             resolution,
             own.repairs,
             averaged,
+            "input angle" in own.wraps,
         )
     except ParameterError as fault:
         raise GearjaxError(f"{key}: {fault}") from fault

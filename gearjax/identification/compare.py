@@ -8,11 +8,12 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest, with_article
-from gearjax.identification.measurement import Measurement, a_measurement, several
+from gearjax.identification.measurement import Measurement, a_measurement, largest_error, several
 from gearjax.identification.moving import moving_error
 from gearjax.identification.orders import candidates, waves
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.synthetic import computed_error, turned_scene
+from gearjax.identification.whole_turns import joined
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
@@ -171,6 +172,8 @@ def compare(
     records = several(measured)
     notes = [words for record in records for words in record.check(scene)]
     notes += check_running(scene, records) if analysis == "dynamic" else []
+    records, words = joined(scene, records)
+    notes += words
     found = []
     for record in records:
         own = turned_scene(scene, record.turned)
@@ -193,7 +196,7 @@ def compare(
                 record.name, record.theta, te, curve + offset, offset, start, _orders(scene, record, te, curve)
             )
         )
-    return Comparison(scene, tuple(found), _lost_motion(records, found), tuple(notes))
+    return Comparison(scene, tuple(found), _lost_motion(scene, records, found), tuple(notes))
 
 
 def _remarks(name: str, te: np.ndarray, curve: np.ndarray) -> list[str]:
@@ -279,8 +282,11 @@ def _orders(scene: Scene, record: Measurement, te: np.ndarray, curve: np.ndarray
     )
 
 
-def _lost_motion(records: list[Measurement], found: list[RecordBeside]) -> tuple[float, float] | None:
-    """Mean lost motion, measured and computed, between recordings of both flanks under torques of the same size."""
+def _lost_motion(scene: Scene, records: list[Measurement], found: list[RecordBeside]) -> tuple[float, float] | None:
+    """Mean lost motion, measured and computed, between recordings of both flanks under torques of the same size.
+
+    ``None`` also if their angles are so far apart that their zeros differ.
+    """
     for i, ahead in enumerate(records):
         for j, behind in enumerate(records):
             same = np.isclose(abs(np.median(ahead.loads)), abs(np.median(behind.loads)), rtol=0.05)
@@ -294,7 +300,7 @@ def _lost_motion(records: list[Measurement], found: list[RecordBeside]) -> tuple
             place = np.linspace(low, high, 4 * min(one.theta.size, other.theta.size))
             pairs = [(one.measured, other.measured), (one.computed - one.offset, other.computed - other.offset)]
             told = [float(np.mean(_at(place, other.theta, b) - _at(place, one.theta, a))) for a, b in pairs]
-            return told[0], told[1]
+            return (told[0], told[1]) if abs(told[0]) < largest_error(scene) else None
     return None
 
 

@@ -23,6 +23,7 @@ from gearjax.identification.synthetic import turned_scene
 from gearjax.identification.unknowns import priors_of, unknowns_of
 from gearjax.identification.visible import hidden_directions, visible
 from gearjax.identification.weights import noise_of, of_spikes
+from gearjax.identification.whole_turns import check_joined, joined
 from gearjax.progress import Progress, Searching, silent
 from gearjax.scene import Scene
 from gearjax.units import arcmin
@@ -109,6 +110,9 @@ def identify(
     notes = [words for record in records for words in record.check(scene)]
     moves = analysis == "dynamic"
     notes += check_running(scene, records) if moves else []
+    records, words = joined(scene, records)
+    check_joined(scene, records, offset_spread)
+    notes += words
     _check_suited(scene, records, notes)
     back, loaded = any(record.back.any() for record in records), any(record.is_loaded for record in records)
     options = _Options(priors or {}, offset_spread, starts, loss == "robust", key)

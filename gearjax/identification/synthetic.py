@@ -71,7 +71,8 @@ def synthetic_measurement(
 
     Args:
         scene: the gear set.
-        torque: load torque on the output, a number or shape (rows,) [N m]; zero for the no-load TE.
+        torque: load torque on the output, a number or shape (rows,), in the order of the rows [N m]; zero for the
+            no-load TE.
         rows: number of rows, evenly spaced in time.
         turns: turns of the output; by default one cycle of the gear set.
         noise: standard deviation of the noise of the output angle [rad].
@@ -109,10 +110,13 @@ def synthetic_measurement(
         raise ParameterError("ripple", ripple, 'must be 0 for analysis = "dynamic", which is computed at one speed')
     theta = theta + ripple / slow * np.sin(slow * theta)
     own = turned_scene(scene, turned or {})
+    loads = np.broadcast_to(np.asarray(torque, float), theta.shape)
+    along = np.asarray(torque, float)  # at increasing angles
+    along = along[::-1] if backward and along.ndim else along
     if analysis == "dynamic":
-        te = _in_motion(own, time, theta, torque, backward)
+        te = _in_motion(own, time, theta, along, backward)
     else:
-        te = computed_error(own, theta, torque, backward)
+        te = computed_error(own, theta, along, backward)
     rng = np.random.default_rng(key)
     output = ideal(scene, theta) + te + offset + noise * rng.standard_normal(rows)
     for wave, (amplitude, phase) in (waves or {}).items():
@@ -122,9 +126,8 @@ def synthetic_measurement(
     if output_counts is not None:
         output = np.floor(output / (2 * np.pi) * output_counts) * (2 * np.pi / output_counts)
     resolution = None if output_counts is None else 2 * np.pi / output_counts
-    loads = np.broadcast_to(np.asarray(torque, float), theta.shape)
     if backward:
-        theta, output, loads = theta[::-1], output[::-1], loads[::-1]
+        theta, output = theta[::-1], output[::-1]
     label = name or (f"{float(loads.flat[0]):g} N m" + (", backward" if backward else ""))
     return Measurement(theta, output, None, loads, time, label, dict(turned or {}), resolution)
 

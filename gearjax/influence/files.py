@@ -1,21 +1,6 @@
 """Files of influence tables, which any finite-element program can write.
 
-A file is an archive ``.npz`` of numpy with four arrays:
-
-    header   text, shape (): JSON with the keys below
-    radius   float64, shape (r,) [m]: as in `InfluenceTable`, like the next two
-    face     float64, shape (f,) [m]
-    matrix   float64, shape (distance, r f, r f) [m/N]
-
-    format   "gearjax influence table"
-    version  1
-    units    {"radius": "m", "face": "m", "matrix": "m/N"}
-    gear     {"teeth", "internal": "yes" or "no", "module", "pressure_angle", "profile_shift", "addendum", "dedendum"},
-             all values as texts, numbers in SI units and radians as printf writes them with %.6g
-    made     {...}: how the table was made, as any texts: material, rim, mesh
-    sha256   SHA-256 of the JSON text of {"gear": gear, "made": made}, keys sorted, no blanks, in hexadecimal digits
-
-``hash_of({"gear": gear, "made": made})`` returns the value of ``sha256``.
+Their layout is described with `save_influence`.
 """
 
 import io
@@ -39,7 +24,24 @@ ARRAYS = ("radius", "face", "matrix")
 def save_influence(
     path: str | Path, table: InfluenceTable, gear: InvoluteGear, made: dict[str, str] | None = None
 ) -> Path:
-    """Write an influence table to a file, in the layout of `gearjax.influence.files`.
+    """Write an influence table to a file, in a layout that any finite-element program can write.
+
+    A file is an archive ``.npz`` of numpy with four arrays::
+
+        header   text, shape (): JSON with the keys below
+        radius   float64, shape (r,) [m]: as in `InfluenceTable`, like the next two
+        face     float64, shape (f,) [m]
+        matrix   float64, shape (distance, r f, r f) [m/N]
+
+        format   "gearjax influence table"
+        version  1
+        units    {"radius": "m", "face": "m", "matrix": "m/N"}
+        gear     {"teeth", "internal": "yes" or "no", "module", "pressure_angle", "profile_shift", "addendum",
+                 "dedendum"}, all values as texts, numbers in SI units and radians as printf writes them with %.6g
+        made     {...}: how the table was made, as any texts: material, rim, mesh
+        sha256   SHA-256 of the JSON text of {"gear": gear, "made": made}, keys sorted, no blanks, in hexadecimal digits
+
+    ``gearjax.influence.table.hash_of({"gear": gear, "made": made})`` returns the value of ``sha256``.
 
     Args:
         path: path of the file, ``.npz``.
@@ -67,7 +69,7 @@ def write_arrays(
 
 
 def read_influence(path: str | Path, gear: InvoluteGear) -> InfluenceTable:
-    """Read an influence table from a file, in the layout of `gearjax.influence.files`.
+    """Read an influence table from a file, in the layout of `save_influence`.
 
     Args:
         path: path of the file.
@@ -117,7 +119,8 @@ def _contents(path: Path) -> tuple[dict, list[np.ndarray]]:
     except GearjaxError:
         raise
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError) as fault:
-        raise GearjaxError(f"{place(path)}: damaged, or no influence table ({fault})") from fault
+        what = "no archive .npz of numpy" if "pickle" in str(fault) else fault
+        raise GearjaxError(f"{place(path)}: damaged, or no influence table ({what})") from fault
     if not all(np.issubdtype(array.dtype, np.floating) for array in arrays):
         raise GearjaxError(f"{place(path)}: {', '.join(ARRAYS)} have to be of floating-point numbers")
     return header, arrays

@@ -233,7 +233,8 @@ def dataset(scene: Scene, cases: list[Case], config: str) -> "xr.Dataset":
         variables[name] = ("time", case.record, attributes)
         forces = getattr(case.result, "forces", None)
         if forces is not None:
-            label = {"units": "N", "long_name": f"contact forces, {case.title}, driving flanks first"}
+            names = "; ".join(scene.system.contact_name(contact) for contact in range(np.shape(forces)[-1]))
+            label = {"units": "N", "long_name": f"contact forces, {case.title}", "contacts": names}
             variables[f"{name}_force"] = (("time", "contact"), np.asarray(forces), label)
         if isinstance(case.result, TransmissionError | Motion) and case.result.moved is not None:
             moving = case.result.coordinates[1:]

@@ -2,13 +2,15 @@
 
 import dataclasses
 import warnings
+from collections.abc import Iterator
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax.analysis import transmission_error
 from gearjax.analysis.metrics import FewAngles
-from gearjax.checks import FewCandidates
+from gearjax.checks import FewCandidates, SceneError
 from gearjax.choosing import Choosing
 from gearjax.progress import Progress, silent
 from gearjax.run import METRICS
@@ -39,17 +41,28 @@ class StaticChoice:
 
 
 def choices_of(scene: Scene) -> dict[str, dict[str, Scene]]:
-    """The scene with each model that one of its parts offers, by part and name; the most exact model is last."""
-    found: dict[str, dict[str, Scene]] = {}
+    """The scene with each model that one of its parts offers, by part and name; the most exact model is last.
+
+    Models that do not go together with another part of the scene are left out, and parts with a single model.
+    """
+    changes: dict[str, dict[str, dict[str, Any]]] = {}
     for slot in (field.name for field in dataclasses.fields(scene)):
         own = getattr(scene, slot)
         offered = own.choices() if isinstance(own, Choosing) else {}
-        if offered:
-            found[slot] = {name: dataclasses.replace(scene, **{slot: part}) for name, part in offered.items()}
+        changes[slot] = {name: {slot: part} for name, part in offered.items()}
     if scene.supports:
-        stiff = dataclasses.replace(scene, supports={}, body_inertia={})
-        found["supports"] = {"rigid bearings": stiff, "elastic bearings": scene}
-    return found
+        changes["supports"] = {"rigid bearings": {"supports": {}, "body_inertia": {}}, "elastic bearings": {}}
+    found = {part: dict(_possible(scene, offered)) for part, offered in changes.items()}
+    return {part: chosen for part, chosen in found.items() if len(chosen) > 1}
+
+
+def _possible(scene: Scene, offered: dict[str, dict[str, Any]]) -> Iterator[tuple[str, Scene]]:
+    """The scene with each of some changes, by name, but for those that it refuses."""
+    for name, parts in offered.items():
+        try:
+            yield name, dataclasses.replace(scene, **parts)
+        except SceneError:
+            continue
 
 
 def static_choices(scene: Scene, progress: Progress = silent) -> list[StaticChoice]:

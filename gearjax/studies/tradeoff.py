@@ -224,8 +224,8 @@ def resolving(scene: Scene, run: Run) -> Resolving:
 
 
 def apart(one: Metrics, other: Metrics) -> float:
-    """Largest difference of any metric under any torque [rad]."""
-    return max(abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS)
+    """Largest difference of any metric under any torque [rad]; nan if one is not a number."""
+    return float(np.max([abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS]))
 
 
 def settings(scene: Scene, run: Run, resolved: Resolving) -> list[Setting]:
