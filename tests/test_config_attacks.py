@@ -34,7 +34,17 @@ def test_a_few_of_the_attacks(tmp_path):
         outcome(path)
 
 
-@pytest.mark.parametrize(("given", "shown"), [("9e7 N/m", '["9e7 N/m"]'), ("x" * 10_000, "[]"), ("\x1b[31m", "[]")])
+def test_a_value_that_would_be_wrong_in_a_list_too_is_not_repeated_in_one(tmp_path):
+    tables = tomllib.loads(SHIPPED[0].read_text(encoding="utf-8"))
+    wrong = {"relative_amplitudes": "9e7 N/m", "phases": []}
+    tables["compliance"] = {"kind": "harmonic_stiffness", "mean": "9e7 N/m", **wrong}
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    with pytest.raises(gj.GearjaxError, match=r"relative_amplitudes = .9e7 N/m.: must be a number without unit"):
+        gj.load(path)
+
+
+@pytest.mark.parametrize(("given", "shown"), [("10 %", '["10 %"]'), ("x" * 10_000, "[]"), ("\x1b[31m", "[]")])
 def test_a_value_that_should_be_a_list_is_repeated_if_it_is_short(tmp_path, given, shown):
     tables = tomllib.loads(SHIPPED[0].read_text(encoding="utf-8"))
     tables["compliance"] = {"kind": "harmonic_stiffness", "mean": "9e7 N/m", "relative_amplitudes": given, "phases": []}

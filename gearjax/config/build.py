@@ -350,6 +350,8 @@ def _value(key: str, given: Any, parameter: Parameter) -> Any:
     if parameter.kind == "series":
         if not isinstance(given, list):
             short = isinstance(given, str | int | float) and len(str(given)) < _SHORT and str(given).isprintable()
+            if short:
+                _number(key, given, parameter)  # a value that would be wrong in a list too is told as such
             example = as_toml([given]) if short else "[] for none"
             raise ParameterError(key, given, f"must be a list of values, such as {example}")
         if len(given) > _LONGEST_SERIES:
