@@ -8,10 +8,13 @@ import pytest
 from gearjax.contact.conjugate import FEWER, Begin, descended
 from gearjax.contact.coupled import ENOUGH, MANY, coupled_balance
 from gearjax.contact.likely import (
+    ALL_PRECONDITIONED,
+    MANY_LANES,
     SIZES,
     WORTH_WHILE,
     Example,
     descended_among_few,
+    inverse_of_all,
     linear_among_few,
     preconditioner_of,
 )
@@ -20,6 +23,7 @@ from tests.test_coupled import balance, missed
 pytestmark = pytest.mark.slow
 
 NUMBER, LANES = 2 * MANY, WORTH_WHILE + 8
+ALL = jnp.ones(NUMBER, bool)
 over = jax.jit(jax.vmap(coupled_balance, (None, 0, 0, 0)))
 
 
@@ -70,7 +74,7 @@ def test_what_is_found_among_few_needs_no_step_among_all(rng):
     """Without the start among few, the same takes many products with the whole matrix."""
     given = population(rng)
     matrix, lanes = jnp.asarray(given[0]), columns(*given)
-    at = descended_among_few(example_of(*given), matrix, *lanes, ENOUGH)
+    at = descended_among_few(example_of(*given), None, matrix, *lanes, ENOUGH)
     assert at.done.all()
     assert int(at.step) == 0
     assert int(descended(matrix, *lanes, ENOUGH).step) > 15
@@ -137,6 +141,55 @@ def test_a_preconditioner_saves_steps_and_moves_nothing(rng):
     assert preconditioner_of(jnp.asarray(matrix), jnp.ones(NUMBER, bool)) is None  # of many it would take longer
 
 
+def test_the_inverse_of_the_whole_matrix_saves_half_the_steps_and_moves_nothing(rng):
+    """Of contacts that carry in other places in every lane."""
+    matrix = jnp.asarray(population(rng)[0])
+    gaps, loads = rng.uniform(0.0, 1.0, (LANES, NUMBER)), np.full(LANES, -20.0)
+    lanes = columns(matrix, np.full(gaps.shape, -1.0), gaps, loads)
+    inverse = inverse_of_all(matrix, MANY_LANES, ALL)
+    assert inverse is not None
+    np.testing.assert_allclose(inverse @ matrix, np.eye(NUMBER), atol=1e-12)
+    plain, quick = (descended(matrix, *lanes, ENOUGH, preconditioner=each) for each in (None, inverse))
+    assert plain.done.all()
+    assert quick.done.all()
+    assert int(quick.step) < 0.7 * int(plain.step)
+    np.testing.assert_array_equal(quick.inside, plain.inside)
+    np.testing.assert_allclose(quick.forces, plain.forces, atol=1e-11 * float(plain.forces.max()))
+
+
+def test_there_is_no_inverse_where_it_does_not_pay_or_does_not_exist(rng):
+    matrix = jnp.asarray(population(rng)[0])
+    assert inverse_of_all(matrix, MANY_LANES - 1, ALL) is None
+    more = ALL_PRECONDITIONED + 1
+    assert inverse_of_all(jnp.eye(more), MANY_LANES, jnp.ones(more, bool)) is None
+    np.testing.assert_array_equal(inverse_of_all(matrix, MANY_LANES, ALL.at[NUMBER // 3 :].set(False)), np.eye(NUMBER))
+    twice = matrix.at[1].set(matrix[0]).at[:, 1].set(matrix[:, 0]).at[1, 1].set(matrix[0, 0])
+    for nearly in (0.0, 1e-14, 1e-9):
+        np.testing.assert_array_equal(inverse_of_all(twice.at[1, 1].add(nearly), MANY_LANES, ALL), np.eye(NUMBER))
+
+
+def test_many_lanes_of_contacts_that_all_carry_somewhere_are_single_problems(rng):
+    """So many lanes that the inverse of the whole matrix is used; their slopes too, against the exact steps."""
+    matrix, number = population(rng)[0], MANY_LANES + 5
+    gaps, loads = rng.uniform(0.0, 1.0, (number, NUMBER)), -rng.uniform(0.1, 40.0, number)
+    levers = -rng.uniform(0.8, 1.2, (number, NUMBER))
+
+    def weighed(matrix, lever, gap, load):
+        place, forces, _ = coupled_balance(matrix, lever, gap, load)
+        return place + forces @ jnp.cos(jnp.arange(NUMBER))
+
+    slopes = jax.jit(jax.vmap(jax.grad(weighed, (1, 2, 3)), (None, 0, 0, 0)))(matrix, levers, gaps, loads)
+    positions, forces, results = (np.asarray(part) for part in over(matrix, levers, gaps, loads))
+    np.testing.assert_array_equal(results, 0)
+    alone = jax.jit(jax.grad(weighed, (1, 2, 3)))
+    for lane in (0, 100, number - 1):
+        position, own, _ = balance(matrix, levers[lane], gaps[lane], loads[lane])
+        np.testing.assert_allclose(forces[lane], own, atol=1e-12 * float(own.max()))
+        assert positions[lane] == pytest.approx(float(position), rel=1e-12)
+        for many, one in zip(slopes, alone(matrix, levers[lane], gaps[lane], loads[lane]), strict=True):
+            np.testing.assert_allclose(many[lane], one, atol=1e-10 * float(np.abs(one).max()))
+
+
 @pytest.mark.parametrize(
     "kind",
     [
@@ -199,7 +252,9 @@ def test_lanes_of_known_contacts_are_solved_among_them(rng):
     for share in (0.2, 0.9):
         closed = np.broadcast_to(rng.random(NUMBER) < share, gaps.shape) & (rng.random(gaps.shape) < 0.9)
         given = (jnp.asarray(part) for part in (levers.T, gaps.T, loads, closed.T))
-        forces, places, done = (np.asarray(part) for part in linear_among_few(jnp.asarray(matrix), *given, ENOUGH))
+        forces, places, done = (
+            np.asarray(part) for part in linear_among_few(None, jnp.asarray(matrix), *given, ENOUGH)
+        )
         assert done.all()
         for lane in range(LANES):
             own = closed[lane]

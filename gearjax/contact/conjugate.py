@@ -180,11 +180,10 @@ def _first(lanes: Problems, one_sided: bool, begin: Begin | None) -> Lanes:
         forces, inside = (jnp.where(begin.usable, *both) for both in ((begin.forces, forces), (begin.inside, inside)))
     if begin is not None and begin.slope is not None:
         slope = begin.slope
-        place, beyond, left, reach = _standing(slope, lever, gap, inside)
-        held = (left <= reach) & ~(_joins(beyond, reach, lanes, inside) | (inside & (forces < 0))).any(
-            axis=0, keepdims=True
-        )
-        idle = idle | (begin.usable & held)
+        own, beyond, left, reach = _standing(slope, lever, gap, inside)
+        wrong = _joins(beyond, reach, lanes, inside) | (inside & (forces < 0))
+        found = begin.usable & (left <= reach) & ~wrong.any(axis=0, keepdims=True)
+        place, idle = jnp.where(found, own, place), idle | found
     return Lanes(
         forces=forces,
         way=jnp.zeros_like(gap),

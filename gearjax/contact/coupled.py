@@ -27,7 +27,7 @@ from gearjax.contact.blocks import search_of_blocks, solved_of_blocks
 from gearjax.contact.conjugate import descended
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.lanes import finished, in_parts, side_by_side
-from gearjax.contact.likely import WORTH_WHILE, Example, descended_among_few, linear_among_few
+from gearjax.contact.likely import WORTH_WHILE, Example, descended_among_few, inverse_of_all, linear_among_few
 from gearjax.contact.train import closed_first
 from gearjax.typing import Array, Bool, Float, Int, Scalar
 
@@ -200,7 +200,9 @@ def _many(influence: Array, levers: Array, apart: Array, applied: Array, loaded:
     descend = partial(descended, influence)
     if len(applied) >= WORTH_WHILE:
         example = Example.of(influence, levers[:, :, 0], apart, applied[:, 0], loaded)
-        descend = partial(descended_among_few, example, influence)
+        chosen = example.likely(apart[:LANES].T, applied[:LANES, 0], loaded[:LANES].T)
+        inverse = inverse_of_all(influence, len(applied), chosen)
+        descend = partial(descended_among_few, example, inverse, influence)
 
     def part(levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:
         lever, gap = levers[:, :, 0].T, apart.T
@@ -225,9 +227,11 @@ def _many_linear(influence: Array, levers: Array, rest: Array, applied: Array, c
     if applied.shape[1] > 1:
         return jax.lax.map(lambda each: solved(influence, *each), (levers, rest, applied, closed))
 
+    inverse = inverse_of_all(influence, len(applied), closed[:LANES].any(axis=0))
+
     def part(levers: Array, rest: Array, applied: Array, closed: Array) -> tuple:
         lanes = levers[:, :, 0].T, rest.T, applied[:, 0], closed.T
-        forces, place, done = linear_among_few(influence, *lanes, ENOUGH)
+        forces, place, done = linear_among_few(inverse, influence, *lanes, ENOUGH)
 
         def exact(lane: Array) -> tuple:
             return solved(influence, levers[lane], rest[lane], applied[lane], closed[lane])

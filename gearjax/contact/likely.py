@@ -3,9 +3,10 @@
 The errors of a population move gaps by little, so that of many contacts the same few carry in all lanes: a lane is one
 problem of a batch. One lane, the most heavily loaded one, is solved roughly among all contacts. With its forces, the
 opening of every contact in every other lane is estimated; contacts that are closed by this estimate in some lane are
-taken out, and all lanes are solved among them by conjugate gradients, preconditioned by the inverse of the influence
-of the contacts that carry in that one lane. The result is a start for the same method among all contacts, which looks
-at every condition again: a wrong estimate takes time and changes no result.
+taken out, and all lanes are solved among them: with the inverse of the influence of the contacts that carry in that one
+lane, exactly where the same contacts carry, and by preconditioned conjugate gradients elsewhere. The result is a start
+for the same method among all contacts, which looks at every condition again: a wrong estimate takes time and changes no
+result.
 """
 
 from collections.abc import Callable
@@ -21,6 +22,9 @@ from gearjax.typing import Array, Bool, Float, Int, Scalar
 ROUGH = 20  # steps of conjugate gradients for one lane
 SIZES = 1 / 4, 1 / 2  # shares of the contacts that are taken out; with more, nothing is gained
 PRECONDITIONED = 64  # contacts up to which the steps are preconditioned
+ALL_PRECONDITIONED = 128  # contacts up to which the steps among all contacts are preconditioned
+MANY_LANES = 256  # lanes from which the inverse of the whole matrix takes less time than it saves
+DEPENDENT = 1e5  # stiffness of a contact beside held ones, over that of the contact alone
 WORTH_WHILE = 24  # lanes; with fewer, the rough solution and the look at the result take longer than they save
 
 
@@ -88,9 +92,19 @@ class Example(NamedTuple):
 
 
 def descended_among_few(
-    example: Example, influence: Array, lever: Array, gap: Array, applied: Array, allowed: Array, most: int
+    example: Example,
+    inverse: Array | None,
+    influence: Array,
+    lever: Array,
+    gap: Array,
+    applied: Array,
+    allowed: Array,
+    most: int,
 ) -> Lanes:
-    """The same as `descended`, begun from the solution among contacts that are likely to carry."""
+    """The same as `descended`, begun from the solution among contacts that are likely to carry.
+
+    ``inverse`` is that of `inverse_of_all`.
+    """
 
     def few(index: Array, inner: Array, lever: Array, gap: Array, allowed: Array) -> Begin:
         near = preconditioner_of(inner, example.at(index) > 0)
@@ -105,11 +119,11 @@ def descended_among_few(
 
     all_gaps, likely = gap, example.likely(gap, applied, allowed)
     begin = among(likely, influence, (lever, gap, allowed), few, not_worth_while)
-    return descended(influence, lever, gap, applied, allowed, most, begin=begin)
+    return descended(influence, lever, gap, applied, allowed, most, begin=begin, preconditioner=inverse)
 
 
 def linear_among_few(
-    influence: Array, lever: Array, gap: Array, applied: Array, closed: Array, most: int
+    inverse: Array | None, influence: Array, lever: Array, gap: Array, applied: Array, closed: Array, most: int
 ) -> tuple[Float[Array, "contact lane"], Float[Array, " lane"], Bool[Array, " lane"]]:
     """Forces, positions, and whether they are found, of lanes whose closed contacts are known."""
 
@@ -119,7 +133,7 @@ def linear_among_few(
         return laid_back(at.forces, index, len(influence)), at.place, at.done
 
     def all_of_them() -> tuple[Array, Array, Array]:
-        at = descended(influence, lever, gap, applied, closed, most, one_sided=False)
+        at = descended(influence, lever, gap, applied, closed, most, one_sided=False, preconditioner=inverse)
         return at.forces, at.place, at.done
 
     return among(closed.any(axis=1), influence, (lever, gap, closed), few, all_of_them)
@@ -136,6 +150,28 @@ def preconditioner_of(influence: Float[Array, "few few"], core: Bool[Array, " fe
     own = jnp.diag(jnp.diagonal(influence))
     near, unit = jnp.where(core[:, None] & core[None, :], influence, own), jnp.eye(len(core), dtype=own.dtype)
     return eliminated(near, unit, library_from=PRECONDITIONED + 1)
+
+
+def inverse_of_all(
+    influence: Float[Array, "contact contact"], lanes: int, chosen: Bool[Array, " contact"]
+) -> Float[Array, "contact contact"] | None:
+    """Inverse of the whole influence, near that of any set of contacts but at its ends: it halves the number of steps.
+
+    ``None`` where it would take longer than it saves. The unit matrix, which changes nothing, if few contacts are
+    chosen, because these are solved by themselves, or if the inverse is not accurate: contacts that never carry
+    together may depend on each other.
+    """
+    number = len(influence)
+    if number > ALL_PRECONDITIONED or lanes < MANY_LANES:
+        return None
+    unit = jnp.eye(number, dtype=influence.dtype)
+
+    def accurate() -> Array:
+        inverse = eliminated(influence, unit, library_from=ALL_PRECONDITIONED + 1)
+        independent = (jnp.diagonal(inverse) * jnp.diagonal(influence)).max() < DEPENDENT
+        return jnp.where(independent, inverse, unit)
+
+    return jax.lax.cond(chosen.sum() > int(max(SIZES) * number), accurate, lambda: unit)
 
 
 def among(

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from gearjax.errors import MeasuredFlank, MeasuredPitch
 from gearjax.errors.measured import FLANKS
@@ -11,6 +12,7 @@ from gearjax.scene import Scene
 from gearjax.units import mm, um
 
 MOST_MAPS = 4  # largest number of teeth that are drawn of a flank
+SAME = "the same {}"
 
 
 def measured_figure(scene: Scene) -> Figure:
@@ -41,31 +43,39 @@ def _draw_flank(figure, name: str, flank: MeasuredFlank) -> None:
     shown = np.asarray(flank.grid)[:MOST_MAPS] / um
     axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     most = max(float(np.abs(shown).max()), 1e-9)
-    places = [np.asarray(part) / mm for part in (flank.roll, flank.across)]
+    roll, across = (np.asarray(part) / mm for part in (flank.roll, flank.across))
     for number, (ax, grid) in enumerate(zip(axes, shown, strict=True)):
-        # a single place stands for the whole width or the whole height
-        edges = [np.array([part[0] - 1, part[0] + 1]) if part.size == 1 else _edges(part) for part in places]
-        drawn = ax.pcolormesh(edges[0], edges[1], grid.T, cmap="RdBu_r", vmin=-most, vmax=most)
+        corners = np.broadcast_to(grid.T, (max(across.size, 2), max(roll.size, 2)))
+        drawn = ax.pcolormesh(
+            _ends(roll), _ends(across), corners, cmap="RdBu_r", vmin=-most, vmax=most, shading="gouraud"
+        )
         told = f"tooth {int(flank.teeth[number])}" if flank.teeth.size else f"tooth {number}"
         ax.set_title(told if flank.grids > 1 or flank.teeth.size else "all teeth", fontsize="medium")
-        ax.set_xlabel("length of roll [mm]")
-    axes[0].set_ylabel("across the face [mm]")
+        ax.set_xlabel("length of roll [mm]" if roll.size > 1 else SAME.format("over the roll"))
+        if roll.size == 1:
+            ax.set_xticks([])
+    axes[0].set_ylabel("across the face [mm]" if across.size > 1 else SAME.format("across the face"))
+    if across.size == 1:
+        axes[0].set_yticks([])
     figure.colorbar(drawn, ax=axes, label="material beyond the ideal flank [um]")
     more = f", {len(shown)} of {flank.grids} measured teeth" if flank.grids > len(shown) else ""
     figure.suptitle(f"{name}: {_flanks(flank.flank)} of {flank.body}{more}")
 
 
-def _edges(places: np.ndarray) -> np.ndarray:
-    """Boundaries of the cells around places."""
-    middles = 0.5 * (places[1:] + places[:-1])
-    return np.concatenate([places[:1], middles, places[-1:]])
+def _ends(places: np.ndarray) -> np.ndarray:
+    """The places; a single one stands for the whole width or height, drawn from 0 to 1."""
+    return places if places.size > 1 else np.array([0.0, 1.0])
 
 
 def _draw_pitches(ax: Axes, body: str, pitches: list[MeasuredPitch]) -> None:
     """Draw cumulative deviations tooth by tooth, one curve for each flank."""
     for pitch in pitches:
         values = np.asarray(pitch.deviation) / um
+        if values.size == 1:
+            ax.axhline(values[0], linewidth=1.0, label=f"{_flanks(pitch.flank)}, all teeth")
+            continue
         ax.plot(np.arange(values.size), values, marker="o", markersize=3, linewidth=1.0, label=_flanks(pitch.flank))
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     finish(ax, f"Cumulative pitch deviation of {body}", x="tooth", y="flank ahead by [um]")
 
 
