@@ -119,3 +119,18 @@ def test_lost_motion_and_errors_of_wrapped_files_are_those_of_unwrapped_ones(tmp
     assert all(record.explained > 0.98 for record in beside.records)
     found = gj.identify(dataclasses.replace(scene, reference=None), records, suggest=False)
     assert found.estimate("backlash.initial").value == pytest.approx(150, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_run_that_may_begin_in_a_later_turn_is_told_so():
+    """Not that the sign of its TE is wrong, although the other sign would explain some of it."""
+    scene = gj.load(FILES["two_kv"])
+    made = gj.synthetic_measurement(scene, 80.0, rows=4000, turns=1.0, noise=2e-6)
+    early = dataclasses.replace(made, theta=made.theta - 23 * TURN, input_wraps=True)
+    output = early.output - float(np.mean(early.error(scene)))
+    (note,) = gj.compare(scene, dataclasses.replace(early, output=output)).notes
+    assert "wraps around: it may begin in a later turn of the input" in note
+    found = gj.compare(scene, dataclasses.replace(early, output=output), shift="find")
+    assert found.records[0].explained > 0.97
+    assert np.remainder(found.records[0].start, scene.system.cycle) == pytest.approx(23 * TURN, abs=1e-3)
+    assert not found.notes

@@ -189,7 +189,7 @@ def compare(
             notes += words
         else:
             curve = _computed(own, record, record.theta + start)
-        notes += _remarks(record.name, te, curve)
+        notes += _remarks(record, te, curve, shift)
         offset = float(np.mean(te - curve))
         found.append(
             RecordBeside(
@@ -199,9 +199,15 @@ def compare(
     return Comparison(scene, tuple(found), _lost_motion(scene, records, found), tuple(notes))
 
 
-def _remarks(name: str, te: np.ndarray, curve: np.ndarray) -> list[str]:
+def _remarks(record: Measurement, te: np.ndarray, curve: np.ndarray, shift: str) -> list[str]:
     """What seems to be wrong with a recording that the computed curve does not explain at all."""
+    name = record.name
     share, other = (1 - np.var(te - sign * curve) / max(np.var(te), 1e-300) for sign in (1, -1))
+    if share < 0 and record.input_wraps and shift == "none":
+        words = (
+            'it may begin in a later turn of the input, which its angle does not show: --shift (shift="find") finds it'
+        )
+        return [f"{name}: {100 * share:.4g} % explained, and its input angle wraps around: {words}"]
     measured, computed = np.std(te) / arcmin, np.std(curve) / arcmin
     if share < 0 and other > MIRRORED:
         words = "the TE is the angle of the output minus the ideal one (sign = -1 in its TOML file turns it)"

@@ -3,7 +3,6 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from gearjax.errors import MeasuredFlank, MeasuredPitch
 from gearjax.errors.measured import FLANKS
@@ -12,7 +11,7 @@ from gearjax.scene import Scene
 from gearjax.units import mm, um
 
 MOST_MAPS = 4  # largest number of teeth that are drawn of a flank
-SAME = "the same {}"
+SAME, Y_PITCH = "the same {}", "flank ahead by [um]"
 
 
 def measured_figure(scene: Scene) -> Figure:
@@ -69,14 +68,17 @@ def _ends(places: np.ndarray) -> np.ndarray:
 
 def _draw_pitches(ax: Axes, body: str, pitches: list[MeasuredPitch]) -> None:
     """Draw cumulative deviations tooth by tooth, one curve for each flank."""
+    most = max(np.size(pitch.deviation) for pitch in pitches)
     for pitch in pitches:
         values = np.asarray(pitch.deviation) / um
-        if values.size == 1:
-            ax.axhline(values[0], linewidth=1.0, label=f"{_flanks(pitch.flank)}, all teeth")
-            continue
-        ax.plot(np.arange(values.size), values, marker="o", markersize=3, linewidth=1.0, label=_flanks(pitch.flank))
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    finish(ax, f"Cumulative pitch deviation of {body}", x="tooth", y="flank ahead by [um]")
+        shown = np.full(max(most, 2), values[0]) if values.size == 1 else values
+        marker = "" if values.size == 1 else "o"
+        ax.plot(np.arange(shown.size), shown, marker=marker, markersize=3, linewidth=1.0, label=_flanks(pitch.flank))
+    finish(
+        ax, f"Cumulative pitch deviation of {body}", x=SAME.format("for all teeth") if most == 1 else "tooth", y=Y_PITCH
+    )
+    if most == 1:
+        ax.set_xticks([])
 
 
 def _flanks(flank: str) -> str:
