@@ -291,7 +291,7 @@ def says_and_writes(word: str, name: str, printed: str, said: str, folder: Path)
 
 def swings_less(printed: str, folder: Path) -> None:
     """Reliefs in micrometres, with which the TE swings a third as far, and what errors of them cost."""
-    assert "8.7 % of the span between the bounds: " in printed
+    assert "8.7 % of the span between the bounds off to either side: " in printed
     with (folder / "starts.csv").open(encoding="utf-8") as file:
         first = next(csv.DictReader(file))
     assert 5 < float(first["errors.tip.amount[0] [um]"]) < 10

@@ -134,3 +134,77 @@ def test_a_run_that_may_begin_in_a_later_turn_is_told_so():
     assert found.records[0].explained > 0.97
     assert np.remainder(found.records[0].start, scene.system.cycle) == pytest.approx(23 * TURN, abs=1e-3)
     assert not found.notes
+
+
+def test_the_order_of_the_recordings_changes_nothing(scene):
+    """A recording whose angles do not wrap tells where the others are, wherever it stands in the list."""
+    late, whole = run(scene, 0.3 + TURN, 40.0), run(scene, 0.0, 60.0)
+    given = [wrapped(late), whole]
+    ahead, _ = joined(scene, given)
+    (one, other), _ = joined(scene, given[::-1])
+    for record, true in ((ahead[0], late), (ahead[1], whole), (other, late), (one, whole)):
+        assert off_by_cycles(scene, record.theta, true.theta) < 1e-9
+    np.testing.assert_array_equal(ahead[1].theta, whole.theta)
+
+
+def test_zeros_that_may_differ_tell_no_turns(scene):
+    """With a wide `offset_spread`, or bodies turned in their seats, which moves the output."""
+    first, second = run(scene, 0.0, 60.0), run(scene, TURN, 55.0)
+    given = [wrapped(first), wrapped(second)]
+    (_, counted), _ = joined(scene, given)
+    assert off_by_cycles(scene, counted.theta, second.theta) < 1e-9
+    (_, wide), _ = joined(scene, given, np.pi)
+    turned = dataclasses.replace(given[1], turned={"errors.planet_1": 1.0})
+    (_, seated), notes = joined(scene, [given[0], turned])
+    for record in (wide, seated):
+        np.testing.assert_array_equal(record.theta, given[1].theta)
+    assert not notes
+    check_joined(scene, [given[0], turned], 1e-6)
+
+
+def test_places_closer_than_lost_motion_tell_no_turns():
+    """Hunting teeth: in a cycle of 4,087 turns of the input, the nearest places of the output are 5 arcmin apart."""
+    scene = gj.load("configs/helical/two_stage.toml")
+    system = dataclasses.replace(scene.system, pinion_teeth=[19, 17], wheel_teeth=[61, 67])
+    scene = dataclasses.replace(scene, system=system)
+    first, second = run(scene, 0.0, 60.0), run(scene, 0.0, 55.0, 5.0 * arcmin)
+    (_, other), notes = joined(scene, [wrapped(first), wrapped(second)])
+    np.testing.assert_array_equal(other.theta, wrapped(second).theta)
+    assert not notes
+    check_joined(scene, [first, other], 1e-6)
+
+
+@pytest.mark.parametrize("path", ["involute_rv/yang_2019.toml", "rv_cycloidal/hu_2020.toml", "two_kv/measured.toml"])
+def test_a_large_lost_motion_is_no_missing_turn(path):
+    scene = gj.load(f"configs/{path}")
+    records = [run(scene, 0.0, 60.0), run(scene, 60.0, -60.0, 30.0 * arcmin)]
+    moved, notes = joined(scene, records)
+    assert not notes
+    check_joined(scene, moved, 1e-6)
+
+
+def test_lost_motion_is_that_of_recordings_with_one_zero():
+    """One of two runs on the back flanks was made after the encoder was zeroed anew."""
+    scene = gj.load(FILES["two_kv"])
+    runs = [
+        gj.synthetic_measurement(
+            scene, torque, rows=2000, turns=0.5, noise=0.0, offset=offset * deg, backward=torque < 0
+        )
+        for torque, offset in ((80.0, 0.0), (-80.0, 10.0), (-80.0, 0.0))
+    ]
+    runs[1] = dataclasses.replace(runs[1], name="zeroed anew")
+    found = gj.compare(scene, runs)
+    assert found.lost_motion is not None
+    assert found.lost_motion[0] == pytest.approx(found.lost_motion[1], rel=1e-6)
+    assert any("zeroed anew: its output angle lies 10." in note for note in found.notes)
+
+
+def test_a_wrong_sign_or_unit_of_a_wrapping_recording_is_named():
+    scene = gj.load(FILES["two_kv"])
+    made = gj.synthetic_measurement(scene, 80.0, rows=2000, turns=1.0, noise=0.0)
+    te = made.error(scene)
+    for factor, words in ((-1.0, "the other sign of te"), (60.0, "may have the wrong unit")):
+        record = gj.Measurement(made.theta, te=factor * te, torque=80.0, input_wraps=True)
+        notes = gj.compare(scene, record).notes
+        assert any(words in note for note in notes)
+        assert not any("wraps around" in note for note in notes)

@@ -24,7 +24,7 @@ SIZES = 1 / 4, 1 / 2  # shares of the contacts that are taken out; with more, no
 PRECONDITIONED = 64  # contacts up to which the steps are preconditioned
 ALL_PRECONDITIONED = 128  # contacts up to which the steps among all contacts are preconditioned
 MANY_LANES = 256  # lanes from which the inverse of the whole matrix takes less time than it saves
-DEPENDENT = 1e5  # stiffness of a contact beside held ones, over that of the contact alone
+DEPENDENT, DEPENDENT_SINGLE = 300.0, 10.0  # stiffness of a contact beside held ones, over that of the contact alone
 WORTH_WHILE = 24  # lanes; with fewer, the rough solution and the look at the result take longer than they save
 
 
@@ -158,8 +158,8 @@ def inverse_of_all(
     """Inverse of the whole influence, near that of any set of contacts but at its ends: it halves the number of steps.
 
     ``None`` where it would take longer than it saves. The unit matrix, which changes nothing, if few contacts are
-    chosen, because these are solved by themselves, or if the inverse is not accurate: contacts that never carry
-    together may depend on each other.
+    chosen, because these are solved by themselves, or if contacts nearly depend on each other: where only one of them
+    carries, the inverse misleads.
     """
     number = len(influence)
     if number > ALL_PRECONDITIONED or lanes < MANY_LANES:
@@ -168,10 +168,11 @@ def inverse_of_all(
 
     def accurate() -> Array:
         inverse = eliminated(influence, unit, library_from=ALL_PRECONDITIONED + 1)
-        independent = (jnp.diagonal(inverse) * jnp.diagonal(influence)).max() < DEPENDENT
+        most = DEPENDENT if influence.dtype == jnp.float64 else DEPENDENT_SINGLE
+        independent = (jnp.diagonal(inverse) * jnp.diagonal(influence)).max() < most
         return jnp.where(independent, inverse, unit)
 
-    return jax.lax.cond(chosen.sum() > int(max(SIZES) * number), accurate, lambda: unit)
+    return jax.lax.cond(chosen.sum() > round(max(SIZES) * number), accurate, lambda: unit)
 
 
 def among(

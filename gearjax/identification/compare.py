@@ -8,12 +8,12 @@ import numpy as np
 
 from gearjax import arguments
 from gearjax.checks import ParameterError, SceneError, nearest, with_article
-from gearjax.identification.measurement import Measurement, a_measurement, largest_error, several
+from gearjax.identification.measurement import Measurement, a_measurement, several
 from gearjax.identification.moving import moving_error
 from gearjax.identification.orders import candidates, waves
 from gearjax.identification.running import an_analysis, check_running
 from gearjax.identification.synthetic import computed_error, turned_scene
-from gearjax.identification.whole_turns import joined
+from gearjax.identification.whole_turns import farthest, joined
 from gearjax.scene import Scene
 from gearjax.units import arcmin
 
@@ -24,6 +24,7 @@ POLISHED = 24  # best start angles that are refined: because bodies repeat, many
 CLOSE = {"xatol": 1e-6}  # rad
 MOST_ROWS = 200_000  # of a recording; more rows are averaged in groups, or thinned out in motion
 MIRRORED = 0.5  # share of the variance that another sign of the TE must explain to be named
+SURELY = 0.9  # the same for a run that may begin in a later turn, where the phases of slow bodies are unknown
 APART = 20.0  # a curve that is so many times as large as the other has a column in the wrong unit, or a wrong torque
 FAR_OFF = -1.0  # share explained below which something is named as wrong: the difference is well above the TE
 MOST_ANGLES = 1 << 17  # of a computed curve
@@ -203,18 +204,19 @@ def _remarks(record: Measurement, te: np.ndarray, curve: np.ndarray, shift: str)
     """What seems to be wrong with a recording that the computed curve does not explain at all."""
     name = record.name
     share, other = (1 - np.var(te - sign * curve) / max(np.var(te), 1e-300) for sign in (1, -1))
-    if share < 0 and record.input_wraps and shift == "none":
-        words = (
-            'it may begin in a later turn of the input, which its angle does not show: --shift (shift="find") finds it'
-        )
-        return [f"{name}: {100 * share:.4g} % explained, and its input angle wraps around: {words}"]
+    wraps = record.input_wraps and shift == "none"
     measured, computed = np.std(te) / arcmin, np.std(curve) / arcmin
-    if share < 0 and other > MIRRORED:
+    if share < 0 and other > (SURELY if wraps else MIRRORED):
         words = "the TE is the angle of the output minus the ideal one (sign = -1 in its TOML file turns it)"
         return [f"{name}: with the other sign of te {100 * other:.4g} % would be explained: {words}"]
     if not 1 / APART < computed / max(measured, 1e-300) < APART:
         words = "a column may have the wrong unit, te or torque, or errors are missing"
         return [f"{name}: the measured TE varies by {measured:.3g} arcmin, the computed one by {computed:.3g}: {words}"]
+    if share < 0 and wraps:
+        words = (
+            'it may begin in a later turn of the input, which its angle does not show: --shift (shift="find") finds it'
+        )
+        return [f"{name}: {100 * share:.4g} % explained, and its input angle wraps around: {words}"]
     if share < FAR_OFF:
         words = "other errors than the scene's, or a wrong sign, unit or start angle (gearjax identify tests signs)"
         return [f"{name}: {100 * share:.4g} % explained is worse than no curve: {words}"]
@@ -291,7 +293,7 @@ def _orders(scene: Scene, record: Measurement, te: np.ndarray, curve: np.ndarray
 def _lost_motion(scene: Scene, records: list[Measurement], found: list[RecordBeside]) -> tuple[float, float] | None:
     """Mean lost motion, measured and computed, between recordings of both flanks under torques of the same size.
 
-    ``None`` also if their angles are so far apart that their zeros differ.
+    Recordings whose angles are so far apart that their zeros differ are left out.
     """
     for i, ahead in enumerate(records):
         for j, behind in enumerate(records):
@@ -306,7 +308,8 @@ def _lost_motion(scene: Scene, records: list[Measurement], found: list[RecordBes
             place = np.linspace(low, high, 4 * min(one.theta.size, other.theta.size))
             pairs = [(one.measured, other.measured), (one.computed - one.offset, other.computed - other.offset)]
             told = [float(np.mean(_at(place, other.theta, b) - _at(place, one.theta, a))) for a, b in pairs]
-            return (told[0], told[1]) if abs(told[0]) < largest_error(scene) else None
+            if abs(told[0]) < farthest(scene):
+                return told[0], told[1]
     return None
 
 

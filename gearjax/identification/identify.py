@@ -110,7 +110,7 @@ def identify(
     notes = [words for record in records for words in record.check(scene)]
     moves = analysis == "dynamic"
     notes += check_running(scene, records) if moves else []
-    records, words = joined(scene, records)
+    records, words = joined(scene, records, offset_spread)
     check_joined(scene, records, offset_spread)
     notes += words
     _check_suited(scene, records, notes)

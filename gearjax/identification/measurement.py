@@ -245,19 +245,15 @@ def robust_slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(np.median((y[half:] - y[: y.size - half])[good] / run[good]))
 
 
-def largest_error(scene: Scene) -> float:
-    """Deviation of a transmission error that is impossible, because gears would have to skip teeth [rad]."""
-    orders = scene.system.orders
-    return PITCHES * 2 * np.pi * orders.get("output", 1.0) / max(orders.values(), default=1.0)
-
-
 def _check_size(measured: Measurement, scene: Scene) -> None:
     """Refuse a transmission error of several tooth pitches: gears would have to skip teeth."""
-    error, most = measured.error(scene), largest_error(scene)
-    far = np.abs(error - np.median(error)) > most
+    orders = scene.system.orders
+    pitch = 2 * np.pi * orders.get("output", 1.0) / max(orders.values(), default=1.0)
+    error = measured.error(scene)
+    far = np.abs(error - np.median(error)) > PITCHES * pitch
     if far.mean() > MOST_FAR:
         words = f"{far.sum()} of {far.size} rows, from row {int(np.argmax(far)) + 1} on, have a transmission error of"
-        limit = f"more than {PITCHES:g} tooth pitches ({most / arcmin:.3g} arcmin) beside its median"
+        limit = f"more than {PITCHES:g} tooth pitches ({PITCHES * pitch / arcmin:.3g} arcmin) beside its median"
         raise GearjaxError(f"{measured.name}: {words} {limit}: the unit of a column is wrong, or values are missing")
 
 

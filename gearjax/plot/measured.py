@@ -46,7 +46,14 @@ def _draw_flank(figure, name: str, flank: MeasuredFlank) -> None:
     for number, (ax, grid) in enumerate(zip(axes, shown, strict=True)):
         corners = np.broadcast_to(grid.T, (max(across.size, 2), max(roll.size, 2)))
         drawn = ax.pcolormesh(
-            _ends(roll), _ends(across), corners, cmap="RdBu_r", vmin=-most, vmax=most, shading="gouraud"
+            _ends(roll),
+            _ends(across),
+            corners,
+            cmap="RdBu_r",
+            vmin=-most,
+            vmax=most,
+            shading="gouraud",
+            rasterized=True,
         )
         told = f"tooth {int(flank.teeth[number])}" if flank.teeth.size else f"tooth {number}"
         ax.set_title(told if flank.grids > 1 or flank.teeth.size else "all teeth", fontsize="medium")
