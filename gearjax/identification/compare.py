@@ -150,6 +150,8 @@ def compare(
 
     Recordings under torque are compared with the static TE, others with the no-load TE (of the back flanks if the input
     turns backward). The zeros of the encoders are removed as one offset per recording.
+    Of several recordings with output angles, these tell in which turn of the input a recording begins whose input angle
+    wraps around.
 
     Args:
         scene: the scene.

@@ -79,7 +79,8 @@ def identify(
             recordings of the back flanks).
         priors: prior knowledge by path: a standard deviation, a pair of mean and standard deviation in SI, or a
             distribution of a tolerance study; for an eccentricity, of each of its components.
-        offset_spread: standard deviation of the encoders' offset between recordings [rad].
+        offset_spread: standard deviation of the encoders' offset between recordings [rad]. While it is small, output
+            angles also tell in which turn of the input a recording begins whose input angle wraps around.
         starts: number of starts of the search; by default 64, or 4 if the gaps are not linear in the unknowns.
         loss: ``"robust"`` reduces the weight of rows beyond four standard deviations, ``"least_squares"`` does not.
         analysis: ``"static"``, or ``"dynamic"`` for recordings at speed: the recorded times give the speed, the
