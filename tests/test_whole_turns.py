@@ -183,6 +183,7 @@ def test_a_large_lost_motion_is_no_missing_turn(path):
     check_joined(scene, moved, 1e-6)
 
 
+@pytest.mark.slow
 def test_lost_motion_is_that_of_recordings_with_one_zero():
     """One of two runs on the back flanks was made after the encoder was zeroed anew."""
     scene = gj.load(FILES["two_kv"])
@@ -199,6 +200,7 @@ def test_lost_motion_is_that_of_recordings_with_one_zero():
     assert any("zeroed anew: its output angle lies 10." in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_or_unit_of_a_wrapping_recording_is_named():
     scene = gj.load(FILES["two_kv"])
     made = gj.synthetic_measurement(scene, 80.0, rows=2000, turns=1.0, noise=0.0)
