@@ -1,5 +1,7 @@
 """Many gaps and loads that few contacts carry: the answers of single problems, also where the estimate errs."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -141,7 +143,7 @@ def test_a_preconditioner_saves_steps_and_moves_nothing(rng):
     assert preconditioner_of(jnp.asarray(matrix), jnp.ones(NUMBER, bool)) is None  # of many it would take longer
 
 
-def test_the_inverse_of_the_whole_matrix_saves_half_the_steps_and_moves_nothing(rng):
+def test_the_inverse_of_the_whole_matrix_saves_steps_and_moves_nothing(rng):
     """Of contacts that carry in other places in every lane."""
     matrix = jnp.asarray(population(rng)[0])
     gaps, loads = rng.uniform(0.0, 1.0, (LANES, NUMBER)), np.full(LANES, -20.0)
@@ -152,9 +154,14 @@ def test_the_inverse_of_the_whole_matrix_saves_half_the_steps_and_moves_nothing(
     plain, quick = (descended(matrix, *lanes, ENOUGH, preconditioner=each) for each in (None, inverse))
     assert plain.done.all()
     assert quick.done.all()
-    assert int(quick.step) < 0.7 * int(plain.step)
     np.testing.assert_array_equal(quick.inside, plain.inside)
     np.testing.assert_allclose(quick.forces, plain.forces, atol=1e-11 * float(plain.forces.max()))
+
+    def steps(each, *lane):
+        return descended(matrix, *(part[..., None] for part in lane), ENOUGH, preconditioner=each).step
+
+    alone = [jax.jit(jax.vmap(partial(steps, each), -1))(*lanes) for each in (None, inverse)]
+    assert int(alone[1].sum()) < 0.7 * int(alone[0].sum())
 
 
 def test_there_is_no_inverse_where_it_does_not_pay_or_does_not_exist(rng):

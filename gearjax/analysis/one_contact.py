@@ -22,6 +22,7 @@ from gearjax.scene_checks import require
 from gearjax.systems.one_contact import OneContact
 from gearjax.typing import Array, ArrayLike, Float, Scalar
 
+AFTER = 2  # angles after a period, at which the TE is compared
 REPEATS = 1e-6  # share of the mean lag by which the static TE may differ after a period
 
 
@@ -60,7 +61,7 @@ class Reduction(eqx.Module):
         of another number of contacts.
         """
         torque = jnp.asarray(torque, self.theta.dtype)
-        return jnp.abs(self.static(torque) - _rest(self.whole, _with_end(self.theta), torque)[0][:-2]).max()
+        return jnp.abs(self.static(torque) - _rest(self.whole, _with_end(self.theta), torque)[0][:-AFTER]).max()
 
 
 @arguments.checked()
@@ -120,7 +121,7 @@ def one_contact(
     place, stiffness, pairs, result = _rest(whole, _with_end(theta), torque)
     if is_concrete(result):
         _check_rest(whole, place, result, torque, period)
-    place, stiffness, pairs = (each[:-2] for each in (place, stiffness, pairs))
+    place, stiffness, pairs = (each[:-AFTER] for each in (place, stiffness, pairs))
     lever = jnp.abs(whole.contacts(theta[0]).output_levers).mean()
     waves = Waves.of(stiffness / lever**2, harmonics)
     compliance = WaveStiffness(waves)
@@ -128,7 +129,7 @@ def one_contact(
     pressed = torque / (lever * waves.at(phase))
     gaps = [-lever * place - pressed]
     if whole.has_back:
-        gaps.append(lever * _rest(whole, _with_end(theta), -torque)[0][:-2] - pressed)
+        gaps.append(lever * _rest(whole, _with_end(theta), -torque)[0][:-AFTER] - pressed)
     names = tuple((name, order) for name, order in system.orders.items() if name not in ("mesh", "waves"))
     reduced = OneContact(
         jnp.asarray(system.input_speed), lever, tuple(Waves.of(gap, harmonics) for gap in gaps), period, names
@@ -184,8 +185,8 @@ def _check(scene: Scene, torque: ArrayLike, period: float, mesh: float, samples:
 def _check_rest(scene: Scene, place: Array, result: Array, torque: Scalar, period: float) -> None:
     if (np.asarray(result) != 0).any():
         raise SceneError(f"one contact: there is no equilibrium under {float(torque):g} N*m at some angles")
-    number = place.size - 2
-    off, lag = float(jnp.abs(place[-2:] - place[np.array([0, number // 2])]).max()), abs(float(place.mean()))
+    middle = (place.size - AFTER) // 2
+    off, lag = float(jnp.abs(place[-AFTER:] - place[np.array([0, middle])]).max()), abs(float(place.mean()))
     if off > max(REPEATS, 100 * float(jnp.finfo(place.dtype).eps)) * lag:
         words = f"the static TE differs by {off:.2g} rad after a period of {period:g} rad"
         raise SceneError(f"one contact: {words}: errors repeat after scene.system.cycle = {scene.system.cycle:.6g} rad")

@@ -87,7 +87,7 @@ def _even(key: str, path: Path, columns: int) -> None:
 
 
 class _Reader:
-    """State while a file is read: the repairs so far, and the turns of angles that wrap around, and their names."""
+    """State while a file is read: the repairs so far, the turns of each angle, and which angles wrap around."""
 
     def __init__(self, key: str, beside: dict[str, Any]):
         self.key, self.beside = key, beside

@@ -24,7 +24,9 @@ SIZES = 1 / 4, 1 / 2  # shares of the contacts that are taken out; with more, no
 PRECONDITIONED = 64  # contacts up to which the steps are preconditioned
 ALL_PRECONDITIONED = 128  # contacts up to which the steps among all contacts are preconditioned
 MANY_LANES = 256  # lanes from which the inverse of the whole matrix takes less time than it saves
-DEPENDENT, DEPENDENT_SINGLE = 300.0, 10.0  # stiffness of a contact beside held ones, over that of the contact alone
+# how many times as stiff a contact may become when all others are held, in float64 and float32; beyond, contacts nearly
+# depend on each other
+DEPENDENT, DEPENDENT_SINGLE = 300.0, 10.0
 WORTH_WHILE = 24  # lanes; with fewer, the rough solution and the look at the result take longer than they save
 
 
@@ -155,7 +157,7 @@ def preconditioner_of(influence: Float[Array, "few few"], core: Bool[Array, " fe
 def inverse_of_all(
     influence: Float[Array, "contact contact"], lanes: int, chosen: Bool[Array, " contact"]
 ) -> Float[Array, "contact contact"] | None:
-    """Inverse of the whole influence, near that of any set of contacts but at its ends: it halves the number of steps.
+    """Inverse of the whole influence, near that of any set of contacts but at its ends: a third of the steps is saved.
 
     ``None`` where it would take longer than it saves. The unit matrix, which changes nothing, if few contacts are
     chosen, because these are solved by themselves, or if contacts nearly depend on each other: where only one of them

@@ -6,7 +6,8 @@ are small beside the angle between two places that the output can have.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,30 @@ WHOLE = 1e-9  # relative rounding of a whole number of turns
 WIDTHS = 4.0  # standard deviations of the encoders' offset between recordings that are possible
 
 
+class Places(NamedTuple):
+    """Places of the output after whole turns of the input.
+
+    Args:
+        number: turns of the input in a cycle of the gear set.
+        each: angle of the output in a turn of the input [rad].
+        between: smallest angle between two places, beyond whole turns of the output [rad].
+    """
+
+    number: int
+    each: float
+    between: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Places | None":
+        """The places; ``None`` if some are too close to be told apart, or a cycle is no whole number of turns."""
+        number = round(scene.system.cycle / TURN)
+        if not scene.system.turns_evenly or abs(number * TURN / scene.system.cycle - 1) > WHOLE:
+            return None
+        each = float(np.diff(ideal(scene, np.array([0.0, TURN])))[0])
+        between = float(np.abs(_within(np.arange(1, number) * each)).min(initial=TURN))
+        return cls(number, each, between) if between > SMALLEST else None
+
+
 def joined(scene: Scene, records: Sequence[Measurement], spread: float = 0.0) -> tuple[list[Measurement], list[str]]:
     """The recordings with their whole turns counted as in one of them, and what was found, in words.
 
@@ -34,31 +59,27 @@ def joined(scene: Scene, records: Sequence[Measurement], spread: float = 0.0) ->
         spread: standard deviation of the encoders' offset between recordings [rad]; if it is large, no turns of the
             input can be counted.
     """
-    first = _reference(records)
+    first, places = _reference(records), Places.of(scene)
     if first is None:
         return list(records), []
-    place = _place(scene, first)
-    zero = place - TURN * round(place / TURN)
+    zero = _offset(scene, first)
+    zero -= TURN * round(zero / TURN)
     moved, notes = [], []
     for record in records:
         if record.output is None:
             moved.append(record)
             continue
-        apart = _place(scene, record) - zero
-        countable = record is not first and record.input_wraps and dict(record.turned) == dict(first.turned)
-        inputs = _input_turns(scene, first, record, apart, spread) if countable else 0
-        left = apart - (_gained(scene) * inputs if inputs else 0.0)
-        outputs = round(left / TURN)
+        left, inputs = _offset(scene, record) - zero, 0
+        if places is not None and record is not first and record.input_wraps and _same_seats(record, first):
+            inputs = _input_turns(places, first, record, left, spread)
+            left -= places.each * inputs
         if inputs:
             words = "its output angle tells them, but for whole cycles of the gear set"
             notes.append(f"{record.name}: moved by {inputs:+d} turns of its input angle, which wraps around: {words}")
-        elif _too_far(scene, first, record, left - TURN * outputs):
-            words = f"{(left - TURN * outputs) / deg:.4g} deg from that of {first.name} at the same input angle"
-            cause = "the encoders were zeroed anew between them, or whole turns of the input are missing"
-            notes.append(f"{record.name}: its output angle lies {words}: {cause}")
-        theta, output = record.theta + TURN * inputs, record.output - TURN * outputs
-        moved.append(dataclasses.replace(record, theta=theta, output=output))
-    return moved, notes
+        output = record.output - TURN * round(left / TURN)
+        moved.append(dataclasses.replace(record, theta=record.theta + TURN * inputs, output=output))
+    cause = "the encoders were zeroed anew between them, or whole turns of the input are missing"
+    return moved, [*notes, *(f"{words}: {cause}" for words, _ in _far_apart(scene, moved))]
 
 
 def check_joined(scene: Scene, records: Sequence[Measurement], spread: float) -> None:
@@ -72,21 +93,31 @@ def check_joined(scene: Scene, records: Sequence[Measurement], spread: float) ->
     Raises:
         GearjaxError: says by how much, and what may be wrong.
     """
-    first = _reference(records)
-    for record in records:
-        if first is None or record.output is None:
-            continue
-        apart = _place(scene, record) - _place(scene, first)
-        if _too_far(scene, first, record, apart) and abs(apart) > WIDTHS * spread:
-            words = f"its output angle lies {apart / deg:.4g} deg from that of {first.name} at the same input angle"
+    for words, apart in _far_apart(scene, records):
+        if apart > WIDTHS * spread:
             right = "give input angles that do not wrap around, or, if the encoders were zeroed anew, offset_spread"
-            raise GearjaxError(f"{record.name}: {words}: whole turns of the input are missing: {right}")
+            raise GearjaxError(f"{words}: whole turns of the input are missing: {right}")
 
 
 def farthest(scene: Scene) -> float:
     """Difference of two recordings' offsets from which whole turns of the input may be missing [rad]."""
-    between = _between(scene)
-    return between / 2 if between > SMALLEST else np.inf
+    places = Places.of(scene)
+    return np.inf if places is None else places.between / 2
+
+
+def _far_apart(scene: Scene, records: Sequence[Measurement]) -> Iterator[tuple[str, float]]:
+    """Recordings from whose offset turns of the input seem to be missing: in words, and by how much [rad].
+
+    Bodies that are turned in their seats may move the output, so that such recordings are not compared.
+    """
+    first, most = _reference(records), farthest(scene)
+    for record in records:
+        if first is None or record.output is None or not _same_seats(record, first):
+            continue
+        apart = _offset(scene, record) - _offset(scene, first)
+        if abs(apart) > most:
+            words = f"{apart / deg:.4g} deg from that of {first.name} at the same input angle"
+            yield f"{record.name}: its output angle lies {words}", abs(apart)
 
 
 def _reference(records: Sequence[Measurement]) -> Measurement | None:
@@ -95,33 +126,14 @@ def _reference(records: Sequence[Measurement]) -> Measurement | None:
     return min(usable, key=lambda record: record.input_wraps, default=None)
 
 
-def _place(scene: Scene, record: Measurement) -> float:
-    """Angle of the output beside the ideal one [rad]."""
+def _same_seats(record: Measurement, other: Measurement) -> bool:
+    """Whether the same bodies were turned in their seats by the same angles."""
+    return dict(record.turned) == dict(other.turned)
+
+
+def _offset(scene: Scene, record: Measurement) -> float:
+    """Offset of the output angle from the ideal one [rad]."""
     return float(np.median(record.error(scene)))
-
-
-def _too_far(scene: Scene, first: Measurement, record: Measurement, apart: float) -> bool:
-    """Whether an offset shows that turns are missing; bodies that are turned in their seats may move the output."""
-    return dict(record.turned) == dict(first.turned) and abs(apart) > farthest(scene)
-
-
-def _gained(scene: Scene) -> float:
-    """Angle of the output in a turn of the input, if it turns evenly [rad]."""
-    return float(np.diff(ideal(scene, np.array([0.0, TURN])))[0])
-
-
-def _turns(scene: Scene) -> int:
-    """Turns of the input in a cycle of the gear set; 0 if it does not turn evenly, or not in whole turns."""
-    number = round(scene.system.cycle / TURN)
-    whole = abs(number * TURN / scene.system.cycle - 1) < WHOLE
-    return number if whole and scene.system.turns_evenly else 0
-
-
-def _between(scene: Scene) -> float:
-    """Smallest angle between the places of the output after whole turns of the input; 0 if some are the same [rad]."""
-    number = _turns(scene)
-    others = np.arange(1, number) * _gained(scene) if number else np.zeros(1)
-    return float(np.abs(_within(others)).min(initial=TURN))
 
 
 def _within(angle: np.ndarray) -> np.ndarray:
@@ -129,17 +141,15 @@ def _within(angle: np.ndarray) -> np.ndarray:
     return np.remainder(angle + np.pi, TURN) - np.pi
 
 
-def _input_turns(scene: Scene, first: Measurement, record: Measurement, apart: float, spread: float) -> int:
+def _input_turns(places: Places, first: Measurement, record: Measurement, apart: float, spread: float) -> int:
     """Turns of the input that explain how far the output is from its place in the first recording; 0 if none do.
 
     Cycles of the gear set, after which it is the same, are added so that the angles of both recordings overlap.
     """
-    number, between = _turns(scene), _between(scene)
-    if between < SMALLEST or WIDTHS * spread > NEAR * between:
-        return 0
-    left = np.abs(_within(apart - np.arange(number) * _gained(scene)))
+    near = NEAR * places.between
+    left = np.abs(_within(apart - np.arange(places.number) * places.each))
     best = int(np.argmin(left))
-    if left[best] > NEAR * between:
+    if WIDTHS * spread > near or left[best] > near:
         return 0
     cycles = (first.theta.mean() - record.theta.mean()) / TURN - best
-    return best + number * round(float(cycles) / number)
+    return best + places.number * round(float(cycles) / places.number)

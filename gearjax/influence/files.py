@@ -109,7 +109,10 @@ def read_influence(path: str | Path, gear: InvoluteGear) -> InfluenceTable:
 def _contents(path: Path) -> tuple[dict, list[np.ndarray]]:
     """Header and arrays of a file."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        content = io.BytesIO(path.read_bytes())
+        if not zipfile.is_zipfile(content):
+            raise GearjaxError(f"{place(path)}: damaged, or no influence table (no archive .npz of numpy)")
+        with np.load(content, allow_pickle=False) as file:
             missing = [name for name in ("header", *ARRAYS) if name not in file]
             if missing:
                 raise GearjaxError(f"{place(path)}: no array {missing[0]}; right are header, {', '.join(ARRAYS)}")
@@ -119,8 +122,7 @@ def _contents(path: Path) -> tuple[dict, list[np.ndarray]]:
     except GearjaxError:
         raise
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError) as fault:
-        what = "no archive .npz of numpy" if "pickle" in str(fault) else fault
-        raise GearjaxError(f"{place(path)}: damaged, or no influence table ({what})") from fault
+        raise GearjaxError(f"{place(path)}: damaged, or no influence table ({fault})") from fault
     if not all(np.issubdtype(array.dtype, np.floating) for array in arrays):
         raise GearjaxError(f"{place(path)}: {', '.join(ARRAYS)} have to be of floating-point numbers")
     return header, arrays

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from gearjax.errors import MeasuredFlank, MeasuredPitch
 from gearjax.errors.measured import FLANKS
@@ -11,7 +12,6 @@ from gearjax.scene import Scene
 from gearjax.units import mm, um
 
 MOST_MAPS = 4  # largest number of teeth that are drawn of a flank
-SAME, Y_PITCH = "the same {}", "flank ahead by [um]"
 
 
 def measured_figure(scene: Scene) -> Figure:
@@ -57,10 +57,10 @@ def _draw_flank(figure, name: str, flank: MeasuredFlank) -> None:
         )
         told = f"tooth {int(flank.teeth[number])}" if flank.teeth.size else f"tooth {number}"
         ax.set_title(told if flank.grids > 1 or flank.teeth.size else "all teeth", fontsize="medium")
-        ax.set_xlabel("length of roll [mm]" if roll.size > 1 else SAME.format("over the roll"))
+        ax.set_xlabel("length of roll [mm]" if roll.size > 1 else "the same over the roll")
         if roll.size == 1:
             ax.set_xticks([])
-    axes[0].set_ylabel("across the face [mm]" if across.size > 1 else SAME.format("across the face"))
+    axes[0].set_ylabel("across the face [mm]" if across.size > 1 else "the same across the face")
     if across.size == 1:
         axes[0].set_yticks([])
     figure.colorbar(drawn, ax=axes, label="material beyond the ideal flank [um]")
@@ -81,9 +81,9 @@ def _draw_pitches(ax: Axes, body: str, pitches: list[MeasuredPitch]) -> None:
         shown = np.full(max(most, 2), values[0]) if values.size == 1 else values
         marker = "" if values.size == 1 else "o"
         ax.plot(np.arange(shown.size), shown, marker=marker, markersize=3, linewidth=1.0, label=_flanks(pitch.flank))
-    finish(
-        ax, f"Cumulative pitch deviation of {body}", x=SAME.format("for all teeth") if most == 1 else "tooth", y=Y_PITCH
-    )
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    teeth = "tooth" if most > 1 else "the same for all teeth"
+    finish(ax, f"Cumulative pitch deviation of {body}", x=teeth, y="flank ahead by [um]")
     if most == 1:
         ax.set_xticks([])
 
