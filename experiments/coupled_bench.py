@@ -7,9 +7,11 @@ active set without conjugate gradients.
 """
 
 import argparse
+import dataclasses
 import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -23,11 +25,17 @@ jax.config.update("jax_enable_x64", True)
 import coupled_peers as peers
 import jax.numpy as jnp
 import numpy as np
+from faces_peers import by_c
 from peers import agree, sized
 
+import gearjax as gj
 from gearjax.contact.active_set import carrying
 from gearjax.contact.coupled import coupled_balance
+from gearjax.contact.springs import block_diagonal
+from gearjax.units import um
 
+CONFIG = Path(__file__).parents[1] / "configs" / "helical" / "guo_2018.toml"
+TORQUE, SHARES = 830.0, (0.2, 0.4, 0.6, 0.8, 1.0)  # N m, and shares of it
 FEW = 20  # lanes of the short form, which also leaves sizes out
 SHARED = jax.jit(jax.vmap(coupled_balance, (None, None, 0, 0)))
 SINGLE = jax.jit(coupled_balance)
@@ -108,6 +116,112 @@ def error(forces, known) -> float:
     return float((np.abs(np.asarray(forces) - known).max(axis=-1) / known.max(axis=-1)).max())
 
 
+class Cycle:
+    """A mesh cycle of the helical pair of Guo and Fang (2018) at a torque: slices coupled along the face."""
+
+    def __init__(self, slices: int, angles: int):
+        scene = gj.load(CONFIG)
+        errors = {name: scene.errors[name] for name in ("tip", "root", "crowning")}
+        system = dataclasses.replace(scene.system, slices=slices)
+        compliance = dataclasses.replace(scene.compliance, coupling_length=1.5)
+        self.scene = dataclasses.replace(scene, system=system, compliance=compliance, errors=errors, run=None)
+        self.theta = np.arange(angles) * 2 * np.pi / (system.pinion_teeth * angles)
+        found = jax.jit(jax.vmap(lambda angle: self.scene.contacts(angle, "mean")))(self.theta)
+        self.faces, self.lever, self.gap = found.springs.blocks, found.jacobian[:, :, 0], found.gap
+
+    def swing(self, numbers):
+        """Peak-to-peak TE with other reliefs, crowning, steel, bores, coupling length, face width and torque."""
+        names = ("tip", "root", "crowning")
+        errors = {
+            name: dataclasses.replace(
+                self.scene.errors[name], amount=self.scene.errors[name].amount + numbers[place] * um
+            )
+            for place, name in enumerate(names)
+        }
+        own, system = self.scene.compliance, self.scene.system
+        compliance = dataclasses.replace(
+            own,
+            youngs_modulus=own.youngs_modulus * (1 + numbers[3]),
+            poissons_ratio=own.poissons_ratio * (1 + numbers[4]),
+            pinion_bore=own.pinion_bore * (1 + numbers[5]),
+            wheel_bore=own.wheel_bore * (1 + numbers[6]),
+            coupling_length=own.coupling_length * (1 + numbers[7]),
+        )
+        system = dataclasses.replace(system, face_width=system.face_width * (1 + numbers[8]))
+        scene = dataclasses.replace(self.scene, errors=errors, compliance=compliance, system=system)
+        torque = TORQUE * (1 + numbers[9])
+        return gj.transmission_error(scene, self.theta, torque=torque, extremes="samples").peak_to_peak
+
+
+def faces(repeats: int, lanes: int) -> None:
+    """Slices coupled along tooth faces: one variant, gradients of its peak-to-peak TE, and many variants at torques."""
+    short = lanes <= FEW
+    cycle = Cycle(9 if short else 40, 8 if short else 64)
+    own = jax.jit(jax.vmap(lambda *given: coupled_balance(*given, jnp.asarray(-TORQUE))))
+    loads = np.full(len(cycle.gap), -TORQUE)
+    matrices = np.array(jax.vmap(lambda faces: block_diagonal(faces.blocks))(cycle.faces))
+    host = np.asarray(cycle.lever), np.asarray(cycle.gap)
+    zero = jnp.zeros(10)
+    primal, reverse = jax.jit(cycle.swing), jax.jit(jax.value_and_grad(cycle.swing))
+    forward = jax.jit(lambda numbers: (cycle.swing(numbers), jax.jacfwd(cycle.swing)(numbers)))
+    tasks: dict[str, Callable[[], Any]] = {
+        "cycle": lambda: own(cycle.faces, cycle.lever, cycle.gap),
+        "c": by_c(cycle.faces, *host, loads, 1),
+        "numpy": lambda: [peers.by_numpy(matrices[i], host[0][i], host[1][i], -TORQUE)[1] for i in range(len(loads))],
+        "TE": lambda: primal(zero),
+        "reverse": lambda: reverse(zero),
+        "forward": lambda: forward(zero),
+    }
+    results, times = in_turns(tasks, 3 * repeats)
+    print(f"slices of three faces, {cycle.gap.shape[1]} contacts, {len(loads)} angles: ms", in_ms(times))
+    agree("  largest error of a force, against numpy", error(results["cycle"][1], np.array(results["numpy"])), 1e-10)
+    agree("  the same, C", error(results["c"], np.array(results["numpy"])), 1e-10)
+    row("cycle over C", 1.1, times["cycle"] / times["c"])
+    row("times as fast as numpy", 30, times["numpy"] / times["cycle"], most=False)
+    row("gradient of peak-to-peak by 10 numbers, reverse, over TE", 1.7, times["reverse"] / times["TE"])
+    row("the same, forward", 3, times["forward"] / times["TE"])
+    many_faces(cycle, repeats, 4 if short else 256)
+
+
+def many_faces(cycle: Cycle, repeats: int, variants: int) -> None:
+    """Variants of the gaps of a mesh cycle, each at five torques."""
+    rng = np.random.default_rng(0)
+    rough = jnp.asarray(rng.uniform(0, 1 * um, (variants, *cycle.gap.shape)))
+    gaps = jnp.repeat(cycle.gap + rough, len(SHARES), axis=0)
+    loads = jnp.tile(-TORQUE * jnp.asarray(SHARES), variants)
+    angles = jax.vmap(coupled_balance, (0, 0, 0, None))
+    ours = jax.jit(jax.vmap(angles, (None, None, 0, 0)))
+    of_c = jax.tree.map(lambda part: np.tile(part, (len(loads), *[1] * (part.ndim - 1))), (cycle.faces, cycle.lever))
+    each = np.asarray(gaps).reshape(-1, cycle.gap.shape[1]), np.repeat(loads, len(cycle.gap))
+    single = jax.tree.map(lambda part: part.astype(jnp.float32), (cycle.faces, cycle.lever, gaps, loads))
+    tasks: dict[str, Callable[[], Any]] = {
+        "gearjax": lambda: ours(cycle.faces, cycle.lever, gaps, loads),
+        "float32": lambda: ours(*single),
+        "c": by_c(*of_c, *each, 32),
+    }
+    results, times = in_turns(tasks, repeats)
+    number = len(each[1])
+    print(f"{number} problems: us each", {name: round(1e6 * spent / number, 2) for name, spent in times.items()})
+    forces = np.asarray(results["gearjax"][1]).reshape(number, -1)
+    agree("  largest error of a force, against C", error(results["c"], forces), 1e-10)
+    # in single precision, slices that hardly touch count as open in a few of many problems
+    agree("  the same, float32", error(np.asarray(results["float32"][1]).reshape(number, -1), forces), 1e-4)
+    row("time over C", 3, times["gearjax"] / times["c"])
+    row("the same, float32", 3.7, times["float32"] / times["c"])
+    some = range(0, number, max(number // 50, 1))
+    host = [np.asarray(block_diagonal(cycle.faces.blocks)), np.asarray(cycle.lever)]
+    angle = [i % len(cycle.gap) for i in some]
+    began = time.process_time()
+    for i, at in zip(some, angle, strict=True):
+        peers.by_numpy(host[0][at], host[1][at], each[0][i], each[1][i])
+    by_numpy = (time.process_time() - began) / len(angle)
+    row("times as fast as numpy", 100, by_numpy / (times["gearjax"] / number), most=False)
+
+
+def in_ms(times: dict[str, float]) -> dict[str, float]:
+    return {name: round(1e3 * spent, 3) for name, spent in times.items()}
+
+
 def large(repeats: int, lanes: int) -> None:
     """1,274 contacts as finite elements see them."""
     batch = 64 if lanes > FEW else 4
@@ -180,7 +294,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="")
     chosen = sized(parser, repeats=(5, 1), problems=(2000, 40), lanes=(1000, FEW))
-    parts = {"shared": shared, "large": large, "small": small}
+    parts = {"shared": shared, "faces": faces, "large": large, "small": small}
     for name, part in parts.items():
         if chosen.only in name:
             part(chosen.repeats, chosen.lanes)

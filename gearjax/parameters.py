@@ -162,7 +162,12 @@ def strong(value: Any) -> Any:
     """The number as an array with a definite dtype; a weakly typed array would compile the program again."""
     leaf = as_leaf(value)
     # most arrays have a definite dtype already, and copies of all would take as long as a short analysis
-    return jnp.asarray(leaf, dtype=leaf.dtype) if leaf.weak_type else leaf
+    if not leaf.weak_type:
+        return leaf
+    if not is_concrete(leaf):
+        return jnp.asarray(leaf, dtype=leaf.dtype)
+    with jax.ensure_compile_time_eval():  # a known number stays one inside the trace of something else
+        return jnp.asarray(leaf, dtype=leaf.dtype)
 
 
 def leaf_or_given(value: Any) -> Any:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import gearjax as gj
+from gearjax.compliance.along_face import factors_along
 from gearjax.compliance.elastic_teeth import _points
-from gearjax.compliance.tooth_slices import SAINSOT, _together
+from gearjax.compliance.tooth_slices import SAINSOT
+from gearjax.contact import Faces
 from gearjax.geometry.root_fillet import RootFillet
 from gearjax.units import mm, um
 from tests.helical_pairs import (
@@ -329,7 +331,8 @@ def test_deflections_under_partly_loaded_slices_are_means_over_the_loaded_parts(
         else:
             values = beside(middle[i] + half[i] * nodes[:, None], middle[j] + half[j] * nodes)
             wanted[i, j] = weights @ values @ weights / 4
-    found = _together(jnp.asarray(middle), jnp.asarray(share), jnp.asarray(width), jnp.asarray(reach))
+    along = factors_along(jnp.asarray(middle), jnp.asarray(share), jnp.asarray(width), jnp.asarray(reach))
+    found = Faces(*(part[None] for part in along), jnp.asarray([width / 5 / reach])).blocks[0]
     np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 

@@ -21,6 +21,7 @@ over a length l (``v - l^2 v''`` with free ends).
 import dataclasses
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -29,12 +30,13 @@ import numpy as np
 
 from gearjax import units
 from gearjax.checks import ParameterError
+from gearjax.compliance.along_face import factors_along
 from gearjax.compliance.base import AbstractSliceCompliance
 from gearjax.compliance.line_contact import HertzLineContact
-from gearjax.contact import CoupledSprings, LinearSprings, LineSprings, Slices, Springs, join_springs
+from gearjax.contact import CoupledSprings, Faces, LinearSprings, LineSprings, Slices, Springs, join_springs
 from gearjax.geometry.involute import InvoluteGear
-from gearjax.geometry.plane_of_action import middles
 from gearjax.geometry.root_fillet import RootFillet
+from gearjax.kernels import once
 from gearjax.parameters import check_parameters, known_beside, length, name, number, with_known
 from gearjax.typing import Array, Float, Number, Scalar
 
@@ -46,7 +48,6 @@ TO_SERIES = np.cos(np.arange(PLACES_ALONG)[:, None] * np.arccos(PLACES)) * 2 / P
 TO_SERIES[0] *= 0.5
 """Matrix from the values at these points to the coefficients of the Chebyshev polynomials."""
 SHEAR = 1.2  # shear correction factor of a rectangular section
-SHORT, TERMS = 0.5, 16  # length over l up to which a series of so many terms holds to rounding
 LEAST_SHARE = 1e-6  # smallest share of a slice on the path of contact that is divided by
 UNTOLD = 3.0  # root diameter over bore if no bore is given: a foundation of medium stiffness
 MOST_SOLID = 7.0  # highest root diameter over bore for which the polynomials of the foundation are valid
@@ -248,21 +249,21 @@ class ToothSlices(AbstractSliceCompliance):
         bent = of[0] * lever**2 + of[1] * lever + of[2] * (1 + of[3] * jnp.tan(slant) ** 2)
         return jnp.cos(slant) ** 2 * bent
 
-    def _coupled(self, slices: Slices, body: Array, pressed: Scalar) -> Float[Array, "block own own"]:
-        """Influence of the slices of each pair of teeth on each other [m/N].
+    def _coupled(self, slices: Slices, body: Array, pressed: Scalar) -> Faces:
+        """Influence of the slices of each pair of teeth on each other.
 
         A slice that is partly on the path of contact is loaded there alone.
         """
         assert self.coupling_length is not None  # only coupled slices come here
         width, reach = slices.pair.face_width, self.coupling_length * slices.pair.normal_module
-
-        def of_pair(body: Array, across: Array, share: Array) -> Array:
-            own, share = jnp.sqrt(body), jnp.maximum(share, LEAST_SHARE)
-            shared = own[:, None] * own[None, :] * _together(across, share, width, reach)
-            return shared + jnp.diag(pressed / share)
-
-        blocks = jax.vmap(jax.vmap(of_pair))(body, slices.across, slices.share)
-        return blocks.reshape(-1, *blocks.shape[2:])
+        share = jnp.maximum(slices.share, LEAST_SHARE)
+        along = partial(factors_along, width=width, reach=reach)
+        own, low, high = once(*jax.vmap(jax.vmap(along))(slices.across, share))
+        body, root = once(body, jnp.sqrt(body))
+        number = share.shape[-1]
+        parts = once(body * own + pressed / share, root * low, root * high)
+        own, low, high = (part.reshape(-1, number) for part in parts)
+        return Faces(own, low, high, fall=jnp.broadcast_to(width / number / reach, share[..., 0].shape).ravel())
 
     def _hertz(self, slices: Slices, body: Array, normal: Scalar, width: Scalar) -> LineSprings:
         """Springs with the approach ``slope F (level - ln F)`` of Hertzian contact, tooth and foundation together.
@@ -282,61 +283,6 @@ class ToothSlices(AbstractSliceCompliance):
         slope = normal * 2 / (math.pi * modulus * line)
         level = level + body / line / slope
         return LineSprings(slope.ravel(), level.ravel())
-
-
-def _together(
-    across: Float[Array, " slice"], share: Float[Array, " slice"], width: Scalar, reach: Scalar
-) -> Float[Array, "slice slice"]:
-    """Mean deflection of the loaded part of each slice per force on that of each slice, as a factor [1/m].
-
-    The factor multiplies the deflection of a unit of width under a uniform load. It is the mean over both parts of
-    ``cosh(low / l) cosh(high / l) / (l sinh(w / l))``. Here ``low`` is the distance from the lower place to the lower
-    end of the face, ``high`` the distance from the higher place to the higher end. Under a uniform load on all of the
-    face all slices deflect by the same amount.
-
-    Args:
-        across: middles of the loaded parts, counted from the middle of the face [m].
-        share: lengths of these parts, as shares of the slices [-].
-        width: face width w [m].
-        reach: length l [m].
-    """
-    number = across.shape[0]
-    step, (one, other) = width / number, np.indices((number, number))
-    # parts as exponentials that do not overflow, unlike cosh and sinh: all their exponents are negative
-    half, middle = 0.5 * share * step, middles(width, number)
-    mean, rise = _decayed(2 * half / reach), half - 0.5 * step
-    moved = jnp.clip(across - middle, rise, -rise)
-    low, high = 0.5 * width + middle + moved, 0.5 * width - middle - moved
-    lower = mean * jnp.exp((rise + moved) / reach) * (1 + jnp.exp(-2 * low / reach))
-    higher = mean * jnp.exp((rise - moved) / reach) * (1 + jnp.exp(-2 * high / reach))
-    steps = jnp.asarray(np.maximum(abs(one - other) - 1, 0), width.dtype)
-    between = jax.lax.optimization_barrier(jnp.exp(-steps * step / reach))  # once for all input angles
-    apart = between * jnp.where(one < other, jnp.outer(lower, higher), jnp.outer(higher, lower))
-    ends = mean**2 * (jnp.exp(-2 * (high - half) / reach) + jnp.exp(-2 * (low - half) / reach))
-    itself = ends + _within(2 * half / reach, width / reach)
-    return jnp.where(one == other, jnp.diag(itself), apart) / (2 * reach * -jnp.expm1(-2 * width / reach))
-
-
-def _decayed(length: Array) -> Array:
-    """Mean of ``exp(-z)`` over a length from 0 on [-]."""
-    return -jnp.expm1(-length) / length
-
-
-def _within(part: Array, whole: Scalar) -> Array:
-    """Mean of ``cosh(W - |z - z'|)`` over z and z' of a part, times ``2 exp(-W)``, all lengths over l [-].
-
-    It is ``(1 + exp(-2 W)) (A - B) + 2 exp(-2 W) B``, with ``A = 2 (cosh x - 1) / x^2`` and ``B = 2 (sinh x - x) /
-    x^2``; for short parts by their series, which lose no digits.
-    """
-    short = part < SHORT
-    x, y = jnp.where(short, part, SHORT), jnp.where(short, SHORT, part)
-    powers = [1 / math.factorial(n + 2) for n in range(TERMS)]
-    falling = sum((-1) ** n * power * x**n for n, power in enumerate(powers))
-    rising = sum(power * x**n for n, power in enumerate(powers) if n % 2)
-    decay = jnp.exp(-2 * whole)
-    apart = 2 * jnp.where(short, falling, (jnp.expm1(-y) + y) / y**2)
-    grown = (jnp.exp(y - 2 * whole) - jnp.exp(-y - 2 * whole) - 2 * y * decay) / y**2
-    return (1 + decay) * apart + 2 * jnp.where(short, 2 * decay * rising, grown)
 
 
 def _energy(

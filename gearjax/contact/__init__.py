@@ -2,6 +2,7 @@
 
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.equilibrium import Equilibrium, equilibrium, first_contact
+from gearjax.contact.faces import Faces
 from gearjax.contact.helical_mesh import HelicalMesh
 from gearjax.contact.interference import Overlap, least_overlap
 from gearjax.contact.laws import AbstractContact, HardContact, QuadraticContact, SoftplusContact
@@ -27,6 +28,7 @@ __all__ = [
     "ContactSet",
     "CoupledSprings",
     "Equilibrium",
+    "Faces",
     "GearSize",
     "HardContact",
     "HelicalMesh",

@@ -26,6 +26,7 @@ from gearjax.contact.active_set import CLOSED, carrying, solved
 from gearjax.contact.blocks import search_of_blocks, solved_of_blocks
 from gearjax.contact.conjugate import descended
 from gearjax.contact.contacts import ContactSet
+from gearjax.contact.faces import Faces
 from gearjax.contact.lanes import finished, in_parts, side_by_side
 from gearjax.contact.likely import WORTH_WHILE, Example, descended_among_few, inverse_of_all, linear_among_few
 from gearjax.contact.train import closed_first
@@ -39,7 +40,7 @@ Solution = tuple[Scalar, Float[Array, " contact"], Int[Array, ""]]
 
 
 def coupled_balance(
-    influence: Float[Array, "contact contact"] | Float[Array, "block own own"],
+    influence: Float[Array, "contact contact"] | Float[Array, "block own own"] | Faces,
     lever: Float[Array, " contact"],
     gap: Float[Array, " contact"],
     applied: Scalar,
@@ -49,7 +50,7 @@ def coupled_balance(
 
     Args:
         influence: approach of each contact per force on each contact, symmetric and positive definite, shape (contact,
-            contact); or small diagonal blocks of it, shape (block, own, own) [m/N].
+            contact); or small diagonal blocks of it, shape (block, own, own) [m/N]; or slices of tooth faces.
         lever: change of overlap per change of the position, of either sign [m/rad].
         gap: gaps at position zero [m].
         applied: generalised force on the output [N m]. At zero, the contacts that hold against a positive torque touch.
@@ -60,7 +61,8 @@ def coupled_balance(
         positive definite or the search did not end. With 1 and 2 position and forces are nan. Differentiable in all
         arguments, to any order. From `MANY` contacts on, only the rows and columns of contacts that carry are checked.
     """
-    influence, lever, gap, applied = (jnp.asarray(part) for part in (influence, lever, gap, applied))
+    influence = jax.tree.map(jnp.asarray, influence)
+    lever, gap, applied = (jnp.asarray(part) for part in (lever, gap, applied))
     frozen_lever, frozen_gap, frozen_applied = jax.lax.stop_gradient((lever, gap, applied))
     edge, apart, able = _from_first_touch(frozen_lever, frozen_gap, frozen_applied)
     loaded = _loaded(frozen_lever, frozen_applied)
@@ -91,7 +93,7 @@ def coupled_train(
 
 
 def _balanced(
-    influence: Array,
+    influence: Array | Faces,
     levers: Array,
     gap: Array,
     applied: Array,
@@ -121,12 +123,12 @@ def _balanced(
     return jnp.where(good, place, jnp.nan), jnp.where(good, forces, jnp.nan), result
 
 
-def _primal(sided: bool, influence: Array, levers: Array, gap: Array, applied: Array, counted: tuple) -> tuple:
+def _primal(sided: bool, influence: Array | Faces, levers: Array, gap: Array, applied: Array, counted: tuple) -> tuple:
     """Positions, forces, and, as floating-point numbers, which contacts carry and whether the search succeeded."""
     del gap  # the search uses the gaps counted from the first touch; `gap` is an argument for its derivative
     edge, apart, loaded, able = counted
-    few = _exact if influence.ndim == 2 else partial(search_of_blocks, sided)
-    search = _search if influence.ndim == 2 and len(apart) >= MANY else few
+    few: Callable = _exact if _is_whole(influence) else partial(search_of_blocks, sided)
+    search = _search if _is_whole(influence) and len(apart) >= MANY else few
     position, forces, closed, done = search(influence, levers, apart, applied, loaded)
     good = done & able
     numbers = (jnp.where(good, part, 0.0) for part in (edge + position, forces, closed.astype(forces.dtype)))
@@ -146,7 +148,7 @@ def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
     def moved(way: Array | SymbolicZero, product: Callable[[Array], Array]) -> Array | float:
         return 0.0 if isinstance(way, SymbolicZero) else product(way)
 
-    pushed = moved(tangents[2], lambda way: way) + moved(tangents[0], lambda way: _approach(way, forces))
+    pushed = moved(tangents[2], lambda way: way) + _changed(influence, tangents[0], forces)
     pushed = pushed - moved(tangents[1], lambda way: way @ place)
     pulled = moved(tangents[3], lambda way: way) - moved(tangents[1], lambda way: way.T @ forces)
     number = len(forces)
@@ -159,8 +161,8 @@ def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
         return jnp.concatenate([pressed, -(levers.T @ inner)])
 
     def solve(_: Callable, right: Array) -> Array:
-        rest, few = jnp.where(carry, right[:number], 0.0), solved if influence.ndim == 2 else solved_of_blocks
-        linear = _linear if influence.ndim == 2 and number >= MANY else few
+        rest, few = jnp.where(carry, right[:number], 0.0), solved if _is_whole(influence) else solved_of_blocks
+        linear = _linear if _is_whole(influence) and number >= MANY else few
         turn, push = linear(influence, levers, -rest, -right[number:], carry)
         return jnp.concatenate([jnp.where(carry, push, right[:number]), turn])
 
@@ -171,12 +173,33 @@ def _answer_jvp(sided: bool, primals: tuple, tangents: tuple) -> tuple:
     return (place, forces, closed, good), (jnp.where(held, turn, 0.0), jnp.where(held, push, 0.0), *still)
 
 
-def _approach(influence: Array, forces: Array) -> Array:
-    """Approach of the contacts under forces, from an influence matrix or its diagonal blocks [m]."""
+def _is_whole(influence: Array | Faces) -> bool:
+    """Whether this is a matrix of all contacts, not one of its parts."""
+    return not isinstance(influence, Faces) and influence.ndim == 2
+
+
+def _approach(influence: Array | Faces, forces: Array) -> Array:
+    """Approach of the contacts under forces [m], from an influence matrix, its diagonal blocks or faces."""
+    if isinstance(influence, Faces):
+        return influence.approach(forces)
     if influence.ndim == 2:
         return influence @ forces
     own = forces.reshape(influence.shape[0], -1)
     return (influence * own[:, None, :]).sum(axis=-1).ravel()
+
+
+def _changed(influence: Array | Faces, way: Array | Faces | SymbolicZero, forces: Array) -> Array | float:
+    """Change of the approach under constant forces, if the influence changes [m]."""
+    ways, numbers = (jax.tree.leaves(part, is_leaf=_is_zero) for part in (way, influence))
+    if all(map(_is_zero, ways)):
+        return 0.0
+    whole = [jnp.zeros_like(known) if _is_zero(own) else own for own, known in zip(ways, numbers, strict=True)]
+    changes = jax.tree.unflatten(jax.tree.structure(influence), whole)
+    return jax.jvp(lambda influence: _approach(influence, forces), (influence,), (changes,))[1]
+
+
+def _is_zero(way: object) -> bool:
+    return isinstance(way, SymbolicZero)
 
 
 def _exact(influence: Array, levers: Array, apart: Array, applied: Array, loaded: Array) -> tuple:

@@ -18,6 +18,7 @@ import numpy as np
 from gearjax.contact.blocks import MOST_OWN
 from gearjax.contact.contacts import ContactSet
 from gearjax.contact.coupled import coupled_balance, coupled_train
+from gearjax.contact.faces import Faces
 from gearjax.contact.laws import AbstractContact, HardContact
 from gearjax.contact.search import search
 from gearjax.contact.springs import CoupledSprings, LinearSprings
@@ -146,18 +147,27 @@ def _from_first_touch(contacts: ContactSet, applied: Scalar) -> tuple[Float[Arra
 
 def _coupled(contacts: ContactSet, springs: CoupledSprings, applied: Scalar) -> Equilibrium:
     """Equilibrium of springs that a matrix couples; the compliance of the supports is added to this matrix."""
-    small = contacts.free == 1 and contacts.supports is None and springs.blocks.shape[-1] <= MOST_OWN
-    influence = springs.blocks if small else with_supports(contacts, springs.influence)
     if contacts.free == 1:
+        apart = _influence_alone(springs) if contacts.supports is None else None
+        influence = with_supports(contacts, springs.influence) if apart is None else apart
         position, forces, code = coupled_balance(
             influence, contacts.jacobian[:, 0], contacts.gap, applied, contacts.layout.in_halves
         )
         place = position[None]
     else:
-        place, forces, code = coupled_train(influence, contacts, applied)
+        place, forces, code = coupled_train(with_supports(contacts, springs.influence), contacts, applied)
     moved = [place[1:]] if contacts.supports is None else [place[1:], moved_by(contacts, forces)]
     moved = None if contacts.jacobian.shape[1] == 1 else jnp.concatenate(moved)
     return Equilibrium(place[0], forces, jnp.where(code == 2, 3, code), moved)
+
+
+def _influence_alone(springs: CoupledSprings) -> Float[Array, "block own own"] | Faces | None:
+    """Influence of blocks that have only the position in common; ``None`` for blocks that are no better alone."""
+    faces = springs.blocks
+    if isinstance(faces, Faces) and faces.own.shape[-1] > MOST_OWN:
+        return faces
+    blocks = springs.each_block
+    return blocks if blocks.shape[-1] <= MOST_OWN else None
 
 
 def _scale(contacts: ContactSet) -> Scalar:

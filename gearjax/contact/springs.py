@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from gearjax.contact.faces import Faces
 from gearjax.contact.slices import by_side
 from gearjax.typing import Array, Float, Scalar
 
@@ -43,15 +44,23 @@ class CoupledSprings(eqx.Module):
     Args:
         blocks: approach of each contact per force on each contact of its block, symmetric and positive definite, shape
             (block, own, own) [m/N]. Contacts of different blocks, such as pairs of teeth, are not coupled. A matrix of
-            all contacts is a single block and may be given with the shape (contact, contact).
+            all contacts is a single block and may be given with the shape (contact, contact). The blocks of slices of
+            tooth faces may be given as these.
     """
 
-    blocks: Float[Array, "block own own"] = eqx.field(converter=lambda given: given if given.ndim > 2 else given[None])
+    blocks: Float[Array, "block own own"] | Faces = eqx.field(
+        converter=lambda given: given if isinstance(given, Faces) or given.ndim > 2 else given[None]
+    )
 
     @property
     def influence(self) -> Float[Array, "*lane contact contact"]:
         """Influence matrix: approach of each contact per force on each contact, shape (contact, contact) [m/N]."""
-        return block_diagonal(self.blocks)
+        return block_diagonal(self.each_block)
+
+    @property
+    def each_block(self) -> Float[Array, "*lane block own own"]:
+        """Matrix of each block [m/N]."""
+        return self.blocks.blocks if isinstance(self.blocks, Faces) else self.blocks
 
 
 def block_diagonal(blocks: Float[Array, "*lane block own own"]) -> Float[Array, "*lane contact contact"]:
