@@ -36,6 +36,23 @@ def test_quasi_static(scene, single, theta):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("held", [False, True])
+def test_long_records_in_motion(held, scene, single):
+    """Rounding of their times is more than a thousandth of their spacing; a trace tells samples that are uneven."""
+    if held:
+        scene, single = (on_supports(one) for one in (scene, single))
+        single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), single)
+    ts = np.linspace(0.0, 2.0, 20_001)
+    wide, narrow = gj.simulate(scene, ts, 100.0), gj.simulate(single, ts.astype(np.float32), 100.0)
+    assert int(narrow.result) == 0
+    assert narrow.te.dtype == jnp.float32
+    assert np.abs(np.asarray(narrow.te, float) - np.asarray(wide.te)).max() < 1e-4 * float(wide.peak_to_peak)
+    uneven = jnp.asarray(ts, jnp.float32).at[7].add(2e-5)
+    stepper = gj.FixedStep(per_sample=4)
+    assert int(jax.jit(lambda ts: gj.simulate(single, ts, 100.0, stepper=stepper).result)(uneven)) == 5
+
+
+@pytest.mark.slow
 def test_gradients_are_close(scene, single, theta):
     def loss(scene, theta):
         return gj.transmission_error(scene, theta, 100.0).std

@@ -33,6 +33,7 @@ MANY_HARMONICS = 100  # of the stiffness, which the fitted march writes out one 
 WINDOW, FEWEST = (3000, 2000), 8  # steps per window for many and for few windows, and the fewest windows that pay
 FORGOTTEN = 12.0  # duration of a warm-up, in time constants of the decay
 APART = 1e-4, 1e4  # allowed difference of windows where they meet: scaled position (1e-9 m), or spacings of the dtype
+ROUNDING = 8.0  # unevenness of samples that counts as rounding of their times, in units of it
 
 
 class Modes(NamedTuple):
@@ -298,7 +299,7 @@ def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
 
 def _are_even(ts: np.ndarray) -> bool:
     spacing = np.diff(ts)
-    allowed = 1e-6 * spacing.mean() + 8 * np.finfo(ts.dtype).eps * np.abs(ts).max()
+    allowed = 1e-6 * spacing.mean() + ROUNDING * np.finfo(ts.dtype).eps * np.abs(ts).max()
     return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
 
 

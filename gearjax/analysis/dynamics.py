@@ -15,6 +15,7 @@ from gearjax import arguments
 from gearjax.analysis import chebyshev, modes
 from gearjax.analysis.choice import (
     MODELLED,
+    ROUNDING,
     ChosenSteps,
     Fitted,
     Method,
@@ -263,10 +264,16 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
     record = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
     place, speed = record.states[:, 0], record.states[:, 1]
     forces = jax.vmap(equation.forces)(ts, place)
-    uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
+    uneven = _is_uneven(ts, spacing)
     fast = steps.step * equation.fastest_rate(modes=True) > LONGEST_STEP
     failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
     return recorded(equation, ts, (place, speed), (record.highest, record.lowest), forces, settle, failed)
+
+
+def _is_uneven(ts: Array, spacing: Array) -> Array:
+    """Whether samples are further from even than by the rounding of their times, which in float32 is not small."""
+    rounding = ROUNDING * jnp.finfo(ts.dtype).eps * jnp.abs(ts).max()
+    return jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing + rounding
 
 
 def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
@@ -298,7 +305,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
             whole = record.defect <= allowed(ts.dtype)
             record = jax.lax.cond(whole, lambda: record, lambda: in_one_go()._replace(defect=record.defect))
     scale = equation.scale
-    uneven = jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing
+    uneven = _is_uneven(ts, spacing)
     block = method.spacing.of_whole_blocks().block if method.windows is None else method.windows.block
     resolved = resolves(block, chebyshev.accuracy(ts.dtype))
     fast = ~resolved | (step * equation.fastest_rate() > LONGEST_STEP)

@@ -16,7 +16,7 @@ from gearjax.contact import HardContact
 from gearjax.scene import Scene
 from gearjax.studies.select import members, numbers, series_of
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
-from gearjax.tolerance.measures import EXTREMES
+from gearjax.tolerance.measures import EXTREMES, chosen_extremes
 from gearjax.tolerance.monte_carlo import CHUNK
 from gearjax.tolerance.sampling import SAMPLERS
 
@@ -105,7 +105,8 @@ class ToleranceSection:
         seed: seed of the random numbers.
         sampler: method by which the random numbers are drawn.
         extremes: where the highest and lowest values of a curve are searched: only at the ``"samples"`` of the run,
-            which is quicker, or also ``"between"`` them.
+            which is quicker and the default for static measures of slices and coupled contacts, or also ``"between"``
+            them.
         chunk: number of gear sets that are computed together and stored together.
         precision: floating-point precision, ``"float64"`` or ``"float32"``.
         sensitivity: number of samples of the sensitivity study, 0 for no such study.
@@ -163,7 +164,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         read_whole("tolerance.samples", table.get("samples", 10_000), 2, MOST_SAMPLES),
         read_whole("tolerance.seed", table.get("seed", 0), 0, 2**31 - 1),
         _word(table, "sampler", "monte_carlo", SAMPLERS),
-        _word(table, "extremes", "between", EXTREMES),
+        _word(table, "extremes", chosen_extremes(None, measures, scene), EXTREMES),
         read_whole("tolerance.chunk", table.get("chunk", CHUNK), 1, 2**24),
         _word(table, "precision", PRECISIONS[0], PRECISIONS),
         _sensitivity(table.get("sensitivity")),

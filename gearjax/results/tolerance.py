@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from gearjax.analysis.quasi_static import each_is_dear
 from gearjax.checks import GearjaxError
 from gearjax.config import ToleranceSection, with_numbers
 from gearjax.files import finite, write_file
@@ -29,6 +30,7 @@ from gearjax.tolerance.variance import Sensitivities, sensitivities, tightened
 from gearjax.units import arcmin
 
 TIGHTENED_SAMPLES = 10_000
+CHECKED_OF_DEAR = 16  # the same as below, where each equilibrium takes long
 CHECKED = 256  # samples whose interference and extremes between the input angles are checked
 MADE = 64  # samples of which is told how many are impossible
 TRIED = 8  # samples of which at least one must be possible
@@ -340,7 +342,8 @@ def _missed(section: ToleranceSection, work: Work) -> dict[str, float]:
     measures = [m for m in section.measures if m.analysis in NO_MOTION and m.metric not in ("mean", "std")]
     if not measures:
         return {}
-    number = min(CHECKED, section.samples)
+    dear = each_is_dear(section.tolerances.scene)
+    number = min(CHECKED_OF_DEAR if dear else CHECKED, section.samples)
     tolerances, options = _in_precision(section)
     closer = Work(tolerances, measures, number=number, seed=section.seed, **{**options, "extremes": "between"})
     inputs = work.inputs(0, number)

@@ -13,6 +13,7 @@ from gearjax.analysis import Backlash, FixedStep, backlash, simulate, transmissi
 from gearjax.analysis.choice import suitable_step
 from gearjax.analysis.dynamics import FAULTS
 from gearjax.analysis.metrics import top
+from gearjax.analysis.quasi_static import each_is_dear
 from gearjax.checks import ParameterError, nearest
 from gearjax.contact import HardContact
 from gearjax.run import METRICS, NEEDS
@@ -59,7 +60,8 @@ class Measures:
         measures: the measures.
         tolerances: the population; numbers that do not vary are constants of the program.
         theta: input angles, shape (n,) [rad]; by default those of the scene's run section, or one cycle.
-        extremes: ``"samples"`` for the extremes of the samples, ``"between"`` for those between samples too.
+        extremes: ``"samples"`` for the extremes of the samples, ``"between"`` for those between samples too, ``None``
+            for the default (`chosen_extremes`).
 
     Raises:
         ParameterError: two measures are the same.
@@ -71,13 +73,13 @@ class Measures:
         measures: Sequence[Measure],
         tolerances: Tolerances,
         theta: ArrayLike | None,
-        extremes: str,
+        extremes: str | None,
     ):
         scene = self.scene = tolerances.scene
         self.tolerances = tolerances
         self.places = 1  # steps of the curves from one sample to the next
-        self.measures, self.extremes = tuple(measures), extremes
-        _check(self.measures, scene, extremes)
+        self.measures = tuple(measures)
+        self.extremes = _checked(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
         self._angles = str(self.theta.dtype), np.asarray(self.theta).tobytes()
         self.free = tolerances.free
@@ -88,7 +90,8 @@ class Measures:
         if isinstance(scene.contact, HardContact) and analyses - {"dynamic"}:
             self.curves = self._balances(analyses) if scene.layout.sides_turn else self._touches(analyses)
         errors_alone = all(path.split(".")[0] in ("errors", "backlash") for path in self.free.paths)
-        self.pressed = Pressed.of(self.physics, self.theta, errors_alone) if "static" in analyses else None
+        known = "static" in analyses and self.extremes == "samples"  # springs are known at the samples alone
+        self.pressed = Pressed.of(self.physics, self.theta, errors_alone) if known else None
         self.motion = _Motion.of(scene, self.theta) if "dynamic" in analyses else None
 
     def _physics(self, *slots: str) -> Scene:
@@ -245,9 +248,9 @@ class SceneMeasures:
         SceneError: the example lacks a part that a measure needs.
     """
 
-    def __init__(self, measures: Sequence[Measure], example: Scene, theta: ArrayLike | None, extremes: str):
-        self.measures, self.extremes = tuple(measures), extremes
-        _check(self.measures, example, extremes)
+    def __init__(self, measures: Sequence[Measure], example: Scene, theta: ArrayLike | None, extremes: str | None):
+        self.measures = tuple(measures)
+        self.extremes = _checked(self.measures, example, extremes)
         self.theta = angles(example, theta)
         dynamic = any(measure.analysis == "dynamic" for measure in self.measures)
         self.motion = _Motion.of(example, self.theta) if dynamic else None
@@ -267,13 +270,24 @@ class SceneMeasures:
         return _told(self.measures, self.motion, physics, record)
 
 
-def _check(measures: Sequence[Measure], scene: Scene, extremes: str) -> None:
+def chosen_extremes(extremes: str | None, measures: Sequence[Measure], scene: Scene) -> str:
+    """Where extremes are searched: by default between samples too, unless each equilibrium takes long.
+
+    Such are those of slices and of coupled contacts; `transmission_error` has the same default.
+    """
+    dear = each_is_dear(scene) and any(measure.analysis == "static" for measure in measures)
+    return extremes or ("samples" if dear else "between")
+
+
+def _checked(measures: Sequence[Measure], scene: Scene, extremes: str | None) -> str:
+    """Where extremes are searched, after a look at the measures."""
     for index, measure in enumerate(measures):
         require(scene, measure.name, *NEEDS[measure.analysis])
         if measure.name in [other.name for other in measures[:index]]:
             raise ParameterError("measures", measure.name, "is listed twice")
-    if extremes not in EXTREMES:
+    if extremes is not None and extremes not in EXTREMES:
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
+    return chosen_extremes(extremes, measures, scene)
 
 
 def _slots(measures: Sequence[Measure]) -> set[str]:
@@ -307,7 +321,10 @@ def angles(scene: Scene, theta: ArrayLike | None) -> Float[Array, " n"]:
 
 def _analysed(scene: Scene, theta: Float[Array, " n"], extremes: str, analysis: str, torque: float | None) -> Record:
     """Metrics of a quasi-static analysis."""
-    result = backlash(scene, theta) if analysis == "backlash" else transmission_error(scene, theta, torque)
+    if analysis == "backlash":
+        result = backlash(scene, theta)
+    else:
+        result = transmission_error(scene, theta, torque, extremes=extremes)
     values = result.backlash if isinstance(result, Backlash) else result.te
     if extremes == "samples":
         metrics = of_curve(values, lambda: top(values), lambda: -top(-values))

@@ -155,7 +155,7 @@ class Work:
         seed: Any = 0,
         sampler: str = "monte_carlo",
         theta: ArrayLike | None = None,
-        extremes: str = "between",
+        extremes: str | None = None,
         chunk: int = CHUNK,
         devices: Sequence[Any] | None = None,
         workers: int = 1,
@@ -184,7 +184,7 @@ class Work:
         self.parts = self.one.parts if isinstance(self.one, Measures) else [whole]
         self._programs = [self._program(part) for part in self.parts]
 
-    def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: str):
+    def _of_tolerances(self, tolerances: Tolerances, measure: Any, theta: ArrayLike | None, extremes: str | None):
         if callable(measure) and not isinstance(measure, Measure):
             self.names = _names(measure, tolerances.scene)
             free, scene = tolerances.free, tolerances.scene
@@ -201,7 +201,7 @@ class Work:
         self.measures, self.names = measures.measures, measures.names
         return measures, measures.together
 
-    def _of_functions(self, sample: Any, measure: Any, seed: Any, theta: ArrayLike | None, extremes: str):
+    def _of_functions(self, sample: Any, measure: Any, seed: Any, theta: ArrayLike | None, extremes: str | None):
         if self.sampler != "monte_carlo":
             raise ParameterError(
                 "sampler", self.sampler, "needs Tolerances: a function of a random key draws the samples itself"
@@ -308,7 +308,7 @@ def monte_carlo(
     key: Any = 0,
     sampler: str = "monte_carlo",
     theta: ArrayLike | None = None,
-    extremes: str = "between",
+    extremes: str | None = None,
     chunk: int = CHUNK,
     devices: Sequence[Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -327,7 +327,8 @@ def monte_carlo(
         sampler: ``"monte_carlo"``, ``"latin_hypercube"`` or ``"sobol"``; the last two only with `Tolerances`.
         theta: input angles, shape (m,) [rad]; by default those of the scene's run section, or one cycle.
         extremes: extremes of quasi-static measures: ``"between"`` for those between samples too, ``"samples"`` for
-            those of the samples only, which is faster.
+            those of the samples only, which is faster. The default is ``"between"``, but ``"samples"`` for static
+            measures of slices and coupled contacts, as for `transmission_error`.
         chunk: number of samples that are computed at once.
         devices: devices that share the work; by default all local devices.
         progress: called with the number of samples that are done, and the number of all samples.
