@@ -130,6 +130,23 @@ def test_a_load_that_nothing_holds_is_told(rng):
     assert np.isnan(np.append(forces, place)).all()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sided", [False, True])
+def test_blocks_that_are_not_positive_definite_have_no_solution(sided, rng):
+    """One of six blocks; in lanes, the others have theirs."""
+    matrix, lever, gap = problem(rng)
+    lever, gap = jnp.asarray(lever), jnp.asarray(gap)
+    wrong = matrix.copy()
+    wrong[1] -= 1.2 * np.linalg.eigvalsh(wrong[1])[0] * np.eye(3)
+    lanes = jnp.asarray(np.array([matrix, wrong, matrix]))
+    solve = jax.jit(jax.vmap(lambda matrix: coupled_balance(matrix, lever, gap, jnp.asarray(-1e4), sided)))
+    place, forces, code = solve(lanes)
+    assert np.asarray(code).tolist() == [0, 2, 0]
+    assert np.isnan(place[1])
+    assert np.isnan(forces[1]).all()
+    np.testing.assert_array_equal(forces[0], forces[2])
+
+
 def test_springs_show_the_whole_matrix(rng):
     matrix, *_ = problem(rng, blocks=2, own=2)
     whole = CoupledSprings(jnp.asarray(matrix)).influence

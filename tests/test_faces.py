@@ -134,6 +134,21 @@ def test_second_derivatives_are_those_of_the_whole_matrix(rng):
     np.testing.assert_allclose(mine, known, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sided", [False, True])
+def test_faces_that_are_not_positive_definite_have_no_solution(sided, rng):
+    """In lanes, the others have theirs."""
+    faces, lever, gap = problem(rng)
+    wrong = dataclasses.replace(faces, own=faces.own.at[0].add(-2 * faces.own[0].max()))
+    lanes = stacked([faces, wrong, faces])
+    solve = jax.jit(jax.vmap(lambda faces: coupled_balance(faces, lever, gap, jnp.asarray(-50.0), sided)))
+    place, forces, code = solve(lanes)
+    assert np.asarray(code).tolist() == [0, 2, 0]
+    assert np.isnan(place[1])
+    assert np.isnan(forces[1]).all()
+    np.testing.assert_array_equal(forces[0], forces[2])
+
+
 def coupled_scene(slices=24, **changes):
     scene = gj.load(GUO)
     system = dataclasses.replace(scene.system, slices=slices)

@@ -3,8 +3,8 @@
 Beside its diagonal, the influence matrix of a face is a product of two numbers and of a decay for each slice between:
 ``S_ij = low_i high_j decay^(j - i - 1)`` for ``i < j``. Its factorisation and its products therefore take a number of
 operations proportional to the number of slices (Foreman-Mackey et al. 2017, "Fast and scalable Gaussian process
-modeling with applications to astronomical time series"), and the matrix itself is not needed. The same holds
-for any set of slices that are closed.
+modeling with applications to astronomical time series"), and the matrix itself is not needed. The same holds for any
+set of slices that are closed.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class Faces(eqx.Module):
         between = powers[..., np.maximum(abs(one - other) - 1, 0)]
         above = self.low[..., :, None] * self.high[..., None, :]
         below = self.high[..., :, None] * self.low[..., None, :]
-        upper, diagonal = ((part).reshape(*self._ones, number, number) for part in (one < other, one == other))
+        upper, diagonal = (part.reshape(*self._ones, number, number) for part in (one < other, one == other))
         return jnp.where(diagonal, self.own[..., None], between * jnp.where(upper, above, below))
 
     @property
@@ -104,8 +104,7 @@ class Sweeps(NamedTuple):
     @property
     def softness(self) -> list[Array]:
         """Approach of each slice under equal forces on its whole face [m/N]."""
-        ones = jnp.ones_like(self.own)
-        below, above = _summed(self.decay, self.low * ones), _summed(self.decay, (self.high * ones)[::-1])[::-1]
+        below, above = _summed(self.decay, self.low), _summed(self.decay, self.high[::-1])[::-1]
         return [self.own + self.high * below + self.low * above]
 
     def tried(
@@ -125,7 +124,8 @@ class Sweeps(NamedTuple):
             *numbers, inside = row
             low, high, arm, held = (jnp.where(inside, part, 0.0) for part in numbers[1:])
             fallen = high * spread
-            inverse = 1.0 / (jnp.where(inside, numbers[0], 1.0) - high * fallen)
+            pivot = jnp.where(inside, numbers[0], 1.0) - high * fallen
+            inverse = 1.0 / jnp.where(pivot > 0, pivot, jnp.nan)
             weight = low - decay * fallen
             arm, held = arm - high * turned, held - high * pressed
             per_turn, at_rest = arm * inverse, held * inverse
@@ -137,7 +137,7 @@ class Sweeps(NamedTuple):
         rows = self.own, self.low, self.high, lever[0], rest[0], closed[0]
         (*_, steep, pull), (scaled, per_turn, at_rest) = jax.lax.scan(downwards, (nothing,) * 5, rows)
         steep, pull = (part.sum(axis=0, keepdims=True) for part in (steep, pull))
-        place = jnp.where(steep > 0, (applied[0] + pull) / jnp.where(steep > 0, steep, 1.0), 0.0)
+        place = jnp.where(steep == 0, 0.0, (applied[0] + pull) / jnp.where(steep == 0, 1.0, steep))
 
         def upwards(above: Array, row: tuple) -> tuple:
             """L^-T times the forces, and the sum over the slices above."""

@@ -87,10 +87,10 @@ def _within(blocks: Matrix, lever: Each, rest: Each, applied: Array, closed: Eac
             arms[i] = arms[i] - row[j] * arms[j]
             held[i] = held[i] - row[j] * held[j]
         low.append(row)
-        inverse.append(1.0 / diagonal)
+        inverse.append(1.0 / jnp.where(diagonal > 0, diagonal, jnp.nan))
     steep = total([arms[i] * arms[i] * inverse[i] for i in own])
     pull = applied + total([arms[i] * held[i] * inverse[i] for i in own])
-    place = jnp.where(steep > 0, pull / jnp.where(steep > 0, steep, 1.0), 0.0)
+    place = jnp.where(steep == 0, 0.0, pull / jnp.where(steep == 0, 1.0, steep))
     forces = [(arms[i] * place - held[i]) * inverse[i] for i in own]
     for i in reversed(own):
         for j in range(i):
