@@ -8,6 +8,7 @@ import pytest
 
 import gearjax as gj
 from gearjax.config.studies import loads_tolerance
+from gearjax.results.tolerance import _missed
 from gearjax.studies.select import numbers
 from gearjax.tolerance import Work
 from gearjax.tolerance.measures import Measures
@@ -17,6 +18,7 @@ from tests.helical_pairs import GUO_1, TEETH, scene_of
 
 HELICAL = ROOT / "configs" / "helical" / "guo_2018_tolerance.toml"
 KEY = "errors.pinion.amplitude"
+KEY_OF_RV, SPREAD = "errors.gear_1.amplitude", '{kind = "rayleigh", scale = "6 um"}'
 COUPLED = dataclasses.replace(TEETH, coupling_length=1.5)
 
 
@@ -69,4 +71,16 @@ def test_springs_known_at_the_samples_give_the_extremes_of_samples_alone():
     ):
         measures = Measures([measure], tolerances, np.linspace(0.0, 0.1, 5), extremes)
         assert (measures.pressed is not None) == known
+        assert (measures.together == 1) == (extremes == "between")
         assert measures.extremes == ("samples" if known else "between")
+
+
+@pytest.mark.slow
+def test_a_study_of_coupled_teeth_does_not_look_between_the_samples():
+    """Its command would take minutes for one line; the study says that its extremes are those of the samples."""
+    example = ROOT / "configs" / "involute_rv" / "yang_2019.toml"
+    study = f'[tolerance]\nsamples = 8\nmeasures = ["static.peak_to_peak@100Nm"]\n"{KEY_OF_RV}" = {SPREAD}\n'
+    section = loads_tolerance(example.read_text(encoding="utf-8") + study, example.parent)[2]
+    assert section.extremes == "samples"
+    work = Work(section.tolerances, section.measures, number=8, seed=0, theta=np.linspace(0.0, 0.1, 5))
+    assert _missed(section, work) == {}

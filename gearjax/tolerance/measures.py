@@ -48,6 +48,7 @@ TOGETHER = {
     "other": 64,
     "dynamic": 64,
 }  # gear sets side by side on one device
+FEW_OF_DEAR = 1  # the same where each equilibrium takes long, and extremes between samples are asked for
 
 
 class Measures:
@@ -158,6 +159,8 @@ class Measures:
             return TOGETHER["balances"]
         if self.pressed is not None:
             return TOGETHER["pressed"]
+        if self.extremes == "between" and chosen_extremes(None, self.measures, self.scene) == "samples":
+            return FEW_OF_DEAR  # side by side, all gear sets wait for the one whose search takes longest, at each place
         return TOGETHER["other" if self.curves is None else "quick"]
 
     @property
