@@ -192,7 +192,7 @@ def many_faces(cycle: Cycle, repeats: int, variants: int) -> None:
     angles = jax.vmap(coupled_balance, (0, 0, 0, None))
     ours = jax.jit(jax.vmap(angles, (None, None, 0, 0)))
     of_c = jax.tree.map(lambda part: np.tile(part, (len(loads), *[1] * (part.ndim - 1))), (cycle.faces, cycle.lever))
-    each = np.asarray(gaps).reshape(-1, cycle.gap.shape[1]), np.repeat(loads, len(cycle.gap))
+    each = np.asarray(gaps).reshape(-1, cycle.gap.shape[1]), np.repeat(np.asarray(loads), len(cycle.gap))
     single = jax.tree.map(lambda part: part.astype(jnp.float32), (cycle.faces, cycle.lever, gaps, loads))
     tasks: dict[str, Callable[[], Any]] = {
         "gearjax": lambda: ours(cycle.faces, cycle.lever, gaps, loads),
