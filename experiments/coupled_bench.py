@@ -173,7 +173,8 @@ def faces(repeats: int, lanes: int) -> None:
         "forward": lambda: forward(zero),
     }
     results, times = in_turns(tasks, 3 * repeats)
-    print(f"slices of three faces, {cycle.gap.shape[1]} contacts, {len(loads)} angles: ms", in_ms(times))
+    shown = {name: round(1e3 * spent, 3) for name, spent in times.items()}
+    print(f"slices of three faces, {cycle.gap.shape[1]} contacts, {len(loads)} angles: ms", shown)
     agree("  largest error of a force, against numpy", error(results["cycle"][1], np.array(results["numpy"])), 1e-10)
     agree("  the same, C", error(results["c"], np.array(results["numpy"])), 1e-10)
     row("cycle over C", 1.1, times["cycle"] / times["c"])
@@ -210,16 +211,12 @@ def many_faces(cycle: Cycle, repeats: int, variants: int) -> None:
     row("the same, float32", 3.7, times["float32"] / times["c"])
     some = range(0, number, max(number // 50, 1))
     host = [np.asarray(block_diagonal(cycle.faces.blocks)), np.asarray(cycle.lever)]
-    angle = [i % len(cycle.gap) for i in some]
     began = time.process_time()
-    for i, at in zip(some, angle, strict=True):
+    for i in some:
+        at = i % len(cycle.gap)
         peers.by_numpy(host[0][at], host[1][at], each[0][i], each[1][i])
-    by_numpy = (time.process_time() - began) / len(angle)
+    by_numpy = (time.process_time() - began) / len(some)
     row("times as fast as numpy", 100, by_numpy / (times["gearjax"] / number), most=False)
-
-
-def in_ms(times: dict[str, float]) -> dict[str, float]:
-    return {name: round(1e3 * spent, 3) for name, spent in times.items()}
 
 
 def large(repeats: int, lanes: int) -> None:

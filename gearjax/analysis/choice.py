@@ -165,7 +165,7 @@ def method_of(
 ) -> Method:
     """The method that a stepper means for a scene and its sample times; what is not traced becomes static."""
     limits = limits if is_concrete(ts) else None
-    even = not is_concrete(ts) or _are_even(np.asarray(ts))
+    even = not is_concrete(ts) or not bool(are_uneven(np.asarray(ts), 1e-6))
     if stepper is None:
         known = limits
         if limits is None and is_concrete(ts):
@@ -297,10 +297,11 @@ def phase_of(scene: Scene, ts: Array | np.ndarray, steps: int) -> float | None:
     return fastest * float(np.ptp(np.asarray(ts))) / (ts.shape[0] - 1) / steps
 
 
-def _are_even(ts: np.ndarray) -> bool:
-    spacing = np.diff(ts)
-    allowed = 1e-6 * spacing.mean() + ROUNDING * np.finfo(ts.dtype).eps * np.abs(ts).max()
-    return bool(np.abs(spacing - spacing.mean()).max() <= allowed)
+def are_uneven(ts: Array | np.ndarray, share: float) -> Array | np.bool_:
+    """Whether samples are further from even than a share of their spacing, beside the rounding of their times."""
+    mean = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
+    rounding = ROUNDING * float(jnp.finfo(ts.dtype).eps) * abs(ts).max()
+    return abs(ts[1:] - ts[:-1] - mean).max() > share * mean + rounding
 
 
 def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:

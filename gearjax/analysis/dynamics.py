@@ -15,13 +15,13 @@ from gearjax import arguments
 from gearjax.analysis import chebyshev, modes
 from gearjax.analysis.choice import (
     MODELLED,
-    ROUNDING,
     ChosenSteps,
     Fitted,
     Method,
     Modes,
     advice,
     allowed,
+    are_uneven,
     known_limits,
     method_of,
     told,
@@ -259,28 +259,20 @@ def _in_modes(equation: StructureEquation, ts: Array, settle: Array, start: str,
     steps = _steps(equation, ts, method.spacing)
     state = steps.initial(start)
     there, state = jnp.isfinite(state).all(), jnp.nan_to_num(state)
-    spacing = (ts[-1] - ts[0]) / (ts.shape[0] - 1)
     rate = equation.scale * equation.frequency
     record = modes.march(steps, state[0] * equation.scale, state[1] * rate, method.spacing)
     place, speed = record.states[:, 0], record.states[:, 1]
     forces = jax.vmap(equation.forces)(ts, place)
-    uneven = _is_uneven(ts, spacing)
+    uneven = are_uneven(ts, 1e-3)
     fast = steps.step * equation.fastest_rate(modes=True) > LONGEST_STEP
     failed = jnp.where(there, jnp.where(uneven, 5, jnp.where(fast, 2, 0)), 4)
     return recorded(equation, ts, (place, speed), (record.highest, record.lowest), forces, settle, failed)
-
-
-def _is_uneven(ts: Array, spacing: Array) -> Array:
-    """Whether samples are further from even than by the rounding of their times, which in float32 is not small."""
-    rounding = ROUNDING * jnp.finfo(ts.dtype).eps * jnp.abs(ts).max()
-    return jnp.abs((ts[1:] - ts[:-1]) - spacing).max() > 1e-3 * spacing + rounding
 
 
 def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fitted) -> Motion:
     """A motion computed by the exponentially fitted scheme."""
     forcing, carry, there = _begin(equation, ts, start, method.spacing)
     begun, step = ts[0], forcing.oscillator.step
-    spacing = step * method.spacing.each
 
     def resolves(block: march.Block, accuracy: float) -> Array:
         return step * turning_rate(equation.scene) * block.steps <= 1.01 * chebyshev.reach(block.nodes, accuracy)
@@ -305,7 +297,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
             whole = record.defect <= allowed(ts.dtype)
             record = jax.lax.cond(whole, lambda: record, lambda: in_one_go()._replace(defect=record.defect))
     scale = equation.scale
-    uneven = _is_uneven(ts, spacing)
+    uneven = are_uneven(ts, 1e-3)
     block = method.spacing.of_whole_blocks().block if method.windows is None else method.windows.block
     resolved = resolves(block, chebyshev.accuracy(ts.dtype))
     fast = ~resolved | (step * equation.fastest_rate() > LONGEST_STEP)

@@ -16,7 +16,7 @@ from gearjax.contact import HardContact
 from gearjax.scene import Scene
 from gearjax.studies.select import members, numbers, series_of
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
-from gearjax.tolerance.measures import EXTREMES, chosen_extremes
+from gearjax.tolerance.measures import EXTREMES, default_extremes
 from gearjax.tolerance.monte_carlo import CHUNK
 from gearjax.tolerance.sampling import SAMPLERS
 
@@ -164,7 +164,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         read_whole("tolerance.samples", table.get("samples", 10_000), 2, MOST_SAMPLES),
         read_whole("tolerance.seed", table.get("seed", 0), 0, 2**31 - 1),
         _word(table, "sampler", "monte_carlo", SAMPLERS),
-        _word(table, "extremes", chosen_extremes(None, measures, scene), EXTREMES),
+        _word(table, "extremes", default_extremes(measures, scene), EXTREMES),
         read_whole("tolerance.chunk", table.get("chunk", CHUNK), 1, 2**24),
         _word(table, "precision", PRECISIONS[0], PRECISIONS),
         _sensitivity(table.get("sensitivity")),

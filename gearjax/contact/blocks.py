@@ -18,7 +18,7 @@ from gearjax.contact.active_set import CLOSED, carrying
 from gearjax.contact.faces import Faces, Sweeps
 from gearjax.contact.lanes import finished, in_parts
 from gearjax.contact.rows import Each, Rows, total
-from gearjax.contact.springs import block_diagonal
+from gearjax.contact.springs import CoupledSprings
 from gearjax.typing import Array, Bool, Float, Int
 
 MOST_OWN = 8  # contacts of a block; with more, the program would become too large
@@ -195,11 +195,6 @@ def _each_has(blocks: Array | Faces) -> bool:
     return blocks.own.ndim == 3 if isinstance(blocks, Faces) else blocks.ndim == 4
 
 
-def _whole(blocks: Array | Faces) -> Array:
-    """Matrix of all contacts of a lane."""
-    return block_diagonal(blocks.blocks if isinstance(blocks, Faces) else blocks)
-
-
 def _with_lanes(part: Callable, blocks: Array | Faces, *given: Array) -> tuple:
     """Apply a function of blocks and lanes to some lanes at a time."""
     apart, structure = jax.tree.flatten(blocks) if _each_has(blocks) else ([], None)
@@ -221,7 +216,7 @@ def _searched(
         at = steps(matrix, lever, rest, load, holds)
 
         def exact(lane: Array) -> tuple:
-            whole = _whole(jax.tree.map(lambda each: each[lane], own) if _each_has(own) else own)
+            whole = CoupledSprings(jax.tree.map(lambda each: each[lane], own) if _each_has(own) else own).influence
             return carrying(whole, levers[lane], gap[lane], applied[lane], loaded[lane], loaded[lane])
 
         done = (at.right & jnp.isfinite(at.place)).ravel()

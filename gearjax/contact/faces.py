@@ -50,12 +50,9 @@ class Faces(eqx.Module):
     def approach(self, forces: Float[Array, " contact"]) -> Float[Array, " contact"]:
         """Approach of all slices under forces [m]."""
         number = self.own.shape[-1]
-        along = [jnp.moveaxis(part, -1, 0) for part in (self.low, self.high, forces.reshape(-1, number))]
-        low, high, pressing = along
-        decay = jnp.exp(-self.fall)
-        below = _summed(decay, low * pressing)
-        above = _summed(decay, (high * pressing)[::-1])[::-1]
-        return (self.own * forces.reshape(-1, number) + jnp.moveaxis(high * below + low * above, 0, -1)).ravel()
+        low, high, pressing = (jnp.moveaxis(part, -1, 0) for part in (self.low, self.high, forces.reshape(-1, number)))
+        beside = _of_others(jnp.exp(-self.fall), low, high, pressing)
+        return (self.own * forces.reshape(-1, number) + jnp.moveaxis(beside, 0, -1)).ravel()
 
 
 def _summed(decay: Float[Array, "*face"], given: Float[Array, "slice *face"]) -> Float[Array, "slice *face"]:
@@ -67,8 +64,14 @@ def _summed(decay: Float[Array, "*face"], given: Float[Array, "slice *face"]) ->
     return jax.lax.scan(pass_on, jnp.zeros_like(given[0]), given)[1]
 
 
+def _of_others(decay: Array, low: Array, high: Array, forces: Array) -> Float[Array, "slice *face"]:
+    """Approach of each slice under the forces on all other slices of its face; slices come first [m]."""
+    below, above = _summed(decay, low * forces), _summed(decay, (high * forces)[::-1])[::-1]
+    return high * below + low * above
+
+
 class Sweeps(NamedTuple):
-    """The same for many lanes; slices come first, faces and lanes last.
+    """Faces of many lanes, and the factorisation of any closed slices of them; slices come first, faces and lanes last.
 
     A lane is one problem of a batch. All functions take and return lists with one array of the shape (slice, face,
     lane), as those for blocks of few contacts have one array for each contact of a block.
@@ -104,8 +107,7 @@ class Sweeps(NamedTuple):
     @property
     def softness(self) -> list[Array]:
         """Approach of each slice under equal forces on its whole face [m/N]."""
-        below, above = _summed(self.decay, self.low), _summed(self.decay, self.high[::-1])[::-1]
-        return [self.own + self.high * below + self.low * above]
+        return [self.own + _of_others(self.decay, self.low, self.high, jnp.ones_like(self.own))]
 
     def tried(
         self,

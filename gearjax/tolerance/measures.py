@@ -47,8 +47,8 @@ TOGETHER = {
     "pressed": 128,
     "other": 64,
     "dynamic": 64,
+    "searched": 1,  # side by side, all gear sets wait for the one whose search takes longest, at each place
 }  # gear sets side by side on one device
-FEW_OF_DEAR = 1  # the same where each equilibrium takes long, and extremes between samples are asked for
 
 
 class Measures:
@@ -62,7 +62,7 @@ class Measures:
         tolerances: the population; numbers that do not vary are constants of the program.
         theta: input angles, shape (n,) [rad]; by default those of the scene's run section, or one cycle.
         extremes: ``"samples"`` for the extremes of the samples, ``"between"`` for those between samples too, ``None``
-            for the default (`chosen_extremes`).
+            for the default (`default_extremes`).
 
     Raises:
         ParameterError: two measures are the same.
@@ -159,8 +159,8 @@ class Measures:
             return TOGETHER["balances"]
         if self.pressed is not None:
             return TOGETHER["pressed"]
-        if self.extremes == "between" and chosen_extremes(None, self.measures, self.scene) == "samples":
-            return FEW_OF_DEAR  # side by side, all gear sets wait for the one whose search takes longest, at each place
+        if self.extremes == "between" and default_extremes(self.measures, self.scene) == "samples":
+            return TOGETHER["searched"]
         return TOGETHER["other" if self.curves is None else "quick"]
 
     @property
@@ -273,13 +273,13 @@ class SceneMeasures:
         return _told(self.measures, self.motion, physics, record)
 
 
-def chosen_extremes(extremes: str | None, measures: Sequence[Measure], scene: Scene) -> str:
-    """Where extremes are searched: by default between samples too, unless each equilibrium takes long.
+def default_extremes(measures: Sequence[Measure], scene: Scene) -> str:
+    """Where extremes are searched by default: between samples too, unless each equilibrium takes long.
 
     Such are those of slices and of coupled contacts; `transmission_error` has the same default.
     """
     dear = each_is_dear(scene) and any(measure.analysis == "static" for measure in measures)
-    return extremes or ("samples" if dear else "between")
+    return "samples" if dear else "between"
 
 
 def _checked(measures: Sequence[Measure], scene: Scene, extremes: str | None) -> str:
@@ -290,7 +290,7 @@ def _checked(measures: Sequence[Measure], scene: Scene, extremes: str | None) ->
             raise ParameterError("measures", measure.name, "is listed twice")
     if extremes is not None and extremes not in EXTREMES:
         raise ParameterError("extremes", extremes, nearest(extremes, EXTREMES))
-    return chosen_extremes(extremes, measures, scene)
+    return extremes or default_extremes(measures, scene)
 
 
 def _slots(measures: Sequence[Measure]) -> set[str]:
