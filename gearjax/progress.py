@@ -34,6 +34,23 @@ class Left:
         return "" if rest < 1.0 else f", {self._sure} {told_seconds(rest)} left"
 
 
+class Seldom:
+    """Lines of progress at most every `EVERY` seconds: others are left out.
+
+    Args:
+        progress: called with the lines that are not left out.
+    """
+
+    def __init__(self, progress: Progress):
+        self._progress, self._said = progress, time.monotonic()
+
+    def __call__(self, words: str) -> None:
+        """Pass a line on, or leave it out."""
+        if time.monotonic() - self._said > EVERY:
+            self._said = time.monotonic()
+            self._progress(words)
+
+
 class Searching:
     """Lines of a search whose evaluations take long; how many it needs is known from experience only.
 

@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 import tracemalloc
 
 import jax
 import pytest
+import tomli_w
 
 import gearjax as gj
 from gearjax import memory
@@ -15,9 +17,10 @@ from gearjax.checks import GearjaxError
 from gearjax.config import loads_tolerance
 from gearjax.memory import GIB, free_memory
 from gearjax.results import needs as room
-from gearjax.results.needs import affordable, needs
+from gearjax.results.needs import _contacts, affordable, needs
 from gearjax.results.tolerance import shifts
 from tests.conftest import ROOT
+from tests.test_matrix import GEAR_SETS, RUN
 from tests.test_tolerance_command import command, small
 
 
@@ -114,6 +117,28 @@ def test_chunks_count_too(words, named):
 def test_further_studies_count_too():
     with pytest.raises(GearjaxError, match=r"tolerance.sensitivity.samples = 16777216: .*at most"):
         affordable(dataclasses.replace(section(), sensitivity=2**24), 2, None)
+
+
+def test_the_time_of_further_studies_is_told():
+    asked = section(samples=10**6)
+    alone, further = (needs(dataclasses.replace(asked, sensitivity=number), 2) for number in (0, 10**6))
+    assert alone.further == 0.0
+    assert "sensitivities" not in alone.words(stored=False)
+    free = len(asked.tolerances.paths)
+    assert further.seconds == alone.seconds
+    assert free * alone.seconds < further.further < 1.1 * (free + 3) * alone.seconds
+    assert re.search(r"and roughly .* s, and .* for sensitivities, without compiling$", further.words(stored=False))
+
+
+def test_slices_of_a_train_take_longer_than_those_of_a_pair():
+    times = {}
+    for name in ("helical_pair", "helical_train"):
+        tables, number = GEAR_SETS[name].tables, GEAR_SETS[name].numbers["amplitude"].path
+        spread = {"kind": "normal", "mean": "5 um", "std": "1 um"}
+        study = {"samples": 100, "measures": [{"name": "static.peak_to_peak", "torque": "100 N*m"}], number: spread}
+        given = loads_tolerance(tomli_w.dumps(tables | {"run": RUN | {"analyses": ["static"]}, "tolerance": study}))[2]
+        times[name] = needs(given, 2).seconds / _contacts(given.tolerances.scene)
+    assert times["helical_train"] > 5 * times["helical_pair"]
 
 
 def test_the_disk_is_looked_at(tmp_path, monkeypatch):

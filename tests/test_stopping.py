@@ -116,7 +116,7 @@ def test_ctrl_c_while_results_are_written_leaves_the_earlier_ones(tmp_path, earl
     short = tmp_path / "short.toml"
     short.write_text(text.replace("samples = 3001", "samples = 101"), encoding="utf-8")
     with Running("run", str(short), "--out", str(out), folder=tmp_path) as running:
-        assert running.stopped(lambda: any(out.glob(".run.part/*.csv"))).endswith(NOTHING)
+        assert running.stopped(lambda: any(out.glob(".run.*.part/*.csv"))).endswith(NOTHING)
     assert [path.name for path in out.rglob("*")] == ["metrics.csv"] * earlier
     assert out.exists() == earlier
 

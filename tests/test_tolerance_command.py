@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -232,12 +233,16 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
         ('"static.peak_to_peak", torque', '"static.peak_to_peak@3Nm", torque', "gives a torque already"),
         ("# correlated = [{ between", 'correlated = [{ between = ["a", "b"], coefficient = 0.5 }] #', "correlated[0]"),
         ('low = "0.135 mm"', 'low = "0.2 mm"', "must be above low"),
+        ('"static.peak_to_peak", torque', '"dynamic.peak_to_peak", torque', "needs [load] and [inertia]"),
     ],
 )
 def test_mistakes_are_named_in_one_line(config, capsys, old, new, words):
     text = config.read_text()
     assert old in text
-    config.write_text(text.replace(old, new, 1))
+    text = text.replace(old, new, 1)
+    if "dynamic" in new:  # the only section that says that the gears move
+        text = re.sub(r"\[(inertia|load)\]\n(\w+ = .*\n)+", "", text).replace(', "dynamic"]', "]")
+    config.write_text(text)
     assert command(str(config), "--json") == 2
     shown = capsys.readouterr()
     assert shown.out == ""
@@ -306,6 +311,34 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path, capsys, monkeypatch)
     for name, entry in alone["measures"].items():
         assert spread["measures"][name]["mean"] == pytest.approx(entry["mean"], rel=1e-12)
         assert spread["measures"][name]["quantiles"]["0.95"] == pytest.approx(entry["quantiles"]["0.95"], rel=1e-10)
+
+
+def test_sensitivities_of_motions_alone_are_refused(tmp_path, capsys):
+    text = small().replace("no_load.peak_to_peak", "dynamic.peak_to_peak@100Nm")
+    assert text.count("@100Nm") == 1
+    kept = [line for line in text.splitlines() if "static." not in line and "backlash.minimum" not in line]
+    config = tmp_path / "study.toml"
+    config.write_text("\n".join(kept) + "\n[tolerance.sensitivity]\nsamples = 16\n", encoding="utf-8")
+    assert command(str(config), "--json") == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("gearjax: error: tolerance.sensitivity")
+    assert "all measures are" in shown
+    assert shown.count("\n") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampler", ["latin_hypercube", "sobol"])
+def test_halved_tolerances_begin_with_the_gear_sets_of_the_study(tmp_path, capsys, sampler):
+    config = tmp_path / "study.toml"
+    text = small().replace('sampler = "sobol"', f'sampler = "{sampler}"')
+    config.write_text(text + "\n[tolerance.sensitivity]\nsamples = 16\n", encoding="utf-8")
+    assert command(str(config), "--json") == 0
+    shown = capsys.readouterr()
+    found = json.loads(shown.out)
+    assert set(found["halved_tolerance_yield"]) == {name for name, one in found["measures"].items() if "yield" in one}
+    for name, rows in found["halved_tolerance_yield"].items():
+        assert all(row["before"] == found["measures"][name]["yield"] for row in rows.values())
+    assert re.search(r"roughly .* s, and .* s for sensitivities, without compiling", shown.err)
 
 
 @pytest.mark.slow

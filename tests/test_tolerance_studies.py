@@ -10,6 +10,7 @@ from scipy import stats
 
 import gearjax as gj
 from gearjax.tolerance.monte_carlo import Work
+from gearjax.tolerance.statistics import share
 from gearjax.tolerance.variance import tightened
 from gearjax.units import arcmin, um
 from tests import rv
@@ -84,6 +85,26 @@ def test_halving_a_tolerance_never_makes_a_normal_sum_worse(scene):
     found = tightened(work, 4000)["no_load.mean"]
     assert list(found) == AMPLITUDES[:2]
     assert all(before.value == after.value == 1.0 for before, after in found.values())
+
+
+@pytest.mark.slow
+def test_some_of_a_study_are_whole_designs_and_their_progress_is_told(scene, monkeypatch):
+    tolerances = gj.Tolerances(scene, {path: gj.Normal(20 * um, 2 * um) for path in AMPLITUDES[:2]})
+    measure = gj.Measure("no_load", "mean", limit=0.0)
+    work = Work(tolerances, measure, number=256, sampler="sobol", theta=np.arange(3.0))
+    values, _ = work.evaluate(work.inputs(0, 256))
+    measure = dataclasses.replace(measure, limit=float(np.median(values)))
+    work = Work(tolerances, measure, number=256, sampler="sobol", theta=np.arange(3.0))
+    size = int(work.sizes[0])
+    assert len(work.sizes) > 4
+    told = []
+    monkeypatch.setattr("gearjax.progress.EVERY", 0.0)
+    found = tightened(work, 3 * size + 1, progress=told.append)["no_load.mean"]
+    good = values[: 3 * size, 0] <= measure.limit
+    assert {before for before, _ in found.values()} == {share(good, work.sizes[:3])}
+    assert any(line.startswith(f"halved: {AMPLITUDES[0]}: ") for line in told)
+    assert told[0].startswith("tolerances as they are: ")
+    assert told[0].endswith(f" of {3 * size} gear sets")
 
 
 @pytest.mark.slow

@@ -14,8 +14,9 @@ from gearjax.config import loads
 from gearjax.plot.tradeoff import tradeoff_figure
 from gearjax.run import METRICS, Run
 from gearjax.studies.accurate_step import accurate_step
+from gearjax.studies.motion_choices import RUNGE_KUTTA_WORK, STEPS, reference, resolving, settings
 from gearjax.studies.static_choices import choices_of, static_choices
-from gearjax.studies.tradeoff import STEPS, Measured, Tradeoff, apart, resolving, settings, tradeoff
+from gearjax.studies.tradeoff import Expected, Measured, Tradeoff, _seconds, apart, first_run, tradeoff
 from gearjax.units import arcmin
 from tests.conftest import ROOT
 from tests.helical_pairs import GUO_1, TEETH, scene_of
@@ -37,7 +38,7 @@ def short(config_text, tmp_path):
 
 @pytest.mark.slow
 def test_tradeoff(short, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("gearjax.studies.tradeoff.STEPS", STEPS[::2])
+    monkeypatch.setattr("gearjax.studies.motion_choices.STEPS", STEPS[::2])
     code, out, _ = command(capsys, "tradeoff", short, "--error", "0.01", "--out", tmp_path / "out", "--json")
     assert code == 0
     found = json.loads(out)
@@ -82,6 +83,63 @@ def test_every_gear_set_has_a_report(gear_set, tmp_path, capsys, monkeypatch):
     code, out, err = command(capsys, "tradeoff", path, "--json")
     assert code == 0, err
     assert json.loads(out)
+
+
+def test_long_runs_are_timed_once_and_short_ones_several_times(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("gearjax.studies.tradeoff.time.perf_counter", lambda: now[0])
+
+    def taking(seconds):
+        runs = []
+
+        def run():
+            runs.append(None)
+            now[0] += seconds
+
+        return _seconds(run), len(runs)
+
+    assert taking(0.1) == (pytest.approx(0.1), 3)
+    assert taking(1.5) == (pytest.approx(1.5), 2)
+    assert taking(50.0) == (pytest.approx(50.0), 1)
+
+
+def test_the_time_foretold_is_that_of_runs_and_compiling(scene):
+    run = Run(duration=0.2, samples=101, analyses=("dynamic",), torques=(100.0, 300.0))
+    moving = dataclasses.replace(scene, run=run)
+    resolved = resolving(moving, run)
+    given = [reference(moving, run, resolved), *settings(moving, run, resolved)]
+    assert given[0].work == pytest.approx(RUNGE_KUTTA_WORK * resolved.usual.step / given[0].stepper.step)
+    works = {setting.name: setting.work for setting in given}
+    assert works["fitted, 0.4 rad"] == pytest.approx(1.0)
+    assert works["fitted, 0.1 rad"] == pytest.approx(4.0)
+    quick, slow, parallel = (
+        Expected(10.0, seconds, 2, workers) for seconds, workers in ((1e-4, 1), (20.0, 1), (20.0, 2))
+    )
+    schemes = {setting.scheme or setting.name for setting in given if setting.group in ("solver", "fidelity")}
+    assert quick.whole(given) == pytest.approx(10.0 * (len(given) + 5 * len(schemes)), rel=0.01)
+    assert slow.first(given[0]) == pytest.approx(10.0 + 2 * 20.0 * given[0].work)
+    assert parallel.first(given[0]) == pytest.approx(slow.first(given[0]) / 2)
+    # each run takes longer than what is repeated, and its gradient is left out
+    whole = 10.0 * len(given) + 60.0 * sum(setting.work for setting in given) - 20.0 * given[0].work
+    assert slow.whole(given) == pytest.approx(whole)
+
+
+@pytest.mark.slow
+def test_a_setting_that_fails_ends_the_comparison_at_once(scene, monkeypatch):
+    begun = []
+
+    def failing(setting):
+        begun.append(setting.name)
+        if setting.group == "reference":
+            raise gj.SceneError("no reference")
+        return first_run(setting)
+
+    monkeypatch.setattr("gearjax.studies.tradeoff.first_run", failing)
+    run = Run(duration=0.02, samples=21, analyses=("dynamic",), torques=(100.0,))
+    with pytest.raises(gj.SceneError, match=r"^no reference$"):
+        tradeoff(dataclasses.replace(scene, run=run), 1e-3 * arcmin)
+    assert begun[:2] == ["usual", "Runge-Kutta"]
+    assert len(begun) <= 3
 
 
 def test_slices_do_not_move_with_a_stiffness_per_pair(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """A folder of results holds the results of one run of each command; ``gearjax show`` opens the last ones."""
 
 import json
+import os
 
 import pytest
 
@@ -56,10 +57,11 @@ def test_new_results_come_all_together(tmp_path):
         broken_off(out, KeyboardInterrupt())
     assert (out / "a.csv").read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in out.rglob("*")) == ["a.csv", "joint", "joint.xml", NAME]
-    made(out, ".run.part/b.csv")  # of a process that was killed
+    made(out, ".run.1.part/b.csv", ".run.2.part/b.csv")  # of a process that was killed, and of one that is writing
+    os.utime(out / ".run.1.part", (0.0, 0.0))
     with replacing(out, "run", said.append) as new:
         new.add(made(new.folder, "c.csv"))
-    assert sorted(path.name for path in out.iterdir()) == ["c.csv", "joint", NAME]
+    assert sorted(path.name for path in out.iterdir()) == [".run.2.part", "c.csv", "joint", NAME]
     assert said[1:] == [f"written to {out}: c.csv", "removed, of the gearjax run before: a.csv, joint/joint.xml"]
 
 

@@ -22,8 +22,9 @@ from gearjax.analysis.solvers import LONGEST_STEP, AdaptiveStep, FixedStep, Rung
 from gearjax.checks import SceneError, is_batched, is_concrete
 from gearjax.compliance import AbstractCompliance, AbstractLineContact
 from gearjax.evaluate import evaluated
+from gearjax.run import NEEDS
 from gearjax.scene import Scene
-from gearjax.scene_checks import require_springs_apart
+from gearjax.scene_checks import require, require_springs_apart
 from gearjax.typing import Array
 
 MODELLED = ("backlash", "compliance", "load", "inertia", "damping", "impact")
@@ -122,7 +123,12 @@ def suitable_step(scene: Scene, duration: float) -> FixedStep:
 
 
 def step_limits(scene: Scene) -> Limits:
-    """The limits of a scene of known numbers."""
+    """The limits of a scene of known numbers.
+
+    Raises:
+        SceneError: the scene lacks what a motion needs.
+    """
+    require(scene, "dynamic", *NEEDS["dynamic"])
     return evaluated(limits_of, scene.precomputed(*MODELLED))
 
 

@@ -55,7 +55,9 @@ def _print_settings(console: Console, comparison: Tradeoff) -> None:
         error = f"{row.error / arcmin:.2g}"
         table.add_row(row.group, row.name, error, f"{1e3 * row.seconds:.1f}", gradient, f"{row.compile_seconds:.1f}")
     show(console, table)
-    console.print("~: not measured, estimated from another setting of the same scheme", soft_wrap=True)
+    console.print("~: not measured, estimated from another setting of the same scheme, roughly", soft_wrap=True)
+    words = "run: with the call from Python, some ms; gradients are compiled as a whole and have none"
+    console.print(words, soft_wrap=True)
 
 
 def print_face_load(factors: dict[str, float]) -> None:

@@ -2,7 +2,9 @@
 
 import contextlib
 import json
+import secrets
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from gearjax.files import settle, write_file
 from gearjax.stopping import unbroken, unfinished
 
 NAME = "written.json"
+LEFT_BEHIND = 600.0  # s: a command writes its results in seconds, so that older ones are of a process that was killed
 
 
 class Results:
@@ -34,7 +37,8 @@ class Results:
 def replacing(folder: Path, command: str, say: Callable[[str], None]) -> Iterator[Results]:
     """Results that a command writes in the block; they come into their folder all together at its end.
 
-    A command that is stopped while it writes leaves the results of an earlier run as they were.
+    A command that is stopped while it writes leaves the results of an earlier run as they were. Of two commands that
+    write at once, each has a folder of its own for that time, and the results of the last one stay.
 
     Args:
         folder: folder of the results.
@@ -44,10 +48,10 @@ def replacing(folder: Path, command: str, say: Callable[[str], None]) -> Iterato
     Raises:
         GearjaxError: the folder cannot be written.
     """
-    part = folder / f".{command}.part"
+    part = folder / f".{command}.{secrets.token_hex(4)}.part"
     with contextlib.ExitStack() as stack:
         with writing(folder):
-            shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
+            _remove_left_behind(folder, command)
             stack.enter_context(unfinished(part))
         results = Results(part)
         yield results
@@ -56,6 +60,14 @@ def replacing(folder: Path, command: str, say: Callable[[str], None]) -> Iterato
             settle(folder)
     for line in lines:
         say(line)
+
+
+def _remove_left_behind(folder: Path, command: str) -> None:
+    """Remove what processes that were killed left unfinished."""
+    for part in folder.glob(f".{command}.*part"):
+        with contextlib.suppress(OSError):
+            if time.time() - part.stat().st_mtime > LEFT_BEHIND:
+                shutil.rmtree(part, ignore_errors=True)
 
 
 def _moved(file: Path, part: Path, folder: Path) -> Path:

@@ -13,7 +13,9 @@ from gearjax.config.distributions import read_distribution
 from gearjax.config.quantities import read_plain, read_quantity, read_ratio
 from gearjax.config.tables import Key, flattened, known_keys, read_whole, require_keys
 from gearjax.contact import HardContact
+from gearjax.run import NEEDS
 from gearjax.scene import Scene
+from gearjax.scene_checks import require
 from gearjax.studies.select import members, numbers, series_of
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
 from gearjax.tolerance.measures import EXTREMES, default_extremes
@@ -39,7 +41,7 @@ MEASURE_KEYS = {
     "limit": Key('an angle such as "1 arcmin"', '"2 arcmin"'),
     "at_least": Key('an angle such as "1 arcmin"', '"0 arcmin"'),
 }
-SENSITIVITY_KEYS = {"samples": Key("a whole number from 16", default="1024")}
+SENSITIVITY_KEYS = {"samples": Key("a whole number from 16; dynamic measures are left out", default="1024")}
 ALLOCATION_KEYS = {
     "measure": Key("name of a measure with a limit", required=True),
     "yield": Key(f"above 0 and at most {MOST_YIELD}, or percent", "0.95", required=True),
@@ -153,6 +155,8 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         example = f'"{example_path(scene, "amplitude")}" = {{kind = "rayleigh", scale = "6 um"}}'
         raise GearjaxError(f"tolerance: no number varies; add {example}")
     measures = _measures(table["measures"])
+    for measure in measures:
+        require(scene, measure.name, *NEEDS[measure.analysis])
     correlations = _correlations(table.get("correlated", []))
     try:
         tolerances = Tolerances(scene, distributions, correlations)
@@ -167,7 +171,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         _word(table, "extremes", default_extremes(measures, scene), EXTREMES),
         read_whole("tolerance.chunk", table.get("chunk", CHUNK), 1, 2**24),
         _word(table, "precision", PRECISIONS[0], PRECISIONS),
-        _sensitivity(table.get("sensitivity")),
+        _sensitivity(table.get("sensitivity"), measures),
         _allocation(table.get("allocation"), tolerances, measures),
         _assembly(table.get("assembly"), tolerances, measures),
     )
@@ -304,9 +308,14 @@ def _section(key: str, given: Any, keys: dict[str, Key]) -> dict[str, Any]:
     return given
 
 
-def _sensitivity(given: Any) -> int:
+def _sensitivity(given: Any, measures: tuple[Measure, ...]) -> int:
     if given is None:
         return 0
+    if all(measure.analysis == "dynamic" for measure in measures):
+        words = "is of measures that are not dynamic, and all measures are"
+        raise ParameterError(
+            "tolerance.sensitivity", given, f"{words}: add one such as static.peak_to_peak, or leave it out"
+        )
     table = _section("sensitivity", given, SENSITIVITY_KEYS)
     return read_whole("tolerance.sensitivity.samples", table.get("samples", 1024), 16, 2**24)
 

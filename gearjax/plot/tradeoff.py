@@ -39,7 +39,8 @@ def tradeoff_figure(comparison: Tradeoff) -> Figure:
         ax.plot(*line, drawstyle="steps-post", color="0.6", linewidth=0.9, zorder=0, label="least error at this time")
         ax.axhline(comparison.error / arcmin, color="0.4", linestyle="--", linewidth=0.9, label="allowed")
         title = "one run" if kind == "run" else "gradient, measured once per scheme"
-        finish(ax, f"Error against time, {title}", x="time [ms]", y="largest error of a metric [arcmin]")
+        smaller = f", {LEAST:g} if smaller" if any(y == LEAST for _, y, _ in points) else ""
+        finish(ax, f"Error against time, {title}", x="time [ms]", y=f"largest error of a metric [arcmin]{smaller}")
         ax.margins(x=0.1, y=0.12)
         _few_ticks(ax)
     figure.draw_without_rendering()  # labels are placed on the page, so that its layout must be known

@@ -25,6 +25,7 @@ from gearjax.tolerance.closer import places_for
 from gearjax.tolerance.curves import FINE
 from gearjax.tolerance.measures import TOGETHER
 from gearjax.tolerance.population import EXAMPLES
+from gearjax.tolerance.variance import DERIVATIVES, LEVELS, TIGHTENED_SAMPLES
 
 PROGRAM = 0.625 * GIB  # bytes of Python, JAX, and programs of few contacts while they are compiled
 PROGRAM_PER_CONTACT = 4e6
@@ -38,11 +39,13 @@ TAKEN = 5  # number of arrays that are as large as the curves of the examples
 LOOKED_AT = 9  # arrays for each curve, as large as the contacts of the gear sets, for analyses done in full
 STEPS = 8  # numbers for each step and gear set of a motion
 BLOCK = 4096  # bytes: smallest size of a file on disk
-SECONDS = {"quick": 0.6e-9, "balances": 7e-10, "other": 40e-9, "dynamic": 3e-9}  # two cores, see `_work`
+# seconds for each contact and angle on two cores, see `_work`
+SECONDS = {"quick": 0.6e-9, "balances": 7e-10, "other": 40e-9, "train": 400e-9, "dynamic": 3e-9}
+SLOPES = 5  # derivatives by all numbers take some times as long as the values
 DRAWN = 4e-7  # seconds for each number drawn, on the host
 BETWEEN = {"quick": 4.0, "other": 7.0}  # times as long if extremes are searched between the samples
 SLOWER = 2.5  # the same for each angle of two-sided contacts, which then need more angles too
-SEARCHED = 1.5e-3  # seconds for each contact of a curve whose extremes are searched in full
+SEARCHED = 2e-4  # seconds for each contact of a curve whose extremes are searched in full
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,19 +56,23 @@ class Needs:
         memory: peak memory, by the key of the configuration with which it grows; "" for the part that is constant [B].
         disk: disk space of the stored samples [B].
         files: number of files that hold the stored samples.
-        seconds: rough time, without compilation and further studies [s].
+        seconds: rough time of the samples, without compilation [s].
+        further: the same of sensitivities and of tolerances that are tightened [s].
     """
 
     memory: dict[str, float]
     disk: float
     files: int
     seconds: float
+    further: float = 0.0
 
     def words(self, stored: bool) -> str:
         """The needs in words, as they are reported."""
         disk = f", {size_words(self.disk)} on disk" if stored else ""
         memory = size_words(sum(self.memory.values()))
-        return f"the study needs about {memory} of memory{disk} and roughly {_time(self.seconds)}"
+        further = f", and {_time(self.further)} for sensitivities" if self.further else ""
+        words = f"the study needs about {memory} of memory{disk} and roughly {_time(self.seconds)}{further}"
+        return f"{words}, without compiling"
 
 
 def needs(section: ToleranceSection, devices: int) -> Needs:
@@ -94,8 +101,20 @@ def needs(section: ToleranceSection, devices: int) -> Needs:
         memory["tolerance.assembly.units"] = rows * NUMBER * (4 * free + 4 * len(section.assembly.where))
     column, codes = (math.ceil(chunk * size / BLOCK) for size in (NUMBER, NUMBER / 2))
     disk = float(chunks * BLOCK * (column * measured + codes + 1))
-    seconds = free * DRAWN + 2 / devices * sum(_work(section, kind, contacts) for kind in kinds)
-    return Needs(memory, disk, chunks * (measured + 2), section.samples * seconds)
+    work = {kind: free * DRAWN + 2 / devices * _work(section, kind, contacts) for kind in kinds}
+    still = sum(seconds for kind, seconds in work.items() if kind != "dynamic")
+    return Needs(memory, disk, chunks * (measured + 2), section.samples * sum(work.values()), _further(section) * still)
+
+
+def _further(section: ToleranceSection) -> float:
+    """Gear sets that sensitivities and tightened tolerances evaluate."""
+    if not section.sensitivity:
+        return 0.0
+    free = len(section.tolerances.paths)
+    slopes = SLOPES * min(section.sensitivity, DERIVATIVES)
+    halved = min(section.samples, TIGHTENED_SAMPLES) * (1 + len(section.tolerances.tolerated))
+    limited = any(measure.is_limited and measure.analysis != "dynamic" for measure in section.measures)
+    return float(section.sensitivity * (free + 2) + free * len(LEVELS) + slopes + halved * limited)
 
 
 def affordable(section: ToleranceSection, devices: int, folder: Path | None) -> Needs:
@@ -225,7 +244,7 @@ def _work(section: ToleranceSection, kind: str, contacts: int) -> float:
     """Rough time of one gear set on two cores [s]."""
     if kind == "dynamic":
         return _numbers_of(section, True) * _steps(section.tolerances.scene) * SECONDS[kind]
-    seconds = _angles(section) * SECONDS[kind]
+    seconds = _angles(section) * SECONDS["train" if kind == "other" and section.tolerances.scene.is_train else kind]
     if kind == "balances":
         seconds *= SLOWER * (_places(section) or 1) if section.extremes == "between" else 1.0
     elif section.extremes == "between":

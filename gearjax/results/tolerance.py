@@ -27,10 +27,9 @@ from gearjax.tolerance.measure import Measure
 from gearjax.tolerance.monte_carlo import QUANTILES
 from gearjax.tolerance.precision import PrecisionShift, in_float32, precision_shifts
 from gearjax.tolerance.statistics import Estimate
-from gearjax.tolerance.variance import Sensitivities, sensitivities, tightened
+from gearjax.tolerance.variance import TIGHTENED_SAMPLES, Sensitivities, sensitivities, tightened
 from gearjax.units import arcmin
 
-TIGHTENED_SAMPLES = 10_000
 CHECKED_OF_DEAR = 16  # the same as below, where each equilibrium takes long
 CHECKED = 256  # samples whose interference and extremes between the input angles are checked
 MADE = 64  # samples of which is told how many are impossible
@@ -242,8 +241,7 @@ def _sensitivities(section: ToleranceSection, progress: Progress) -> list[Sensit
     if not section.sensitivity or not measures:
         return []
     tolerances, options = _in_precision(section)
-    progress("sensitivities: by derivatives, Sobol indices, one at a time")
-    return sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, **options)
+    return sensitivities(tolerances, measures, n=section.sensitivity, key=section.seed, progress=progress, **options)
 
 
 def _tightened(section: ToleranceSection, progress: Progress) -> dict[str, dict[str, tuple[Estimate, Estimate]]]:
@@ -252,9 +250,9 @@ def _tightened(section: ToleranceSection, progress: Progress) -> dict[str, dict[
         return {}
     tolerances, options = _in_precision(section)
     progress("each tolerance halved")
-    number = min(TIGHTENED_SAMPLES, section.samples)
-    work = Work(tolerances, measures, number=number, seed=section.seed, **options)
-    return tightened(work, number, progress=progress)
+    given = {"number": section.samples, "seed": section.seed, "sampler": section.sampler}
+    work = Work(tolerances, measures, **given, **options)
+    return tightened(work, min(TIGHTENED_SAMPLES, section.samples), progress=progress)
 
 
 def _without_motion(section: ToleranceSection) -> list[Measure]:

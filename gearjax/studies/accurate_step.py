@@ -9,7 +9,8 @@ from gearjax.checks import SceneError
 from gearjax.progress import Progress, silent
 from gearjax.run import Run
 from gearjax.scene import Scene
-from gearjax.studies.tradeoff import STEPS, Metrics, Resolving, Setting, apart, dynamic_run, first_run, resolving
+from gearjax.studies.motion_choices import STEPS, Resolving, Setting, dynamic_run, resolving
+from gearjax.studies.tradeoff import Metrics, apart, first_run
 from gearjax.units import arcmin
 
 YARDSTICK = 0.05  # rad of the fastest motion: first Runge-Kutta steps of the reference of `accurate_step`

@@ -1,70 +1,31 @@
 """Accuracy and cost of each choice on a scene: errors of the dynamic metrics, run time, gradient time, compile time."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gearjax.analysis import AdaptiveStep, FixedStep, Motion, QuasiStatic, RungeKutta4, simulate
-from gearjax.analysis.choice import STEP, step_limits, suitable_step
-from gearjax.analysis.solvers import LONGEST_STEP, Stepper
-from gearjax.checks import SceneError
-from gearjax.compliance import HarmonicStiffness
-from gearjax.contact import AbstractContact, QuadraticContact, SoftplusContact
+from gearjax.analysis import Motion, simulate
 from gearjax.progress import Left, Progress, silent, told_seconds
-from gearjax.run import METRICS, Run
+from gearjax.run import METRICS
 from gearjax.scene import Scene
+from gearjax.studies.motion_choices import Setting, dynamic_run, reference, resolving, settings
 from gearjax.studies.static_choices import StaticChoice, static_choices
 from gearjax.timing import Stopwatch
 from gearjax.typing import Array
 
-STEPS = (0.8, 0.4, 0.2, 0.1, 0.05)  # rad of the fastest motion
-WIDTHS = (1e-8, 1e-7, 1e-6)  # m
-TRUE_STEP = 0.0125  # rad of the fastest motion: Runge-Kutta steps of the reference
-MOST_RUNGE_KUTTA = 2e8  # steps of a run, which take some minutes
 LONGEST_GRADIENT = 20.0  # s: gradients that are expected to take longer are not measured
 DIFFERENTIATED = ("solver", "fidelity", "precision")  # groups whose gradients are timed
-REPEATS = 3
-TRUTH_WORK, GRADIENT_WORK = 4, 5  # the reference, and compiling a gradient, take some times as long as compiling a run
+REPEATS, LONG_ENOUGH = 3, 2.0  # runs that are timed, and their time in all after which no further one is [s]
+GRADIENT_WORK = 5  # compiling a gradient takes some times as long as compiling a run
 Metrics = dict[float, dict[str, float]]
 """Metrics by torque and name [rad]."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """One way to compute a motion.
-
-    Args:
-        group: what is varied: ``solver``, ``contact``, ``samples``, ``harmonics``, ``fidelity`` or ``precision``.
-        name: the setting in words.
-        scene: the scene as this setting models it.
-        stepper: stepper of `gearjax.simulate`.
-        samples: number of samples of the record.
-        gradient: expected time of a gradient, in runs; gradients that would take too long are left out.
-        scheme: common name of settings whose gradients take about the same multiple of a run (they differ in step
-            length, precision or adaptive solver); empty for the setting's own name.
-    """
-
-    group: str
-    name: str
-    scene: Scene
-    stepper: Stepper | QuasiStatic
-    samples: int
-    gradient: float = 10.0
-    scheme: str = ""
-
-    @property
-    def of_samples(self) -> bool:
-        """Whether its extremes are those of its samples."""
-        return isinstance(self.stepper, AdaptiveStep | QuasiStatic)
 
 
 class FirstRun(NamedTuple):
@@ -155,133 +116,81 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
         return Tradeoff({}, 0.0, [], error, statics)
     run = dynamic_run(scene)
     resolved = resolving(scene, run)
-    truth_step = resolved.runge_kutta(TRUE_STEP, run)
-    yardstick = Setting("truth", "Runge-Kutta", scene, truth_step, run.samples)
-    tried = settings(scene, run, resolved)
-    usual = resolved.usual
-    began = time.perf_counter()
-    first_run(Setting("solver", "usual", scene, usual, run.samples))
-    once, work = time.perf_counter() - began, len(tried) + TRUTH_WORK + GRADIENT_WORK * len(_schemes(tried))
-    told = told_seconds(once * work / workers)
-    progress(f"{len(tried)} settings, and Runge-Kutta in steps of {truth_step.step:.2g} s beside them: some {told}")
-    left, runs = Left(work), []
+    given = (reference(scene, run, resolved), *settings(scene, run, resolved))
+    usual = first_run(Setting("solver", "usual", scene, resolved.usual, run.samples))
+    expected = Expected(usual.compile_seconds, usual.seconds, len(run.torques), workers)
+    left, number = Left(expected.whole(given)), len(given) - 1
+    progress(f"{number} settings, and Runge-Kutta in short steps beside them: some {told_seconds(left.parts)}")
     with ThreadPoolExecutor(workers) as pool:
-        for setting, first in zip((yardstick, *tried), pool.map(first_run, (yardstick, *tried)), strict=True):
-            runs.append(first)
-            rest = left.after(TRUTH_WORK if setting is yardstick else 1)
-            progress(f"compiled: {setting.group}: {setting.name}{rest}")
-        truth = runs[0]
-        rows = [_measured(*each, truth) for each in zip(tried, runs[1:], strict=True)]
-        rows = _with_gradients(tried, rows, pool, left, progress)
+        truth, *first = _first_runs(given, pool, expected, left, progress)
+        rows = []
+        for setting, one in zip(given[1:], first, strict=True):
+            rows.append(_measured(setting, one, truth))
+            progress(f"timed: {setting.group}: {setting.name}{left.after(expected.repeated(setting))}")
+        rows = _with_gradients(list(given[1:]), rows, pool, left, expected, progress)
     return Tradeoff(truth.metrics, truth.seconds, rows, error, static_choices(scene, progress))
 
 
-def dynamic_run(scene: Scene) -> Run:
-    """The run section of a scene.
-
-    Raises:
-        SceneError: there is none that lists ``dynamic``.
-    """
-    if scene.run is None or "dynamic" not in scene.run.analyses:
-        raise SceneError('[run] must list "dynamic" among its analyses: the accuracy is that of the dynamic TE')
-    return scene.run
-
-
-class Resolving(NamedTuple):
-    """Steps that resolve the motion of a scene.
+class Expected(NamedTuple):
+    """Times that settings are expected to take, from the first run of the usual steps.
 
     Args:
-        longest: longest step of the usual scheme that resolves the fastest motion [s].
-        whole: the same for other solvers, which have to resolve the supports too [s].
-        usual: the usual steps of a run.
+        compile_seconds: time to trace and compile that run [s].
+        seconds: time of that run under one torque [s].
+        torques: number of torques.
+        workers: number of settings whose first runs take place at once.
     """
 
-    longest: float
-    whole: float
-    usual: FixedStep
+    compile_seconds: float
+    seconds: float
+    torques: int
+    workers: int
 
-    def runge_kutta(self, size: float, run: Run) -> FixedStep:
-        """Runge-Kutta steps of a size [rad of the fastest motion].
+    def first(self, setting: Setting) -> float:
+        """First runs, beside those of other settings [s]."""
+        return (self.compile_seconds + self.torques * setting.work * self.seconds) / self.workers
 
-        Raises:
-            SceneError: the run would need too many.
-        """
-        step = size * self.whole
-        if run.duration / step > MOST_RUNGE_KUTTA:
-            words = f"the reference needs {run.duration / step:.2g} Runge-Kutta steps of {step:.2g} s"
-            raise SceneError(
-                f"{words}, more than {MOST_RUNGE_KUTTA:g}: shorten run.duration, or leave out stiff supports"
-            )
-        return FixedStep(step, solver=RungeKutta4())
+    def repeated(self, setting: Setting) -> float:
+        """Runs that are timed [s]."""
+        return _repeated(setting.work * self.seconds)
+
+    def gradient(self, setting: Setting) -> float:
+        """Gradient of a scheme, compiled beside others and timed [s]."""
+        timed = setting.gradient * setting.work * self.seconds
+        return GRADIENT_WORK * self.compile_seconds / self.workers + _repeated(timed)
+
+    def whole(self, given: Sequence[Setting]) -> float:
+        """All of the trade-off, whose first setting is the reference [s]."""
+        alone = sum(self.repeated(setting) for setting in given[1:])
+        gradients: dict[str, float] = {}
+        for setting in given:
+            if _has_gradient(setting, setting.work * self.seconds):
+                scheme = setting.scheme or setting.name
+                gradients[scheme] = max(gradients.get(scheme, 0.0), self.gradient(setting))
+        return sum(map(self.first, given)) + alone + sum(gradients.values())
 
 
-def resolving(scene: Scene, run: Run) -> Resolving:
-    """Steps that resolve the motion of a scene."""
-    usual, limits = suitable_step(scene, run.duration), step_limits(scene)
-    longest = usual.step / STEP * LONGEST_STEP
-    whole = longest if limits.whole is None else LONGEST_STEP / float(limits.whole)
-    return Resolving(longest, whole, usual)
+def _first_runs(
+    given: Sequence[Setting], pool: ThreadPoolExecutor, expected: Expected, left: Left, progress: Progress
+) -> list[FirstRun]:
+    """First run of each setting, those that take longest first."""
+    order = sorted(given, key=lambda setting: -setting.work)
+    running = {pool.submit(first_run, setting): setting for setting in order}
+    runs = {}
+    try:
+        for done in as_completed(running):
+            setting = running[done]
+            runs[setting.group, setting.name] = done.result()
+            progress(f"ran: {setting.group}: {setting.name}{left.after(expected.first(setting))}")
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)  # what ended the first one is told at once
+        raise
+    return [runs[setting.group, setting.name] for setting in given]
 
 
 def apart(one: Metrics, other: Metrics) -> float:
     """Largest difference of any metric under any torque [rad]; nan if one is not a number."""
     return float(np.max([abs(one[torque][name] - other[torque][name]) for torque in one for name in METRICS]))
-
-
-def settings(scene: Scene, run: Run, resolved: Resolving) -> list[Setting]:
-    """The settings to measure."""
-    alone, number, cut = FixedStep(resolved.usual.step), run.samples, resolved.usual.windows
-    output_alone = scene.springs_apart
-
-    def even(scheme: str, size: float, after: str = "", **options) -> Setting:
-        name, stepper = f"{scheme}, {size:g} rad{after}", FixedStep(size * resolved.longest, **options)
-        return Setting("solver", name, scene, stepper, number, scheme=scheme + after)
-
-    trials = [even("fitted" if output_alone else "constant modes", size) for size in STEPS]
-    if cut is not None:
-        trials += [even("fitted", size, ", windows", windows=cut) for size in STEPS[:3]]
-    slow = 10.0 if output_alone else math.inf  # gradients of many coordinates compile for minutes
-    for size in STEPS[:3]:
-        stepper = resolved.runge_kutta(size, run)
-        trials.append(Setting("solver", f"Runge-Kutta, {size:g} rad", scene, stepper, number, slow, "Runge-Kutta"))
-    trials += [
-        Setting(
-            "solver",
-            f"{type(solver).__name__}, {tol:g}",
-            scene,
-            AdaptiveStep(tol, tol, solver),
-            number,
-            400.0 if output_alone else math.inf,
-            "adaptive",
-        )
-        for solver, tol in ((diffrax.Tsit5(), 1e-4), (diffrax.Dopri5(), 1e-4), (diffrax.Dopri8(), 1e-7))
-    ]
-    laws: list[tuple[str, Callable[[float], AbstractContact]]] = [
-        ("quadratic", QuadraticContact),
-        ("softplus", SoftplusContact),
-    ]
-    trials += [
-        Setting("contact", f"{name}, {1e6 * w:g} um", dataclasses.replace(scene, contact=law(w)), alone, number)
-        for name, law in laws
-        for w in WIDTHS
-    ]
-    mesh = 2 * np.pi / (float(scene.system.input_speed) * scene.system.orders["mesh"])
-    for per_mesh in (2, 6, 20):
-        fewer = int(run.duration / mesh * per_mesh) + 1
-        if 2 <= fewer < number:
-            trials.append(Setting("samples", f"{per_mesh} per mesh period", scene, alone, fewer))
-    if isinstance(scene.compliance, HarmonicStiffness):
-        for kept in range(scene.compliance.harmonics):
-            parts = scene.compliance.mean, scene.compliance.relative_amplitudes[:kept], scene.compliance.phases[:kept]
-            fewer_waves = dataclasses.replace(scene, compliance=HarmonicStiffness(*parts))
-            trials.append(Setting("harmonics", f"{kept} kept", fewer_waves, alone, number))
-    if output_alone:
-        trials += [
-            Setting("fidelity", name, scene, QuasiStatic(inertia), number)
-            for name, inertia in (("quasi-static", False), ("quasi-static, inertia corrected", True))
-        ]
-    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), scene)
-    return [*trials, Setting("precision", "float32", single, alone, number, scheme=trials[0].scheme)]
 
 
 def _measured(setting: Setting, first: FirstRun, truth: FirstRun) -> Measured:
@@ -296,18 +205,18 @@ def _measured(setting: Setting, first: FirstRun, truth: FirstRun) -> Measured:
     return Measured(setting.group, setting.name, off, first.metrics, seconds, None, False, first.compile_seconds)
 
 
-def _schemes(tried: list[Setting]) -> list[str]:
-    """Names of the schemes of which gradients are measured."""
-    return list(dict.fromkeys(setting.scheme or setting.name for setting in tried if setting.group in DIFFERENTIATED))
-
-
 def _with_gradients(
-    tried: list[Setting], rows: list[Measured], pool: ThreadPoolExecutor, left: Left, progress: Progress
+    tried: list[Setting],
+    rows: list[Measured],
+    pool: ThreadPoolExecutor,
+    left: Left,
+    expected: Expected,
+    progress: Progress,
 ) -> list[Measured]:
     """The rows with the times of their gradients, measured for the slowest allowed run of each scheme."""
     schemes: dict[str, list[int]] = {}
     for place, (setting, row) in enumerate(zip(tried, rows, strict=True)):
-        if setting.group in DIFFERENTIATED and setting.gradient * row.seconds <= LONGEST_GRADIENT:
+        if _has_gradient(setting, row.seconds):
             schemes.setdefault(setting.scheme or setting.name, []).append(place)
     chosen = {}
     for scheme, places in schemes.items():
@@ -316,9 +225,9 @@ def _with_gradients(
     rows = list(rows)
     compiled = pool.map(lambda place: _gradient(tried[place]), chosen.values())
     gradients = []
-    for scheme, gradient in zip(chosen, compiled, strict=True):
+    for (scheme, place), gradient in zip(chosen.items(), compiled, strict=True):
         gradients.append(gradient)
-        progress(f"compiled: gradient, {scheme}{left.after(GRADIENT_WORK)}")
+        progress(f"compiled: gradient, {scheme}{left.after(expected.gradient(tried[place]))}")
     for (scheme, measured), gradient in zip(chosen.items(), gradients, strict=True):
         multiple = _seconds(gradient) / rows[measured].seconds
         progress(f"gradient, {scheme}: {multiple:.3g} runs")
@@ -378,10 +287,20 @@ def _gradient(setting: Setting) -> Callable[[], object]:
 
 
 def _seconds(computed: Callable[[], object]) -> float:
-    """Median time of a computation [s]."""
-    times = []
-    for _ in range(REPEATS):
+    """Median time of a computation, which is repeated unless it takes long [s]."""
+    times: list[float] = []
+    while len(times) < REPEATS and sum(times) < LONG_ENOUGH:
         began = time.perf_counter()
         computed()
         times.append(time.perf_counter() - began)
     return float(np.median(times))
+
+
+def _repeated(seconds: float) -> float:
+    """Time that `_seconds` takes for a computation [s]."""
+    return min(REPEATS * seconds, max(seconds, LONG_ENOUGH))
+
+
+def _has_gradient(setting: Setting, seconds: float) -> bool:
+    """Whether the gradient of a setting may be measured, whose run takes a time [s]."""
+    return setting.group in DIFFERENTIATED and setting.gradient * seconds <= LONGEST_GRADIENT

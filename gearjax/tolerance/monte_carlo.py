@@ -13,6 +13,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.checks import ParameterError, nearest
 from gearjax.memory import fitting, free_memory, size_words
+from gearjax.progress import Left, Progress, Seldom, silent
 from gearjax.scene import Scene
 from gearjax.timing import Stopwatch, counting
 from gearjax.tolerance import statistics
@@ -26,6 +27,7 @@ from gearjax.tolerance.statistics import Estimate
 from gearjax.typing import Array, ArrayLike
 
 CHUNK = 16384
+PIECES = 20  # of inputs whose progress is told
 ACCELERATED = 1024  # samples side by side on an accelerator, at least
 KEPT_STRATA = 6  # numbers that are kept for each sample of a Latin hypercube, for the orders of its strata
 QUANTILES = (0.05, 0.5, 0.95)
@@ -247,10 +249,19 @@ class Work:
         paths = self.sample.paths
         return self.sample.values(points(self.sampler, self.seed, paths, self.number, begin, end))
 
-    def evaluate(self, inputs: np.ndarray) -> Evaluated:
-        """Measures and result codes of given inputs, any number of rows."""
-        starts = range(0, len(inputs), self._room)
-        parts = [self._finish(self._begin(inputs[i : i + self._room])) for i in starts]
+    def evaluate(self, inputs: np.ndarray, progress: Progress = silent, words: str = "") -> Evaluated:
+        """Measures and result codes of given inputs, any number of rows.
+
+        ``progress`` is called with the words, and with how many rows are done, every few seconds.
+        """
+        size, parts = self._room, []
+        if progress is not silent:
+            size = min(size, max(-(-len(inputs) // PIECES), self.together * len(self.devices)))
+        told, left = Seldom(progress), Left(len(inputs))
+        for begin in range(0, len(inputs), size):
+            parts.append(self._finish(self._begin(inputs[begin : begin + size])))
+            done = min(begin + size, len(inputs))
+            told(f"{words}: {done} of {len(inputs)} gear sets{left.after(done - begin)}")
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
     def each(self, chunks: Sequence[tuple[int, int]]) -> Iterator[tuple[tuple[int, int], Evaluated]]:

@@ -30,6 +30,7 @@ LEVELS = np.linspace(0.025, 0.975, 39)
 OFF = 0.1  # largest difference of a linear share and the total index
 MISSED = 0.2  # largest difference of the sum of linear shares and 1
 TIGHTER = 0.5
+TIGHTENED_SAMPLES = 10_000  # of which the yield with one tolerance tightened is told
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +81,7 @@ class Sensitivities:
 
 @arguments.checked(tolerances=a_population, n=arguments.whole(1))
 def sensitivities(
-    tolerances: Tolerances, measure: Any, *, n: int = 1024, key: int = 0, **options: Any
+    tolerances: Tolerances, measure: Any, *, n: int = 1024, key: int = 0, progress: Progress = silent, **options: Any
 ) -> list[Sensitivities]:
     """Find the share of each toleranced number in the variance of each measure.
 
@@ -91,6 +92,7 @@ def sensitivities(
         measure: as for `monte_carlo`.
         n: number of base samples of Saltelli's design, which has n (numbers + 2) samples; a power of two is best.
         key: seed of the samples.
+        progress: called with a line of text now and then.
         options: ``theta``, ``extremes``, ``chunk`` and ``devices`` of `monte_carlo`.
 
     Raises:
@@ -99,9 +101,12 @@ def sensitivities(
     correlated = bool(tolerances.correlations)
     independent = Tolerances(tolerances.scene, tolerances.distributions) if correlated else tolerances
     work = Work(independent, measure, number=max(n, 2), seed=key, **options)
+    progress("sensitivities: by derivatives")
     slopes = _linear(work, min(n, DERIVATIVES))
-    ranges = _one_at_a_time(work)
-    measured, problem = _saltelli(work, n, key)
+    progress("sensitivities: one at a time")
+    ranges = _one_at_a_time(work, progress)
+    progress("sensitivities: Sobol indices")
+    measured, problem = _saltelli(work, n, key, progress)
     from SALib.analyze import sobol
 
     results = []
@@ -138,7 +143,7 @@ def sensitivities(
 _PARTS = ("S1", "S1_conf", "ST", "ST_conf")
 
 
-def _saltelli(work: Work, number: int, seed: int) -> tuple[np.ndarray, dict]:
+def _saltelli(work: Work, number: int, seed: int, progress: Progress) -> tuple[np.ndarray, dict]:
     """Measures of Saltelli's design, shape (number (free + 2), measure), and the design."""
     from SALib.sample import sobol  # its import takes a second
 
@@ -148,7 +153,7 @@ def _saltelli(work: Work, number: int, seed: int) -> tuple[np.ndarray, dict]:
         warnings.simplefilter("ignore", UserWarning)  # scipy warns that only powers of two are balanced
         cube = sobol.sample(problem, number, calc_second_order=False, seed=seed)
     cube = np.clip(cube, 2.0**-33, 1 - 2.0**-33)
-    return work.evaluate(work.sample.values(cube))[0], problem
+    return work.evaluate(work.sample.values(cube), progress, "sensitivities: Sobol indices")[0], problem
 
 
 def _linear(work: Work, number: int) -> np.ndarray:
@@ -178,14 +183,15 @@ def _with_slopes(one: Callable) -> Callable:
     return jax.jacrev(twice, has_aux=True)
 
 
-def _one_at_a_time(work: Work) -> np.ndarray:
+def _one_at_a_time(work: Work, progress: Progress) -> np.ndarray:
     """Range of each measure while one number varies alone, shape (free, measure)."""
     spreads = list(work.sample.distributions.values())
     medians = np.array([float(spread.quantile(np.array(0.5))) for spread in spreads])
     rows = np.repeat(medians[None], len(spreads) * len(LEVELS), axis=0).reshape(len(spreads), len(LEVELS), -1)
     for index, spread in enumerate(spreads):
         rows[index, :, index] = spread.quantile(LEVELS)
-    measured = work.evaluate(rows.reshape(-1, len(spreads)))[0].reshape(len(spreads), len(LEVELS), -1)
+    measured = work.evaluate(rows.reshape(-1, len(spreads)), progress, "sensitivities: one at a time")[0]
+    measured = measured.reshape(len(spreads), len(LEVELS), -1)
     return np.nan_to_num(np.nanmax(measured, axis=1) - np.nanmin(measured, axis=1))
 
 
@@ -196,25 +202,28 @@ def tightened(
 
     Args:
         work: the study; yields are of its measures with limits.
-        number: number of gear sets.
+        number: number of gear sets, the first ones of the study; of several designs, whole ones.
         factor: factor on the tolerance.
-        progress: called with a line of text after each tolerance.
+        progress: called with a line of text after each tolerance, and every few seconds.
 
     Returns:
         By measure and path: the yield, and the yield with that tolerance scaled (`Tolerances.centres`).
     """
-    number = min(number, work.number)
+    sizes = work.sizes
+    if number < work.number:
+        whole = sizes[np.cumsum(sizes) <= number]
+        sizes = whole if len(whole) else np.array([number])
+    number = int(sizes.sum())
     inputs, paths, centres = work.inputs(0, number), work.sample.paths, work.sample.centres
-    sizes = np.array([number])
     limited = [measure for measure in work.measures if measure.is_limited]
-    before, _ = work.evaluate(inputs)
+    before, _ = work.evaluate(inputs, progress, "tolerances as they are")
     yields: dict[str, dict[str, tuple[Estimate, Estimate]]] = {measure.name: {} for measure in limited}
     left = Left(len(work.sample.tolerated))
     for path in work.sample.tolerated if limited else ():
         place = paths.index(path)
         moved = inputs.copy()
         moved[:, place] = centres[place] + factor * (inputs[:, place] - centres[place])
-        after, _ = work.evaluate(moved)
+        after, _ = work.evaluate(moved, progress, f"halved: {path}")
         for measure in limited:
             column = work.names.index(measure.name)
             pair = (share(measure.holds(part[:, column]), sizes) for part in (before, after))
