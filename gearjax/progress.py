@@ -23,14 +23,22 @@ class Left:
 
     def __init__(self, parts: float | int, sure: str = "about"):
         self.parts, self.done, self._sure = parts, 0.0, sure
-        self._began = time.perf_counter()
+        self._took, self._last = 0.0, time.perf_counter()
 
-    def after(self, parts: float | int = 1) -> str:
-        """Words such as ``, about 40 s left``, after further parts are done; none at first and near the end."""
-        self.done += parts
+    def after(self, parts: float | int = 1, took: float | None = None) -> str:
+        """Words such as ``, about 40 s left``, after further parts are done; none at first and near the end.
+
+        Args:
+            parts: what is done now.
+            took: the time that it took [s]; by default the time since the last call. Parts that are done at once have
+                each a time of their own, as those that are not done yet are no reason to expect more.
+        """
+        now = time.perf_counter()
+        self._took += now - self._last if took is None else took
+        self._last, self.done = now, self.done + parts
         if self.done < SURE * self.parts:
             return ""
-        rest = (time.perf_counter() - self._began) / self.done * (self.parts - self.done)
+        rest = self._took / self.done * (self.parts - self.done)
         return "" if rest < 1.0 else f", {self._sure} {told_seconds(rest)} left"
 
 

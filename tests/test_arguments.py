@@ -227,6 +227,8 @@ def test_populations(scene):
             lambda: gj.EllipticPair(47, 3e-3, np.array([0.1, 0.2]), 10.0),
             r"eccentricity = .*: has shape \(2,\), must be one number",
         ),
+        (lambda: gj.FixedStep("1 us"), 'step = "1 us": must be a number of seconds, such as 1e-6'),
+        (lambda: gj.AdaptiveStep(None), "rtol = None: must be a tolerance, such as 1e-8"),
         (lambda: gj.Normal("1 um", 1e-6), 'mean = "1 um": must be a number'),
         (lambda: gj.Normal(0.0, None), "std = None: must be a number"),
         (lambda: gj.Measure("no_load", "std", limit=np.nan), "limit = nan"),

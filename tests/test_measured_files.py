@@ -119,6 +119,7 @@ def _pitch(folder, waves):
         (lambda rows: [[row[0], "left", *row[2:]] for row in rows], "line 2, column 2: must be driving or back"),
         (lambda rows: [row[:4] for row in rows], "line 2 has 4 values"),
         (lambda _: [], "no rows"),
+        (lambda rows: rows[:1], "has one point of a flank: a form needs at least two"),
     ],
 )
 def test_files_with_faults_are_refused_in_one_line(tmp_path, change, words):

@@ -25,6 +25,18 @@ def test_the_rest_of_the_time_follows_from_the_parts_that_are_done(monkeypatch):
     assert left.after() == ""
 
 
+def test_parts_that_are_done_at_once_have_times_of_their_own(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    left = progress.Left(60.0)  # of which one part of 30 is done beside the others
+    now[0] = 20.0
+    assert left.after(10.0, took=10.0) == ", about 50 s left"
+    now[0] = 30.0
+    assert left.after(30.0, took=30.0) == ", about 20 s left"
+    now[0] = 50.0
+    assert left.after(10.0) == ", about 10 s left"
+
+
 def test_a_search_tells_now_and_then_how_far_it_is(monkeypatch):
     """The first evaluation compiles: it does not count for the time left."""
     now, lines = [0.0], []
@@ -39,7 +51,7 @@ def test_a_search_tells_now_and_then_how_far_it_is(monkeypatch):
 
 def test_a_search_that_may_end_early():
     left = progress.Left(2, "at most")
-    left._began -= 50.0
+    left._last -= 50.0
     assert left.after() == ", at most 50 s left"
 
 

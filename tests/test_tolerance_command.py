@@ -233,6 +233,7 @@ def test_measured_values_come_from_a_file(tmp_path, capsys):
         ('"static.peak_to_peak", torque', '"static.peak_to_peak@3Nm", torque', "gives a torque already"),
         ("# correlated = [{ between", 'correlated = [{ between = ["a", "b"], coefficient = 0.5 }] #', "correlated[0]"),
         ('low = "0.135 mm"', 'low = "0.2 mm"', "must be above low"),
+        ('limit = "2 arcmin"', 'limit = "-2 arcmin"', "peak_to_peak is never negative"),
         ('"static.peak_to_peak", torque', '"dynamic.peak_to_peak", torque', "needs [load] and [inertia]"),
     ],
 )

@@ -102,6 +102,8 @@ def read_flank(file: str | Path, flank: str = "both") -> dict[str, Any]:
     for point, value in found.items():
         grid[tuple(order[number] for order, number in zip(orders, point, strict=True))] = value
     roll, across = (np.array([places[number] for number in sorted(places)]) for places in known)
+    if len(roll) * len(across) == 1:
+        raise GearjaxError(f"{key}: has one point of a flank: a form needs at least two")
     filled = _filled(key, grid, (roll, across))
     _warn_of_outliers(key, grid, (roll, across))
     numbers = {"roll": roll, "across": across, "deviation": filled.ravel(), "flank": flank}

@@ -180,8 +180,9 @@ def _first_runs(
     try:
         for done in as_completed(running):
             setting = running[done]
-            runs[setting.group, setting.name] = done.result()
-            progress(f"ran: {setting.group}: {setting.name}{left.after(expected.first(setting))}")
+            first = runs[setting.group, setting.name] = done.result()
+            took = (first.compile_seconds + expected.torques * first.seconds) / expected.workers
+            progress(f"ran: {setting.group}: {setting.name}{left.after(expected.first(setting), took)}")
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)  # what ended the first one is told at once
         raise

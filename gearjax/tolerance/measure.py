@@ -11,6 +11,7 @@ from gearjax.checks import ParameterError, nearest
 from gearjax.run import ANALYSES, METRICS
 
 MEASURED = (*METRICS, "minimum", "maximum")
+NEVER_NEGATIVE = ("peak_to_peak", "amplitude", "std")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +48,8 @@ class Measure:
                 check(name, getattr(self, name))
         if not loaded and self.torque is not None:
             raise ParameterError("torque", self.torque, f"{self.analysis} takes no torque")
+        if self.limit is not None and self.limit < 0 and self.metric in NEVER_NEGATIVE:
+            raise ParameterError("limit", self.limit, f"must be at least 0: {self.metric} is never negative")
         if self.limit is not None and self.at_least is not None and self.limit <= self.at_least:
             raise ParameterError("limit", self.limit, "must be above at_least")
 
