@@ -184,7 +184,7 @@ def _first_runs(
             took = (first.compile_seconds + expected.torques * first.seconds) / expected.workers
             progress(f"ran: {setting.group}: {setting.name}{left.after(expected.first(setting), took)}")
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)  # what ended the first one is told at once
+        pool.shutdown(wait=False, cancel_futures=True)  # runs that have not begun are left out
         raise
     return [runs[setting.group, setting.name] for setting in given]
 
