@@ -115,7 +115,7 @@ def test_the_time_foretold_is_that_of_runs_and_compiling(scene):
     quick, slow, parallel = (
         Expected(10.0, seconds, 2, workers) for seconds, workers in ((1e-4, 1), (20.0, 1), (20.0, 2))
     )
-    schemes = {setting.scheme or setting.name for setting in given if setting.group in ("solver", "fidelity")}
+    schemes = {setting.of_gradient for setting in given if setting.group in ("solver", "fidelity")}
     assert quick.whole(given) == pytest.approx(10.0 * (len(given) + 5 * len(schemes)), rel=0.01)
     assert slow.first(given[0]) == pytest.approx(10.0 + 2 * 20.0 * given[0].work)
     assert parallel.first(given[0]) == pytest.approx(slow.first(given[0]) / 2)

@@ -15,9 +15,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from gearjax import arguments
 from gearjax.analysis.fast.fitted import ExponentialFit
 from gearjax.analysis.fast.march import QUICK
-from gearjax.checks import SceneError, is_concrete, shown
+from gearjax.checks import SceneError, is_concrete
 from gearjax.typing import Array
 
 LONGEST_STEP = 1.0  # rad of the fastest motion per step; Runge-Kutta is stable up to 2.8
@@ -70,11 +71,6 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
 
 
-def _check_number(name: str, value: object, right: str) -> None:
-    if isinstance(value, str) or not hasattr(value, "__float__"):
-        raise SceneError(f"{name} = {shown(value)}: must be {right}")
-
-
 def _check_solver(solver: object) -> None:
     if not isinstance(solver, diffrax.AbstractSolver):
         raise SceneError(f"solver = {solver!r:.40}: must be a solver, such as gj.RungeKutta4() or diffrax.Tsit5()")
@@ -99,7 +95,7 @@ class FixedStep(eqx.Module):
     windows: Windows | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        _check_number("step", self.step, "a number of seconds, such as 1e-6")
+        arguments.real("step", self.step, "must be a number of seconds, such as 1e-6")
         if not (math.isfinite(self.step) and self.step > 0):
             raise SceneError(f"step = {self.step:g} s: must be above 0")
         if self.per_sample is not None and not _is_whole(self.per_sample):
@@ -144,7 +140,7 @@ class AdaptiveStep(eqx.Module):
 
     def __check_init__(self):
         for name, value in (("rtol", self.rtol), ("atol", self.atol)):
-            _check_number(name, value, "a tolerance, such as 1e-8")
+            arguments.real(name, value, "must be a tolerance, such as 1e-8")
             if is_concrete(value) and not 0 <= float(value) < math.inf:
                 raise SceneError(f"{name} = {value}: must be a tolerance, such as 1e-8")
         if is_concrete((self.rtol, self.atol)) and not float(self.rtol) + float(self.atol) > 0:

@@ -13,12 +13,10 @@ from gearjax.config.distributions import read_distribution
 from gearjax.config.quantities import read_plain, read_quantity, read_ratio
 from gearjax.config.tables import Key, flattened, known_keys, read_whole, require_keys
 from gearjax.contact import HardContact
-from gearjax.run import NEEDS
 from gearjax.scene import Scene
-from gearjax.scene_checks import require
 from gearjax.studies.select import members, numbers, series_of
 from gearjax.tolerance import Correlation, Empirical, Measure, Tolerances
-from gearjax.tolerance.measures import EXTREMES, default_extremes
+from gearjax.tolerance.measures import EXTREMES, extremes_of
 from gearjax.tolerance.monte_carlo import CHUNK
 from gearjax.tolerance.sampling import SAMPLERS
 
@@ -155,8 +153,6 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         example = f'"{example_path(scene, "amplitude")}" = {{kind = "rayleigh", scale = "6 um"}}'
         raise GearjaxError(f"tolerance: no number varies; add {example}")
     measures = _measures(table["measures"])
-    for measure in measures:
-        require(scene, measure.name, *NEEDS[measure.analysis])
     correlations = _correlations(table.get("correlated", []))
     try:
         tolerances = Tolerances(scene, distributions, correlations)
@@ -168,7 +164,7 @@ def read_tolerance(table: dict[str, Any], scene: Scene, folder: Path) -> Toleran
         read_whole("tolerance.samples", table.get("samples", 10_000), 2, MOST_SAMPLES),
         read_whole("tolerance.seed", table.get("seed", 0), 0, 2**31 - 1),
         _word(table, "sampler", "monte_carlo", SAMPLERS),
-        _word(table, "extremes", default_extremes(measures, scene), EXTREMES),
+        _word(table, "extremes", extremes_of(measures, scene), EXTREMES),
         read_whole("tolerance.chunk", table.get("chunk", CHUNK), 1, 2**24),
         _word(table, "precision", PRECISIONS[0], PRECISIONS),
         _sensitivity(table.get("sensitivity"), measures),

@@ -53,6 +53,16 @@ class Setting:
     scheme: str = ""
 
     @property
+    def title(self) -> str:
+        """Group and name."""
+        return f"{self.group}: {self.name}"
+
+    @property
+    def of_gradient(self) -> str:
+        """Name of the scheme whose gradient is measured for this setting."""
+        return self.scheme or self.name
+
+    @property
     def of_samples(self) -> bool:
         """Whether its extremes are those of its samples."""
         return isinstance(self.stepper, AdaptiveStep | QuasiStatic)
@@ -127,14 +137,13 @@ def settings(scene: Scene, run: Run, resolved: Resolving) -> list[Setting]:
     trials = [even("fitted" if output_alone else "constant modes", size) for size in STEPS]
     if cut is not None:
         trials += [even("fitted", size, ", windows", windows=cut) for size in STEPS[:3]]
-    slow = 10.0 if output_alone else math.inf  # gradients of many coordinates compile for minutes
+    slow, slowest = (10.0, 400.0) if output_alone else (math.inf, math.inf)  # many coordinates compile for minutes
     for size in STEPS[:3]:
         name, stepper = f"Runge-Kutta, {size:g} rad", resolved.runge_kutta(size, run)
         trials.append(Setting("solver", name, scene, stepper, number, resolved.work(stepper), slow, "Runge-Kutta"))
-    slow = 400.0 if output_alone else math.inf
     for solver, tol, work in ADAPTIVE:
         name, stepper = f"{type(solver).__name__}, {tol:g}", AdaptiveStep(tol, tol, solver)
-        trials.append(Setting("solver", name, scene, stepper, number, work, slow, "adaptive"))
+        trials.append(Setting("solver", name, scene, stepper, number, work, slowest, "adaptive"))
     laws: list[tuple[str, Callable[[float], AbstractContact]]] = [
         ("quadratic", QuadraticContact),
         ("softplus", SoftplusContact),

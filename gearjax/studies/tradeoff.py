@@ -126,7 +126,7 @@ def tradeoff(scene: Scene, error: float, progress: Progress = silent, *, workers
         rows = []
         for setting, one in zip(given[1:], first, strict=True):
             rows.append(_measured(setting, one, truth))
-            progress(f"timed: {setting.group}: {setting.name}{left.after(expected.repeated(setting))}")
+            progress(f"timed: {setting.title}{left.after(expected.repeated(setting))}")
         rows = _with_gradients(list(given[1:]), rows, pool, left, expected, progress)
     return Tradeoff(truth.metrics, truth.seconds, rows, error, static_choices(scene, progress))
 
@@ -165,28 +165,27 @@ class Expected(NamedTuple):
         gradients: dict[str, float] = {}
         for setting in given:
             if _has_gradient(setting, setting.work * self.seconds):
-                scheme = setting.scheme or setting.name
-                gradients[scheme] = max(gradients.get(scheme, 0.0), self.gradient(setting))
+                before = gradients.get(setting.of_gradient, 0.0)
+                gradients[setting.of_gradient] = max(before, self.gradient(setting))
         return sum(map(self.first, given)) + alone + sum(gradients.values())
 
 
 def _first_runs(
     given: Sequence[Setting], pool: ThreadPoolExecutor, expected: Expected, left: Left, progress: Progress
 ) -> list[FirstRun]:
-    """First run of each setting, those that take longest first."""
-    order = sorted(given, key=lambda setting: -setting.work)
-    running = {pool.submit(first_run, setting): setting for setting in order}
+    """First run of each setting; the reference, which takes long, is the first to begin."""
+    running = {pool.submit(first_run, setting): setting for setting in given}
     runs = {}
     try:
         for done in as_completed(running):
             setting = running[done]
-            first = runs[setting.group, setting.name] = done.result()
+            first = runs[setting.title] = done.result()
             took = (first.compile_seconds + expected.torques * first.seconds) / expected.workers
-            progress(f"ran: {setting.group}: {setting.name}{left.after(expected.first(setting), took)}")
+            progress(f"ran: {setting.title}{left.after(expected.first(setting), took)}")
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)  # runs that have not begun are left out
         raise
-    return [runs[setting.group, setting.name] for setting in given]
+    return [runs[setting.title] for setting in given]
 
 
 def apart(one: Metrics, other: Metrics) -> float:
@@ -218,7 +217,7 @@ def _with_gradients(
     schemes: dict[str, list[int]] = {}
     for place, (setting, row) in enumerate(zip(tried, rows, strict=True)):
         if _has_gradient(setting, row.seconds):
-            schemes.setdefault(setting.scheme or setting.name, []).append(place)
+            schemes.setdefault(setting.of_gradient, []).append(place)
     chosen = {}
     for scheme, places in schemes.items():
         own = [place for place in places if tried[place].group != "precision"]  # float32 takes their multiple

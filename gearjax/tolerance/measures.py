@@ -80,7 +80,7 @@ class Measures:
         self.tolerances = tolerances
         self.places = 1  # steps of the curves from one sample to the next
         self.measures = tuple(measures)
-        self.extremes = _checked(self.measures, scene, extremes)
+        self.extremes = extremes_of(self.measures, scene, extremes)
         self.theta = angles(scene, theta)
         self._angles = str(self.theta.dtype), np.asarray(self.theta).tobytes()
         self.free = tolerances.free
@@ -253,7 +253,7 @@ class SceneMeasures:
 
     def __init__(self, measures: Sequence[Measure], example: Scene, theta: ArrayLike | None, extremes: str | None):
         self.measures = tuple(measures)
-        self.extremes = _checked(self.measures, example, extremes)
+        self.extremes = extremes_of(self.measures, example, extremes)
         self.theta = angles(example, theta)
         dynamic = any(measure.analysis == "dynamic" for measure in self.measures)
         self.motion = _Motion.of(example, self.theta) if dynamic else None
@@ -282,8 +282,12 @@ def default_extremes(measures: Sequence[Measure], scene: Scene) -> str:
     return "samples" if dear else "between"
 
 
-def _checked(measures: Sequence[Measure], scene: Scene, extremes: str | None) -> str:
-    """Where extremes are searched, after a look at the measures."""
+def extremes_of(measures: Sequence[Measure], scene: Scene, extremes: str | None = None) -> str:
+    """Where extremes are searched, after a look at the measures.
+
+    Raises:
+        GearjaxError: a measure is listed twice, or needs what the scene does not have; ``extremes`` is no known word.
+    """
     for index, measure in enumerate(measures):
         require(scene, measure.name, *NEEDS[measure.analysis])
         if measure.name in [other.name for other in measures[:index]]:
