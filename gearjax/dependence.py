@@ -29,6 +29,16 @@ def changes(function: Callable[[Any], Any], argument: Any, moves: Any) -> tuple[
     return jax.jvp(lambda moving: function(eqx.combine(moving, still)), (moving,), (moves,))
 
 
+def moved(function: Callable[[Any], Any], argument: Any, moves: Any) -> tuple[Any, Any]:
+    """As `changes`, with ``None`` for the change of each result that no moving leaf touches."""
+    is_moved = jax.tree.map(lambda move: move is not None, moves, is_leaf=lambda move: move is None)
+    moving, still = eqx.partition(argument, is_moved)
+    results, along = changes(function, argument, moves)
+    touched = depends(lambda moving: function(eqx.combine(moving, still)), moving)
+    leaves, tree = jax.tree.flatten(along)
+    return results, jax.tree.unflatten(tree, [leaf if own else None for leaf, own in zip(leaves, touched, strict=True)])
+
+
 def _touched(program: Jaxpr, given: Sequence[bool]) -> list[bool]:
     """For each result of a program, whether it depends on one of the arguments that ``given`` marks."""
     touched = {variable for variable, own in zip(program.invars, given, strict=True) if own}

@@ -15,6 +15,7 @@ import numpy as np
 from gearjax.analysis.equation import Equation, slowest_decay
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.fitted import ExponentialFit
+from gearjax.analysis.fast.windows import Cut
 from gearjax.analysis.follow import QuasiStatic
 from gearjax.analysis.integrate import Even
 from gearjax.analysis.modes import Spacing, StructureEquation
@@ -54,7 +55,7 @@ class Fitted(NamedTuple):
     """
 
     spacing: march.Spacing
-    windows: march.Windows | None
+    windows: Cut | None
     fall_back: bool
     quick: march.Spacing | None = None
 
@@ -310,11 +311,11 @@ def are_uneven(ts: Array | np.ndarray, share: float) -> Array | np.bool_:
     return abs(ts[1:] - ts[:-1] - mean).max() > share * mean + rounding
 
 
-def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> march.Windows | None:
+def _windows(windows: Windows, samples: int, spacing: float, block: march.Block) -> Cut | None:
     """Windows with a warm-up in samples; ``None`` if fewer than two windows would be left."""
     number = max(1, min(windows.number, samples // 2))
     warm_up = max(1, math.ceil(windows.warm_up / spacing - 1e-9))
-    return march.Windows(number, warm_up, block) if number > 1 else None
+    return Cut(number, warm_up, block) if number > 1 else None
 
 
 def allowed(dtype: Any) -> float:

@@ -30,6 +30,7 @@ from gearjax.analysis.equation import Equation, turning_rate
 from gearjax.analysis.fast import march
 from gearjax.analysis.fast.oscillator import Oscillator
 from gearjax.analysis.fast.signals import Forcing
+from gearjax.analysis.fast.windows import march_windows
 from gearjax.analysis.follow import QuasiStatic, follow
 from gearjax.analysis.growth import growth, growth_in_modes, watch
 from gearjax.analysis.integrate import Even, integrated, recorded
@@ -292,7 +293,7 @@ def _fitted(equation: Equation, ts: Array, settle: Array, start: str, method: Fi
     if method.windows is None:
         record = in_one_go()
     else:
-        record = march.march_windows(forcing, begun, carry, method.spacing, method.windows)
+        record = march_windows(forcing, begun, carry, method.spacing, method.windows)
         if method.fall_back:
             whole = record.defect <= allowed(ts.dtype)
             record = jax.lax.cond(whole, lambda: record, lambda: in_one_go()._replace(defect=record.defect))

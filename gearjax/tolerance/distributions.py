@@ -224,7 +224,7 @@ class Uniform(AbstractDistribution):
     def __post_init__(self):
         check_declared(self)
         if self.high < self.low:
-            raise ParameterError("high", self.high, f"must be at least low ({self.low:g})")
+            raise ParameterError("high", self.high, "must be at least low")
 
     def quantile(self, share):
         return self.low + (self.high - self.low) * share

@@ -1,8 +1,6 @@
-"""Fast computation of the dynamic TE: even steps of the exponentially fitted scheme, in one go or in windows of time.
+"""Fast computation of the dynamic TE: even steps of the exponentially fitted scheme, block by block.
 
-The steps of a block are a scan whose state is only the position and its last change. A damped motion forgets its start.
-A long record can therefore be cut into windows that run in parallel, each warmed up from the quasi-static solution. The
-difference of neighbouring windows where they meet is measured.
+The steps of a block are a scan whose state is only the position and its last change.
 """
 
 import enum
@@ -142,11 +140,11 @@ def march(forcing: Forcing, start: Scalar, carry: tuple[Scalar, Scalar], spacing
         nodes: signals at the nodes as from `nodes_of`, if they are known already.
     """
     nodes = nodes_of(forcing, start, spacing) if nodes is None else nodes
-    _, measured = run_blocks(forcing, start, carry, spacing, nodes)
-    return _joined(measured, jnp.zeros((), start.dtype))
+    _, measured, _ = run_blocks(forcing, start, carry, spacing, nodes)
+    return joined(measured, jnp.zeros((), start.dtype))
 
 
-def _joined(measured: tuple, defect: Scalar) -> March:
+def joined(measured: tuple, defect: Scalar) -> March:
     """The samples of a record, from the results at each sample and up to the next sample."""
     x, speeds, forces, highest, lowest = measured
     high, low = (jnp.concatenate([x[:1], part[:-1]]) for part in (highest, lowest))
@@ -166,7 +164,9 @@ def nodes_of(forcing: Forcing, start: Scalar, spacing: Spacing) -> Any:
     return jax.vmap(jax.vmap(forcing.oscillator.equation.instant))(times)
 
 
-def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, nodes: Any) -> tuple[tuple, tuple]:
+def run_blocks(
+    forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, nodes: Any
+) -> tuple[tuple, tuple, Float[Array, "block step"]]:
     """Compute the steps of all blocks, from position and last change at a time [s].
 
     Args:
@@ -175,8 +175,8 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
         nodes: signals at the nodes as from `nodes_of`.
 
     Returns:
-        Position and last change after the last block, which may extend beyond the last sample, and the results of
-        `_measured` at each sample.
+        Position and last change after the last block, which may extend beyond the last sample; the results of
+        `measured` at each sample; and the positions at the begin of all steps.
     """
     pieces, steps, blocks = spacing.pieces, spacing.steps, spacing.blocks
     every = spacing.each // pieces
@@ -191,14 +191,19 @@ def run_blocks(forcing: Forcing, start: Scalar, carry: tuple, spacing: Spacing, 
         given = Given(columns, waves, forcing.torques(origin, steps + 1))
         rows, step_forcing = (tabulated if spacing.signals is Signals.TABLE else written_out)(forcing, basis, given)
         ended, path = _steps(forcing.oscillator, step_forcing, carry, rows.own)
-        return ended, _measured(forcing.oscillator, step_forcing, rows.every, path, every)
+        return ended, (measured(forcing.oscillator, step_forcing, rows.every, path, every), path[1:-1])
 
     turned = jax.vmap(lambda time: forcing.turned(time)[1:])(origins)  # without the mean, which is constant
-    ended, measured = jax.lax.scan(block, carry, (nodes, turned, origins))
-    x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), measured)
-    kept = slice(0, spacing.samples * pieces, pieces)
-    highest, lowest = (part.reshape(-1, pieces)[: spacing.samples] for part in extremes)
-    return ended, (x[kept], speeds[kept], forces[kept], top(highest), -top(-lowest))
+    ended, (parts, path) = jax.lax.scan(block, carry, (nodes, turned, origins))
+    return ended, of_samples(parts, spacing), path
+
+
+def of_samples(parts: tuple, spacing: Spacing) -> tuple:
+    """The results of `measured` at each sample, from those of all blocks, whose first axis is the block."""
+    x, speeds, forces, *extremes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), parts)
+    kept = slice(0, spacing.samples * spacing.pieces, spacing.pieces)
+    highest, lowest = (part.reshape(-1, spacing.pieces)[: spacing.samples] for part in extremes)
+    return x[kept], speeds[kept], forces[kept], top(highest), -top(-lowest)
 
 
 def begin(
@@ -284,7 +289,7 @@ def _steps(oscillator: Oscillator, step_forcing: StepForcing, carry: tuple, rows
     return ended, jnp.concatenate([(carry[0] - carry[1])[None], path, ended[0][None]])
 
 
-def _measured(oscillator: Oscillator, step_forcing: StepForcing, rows: Any, path: Array, each: int) -> tuple:
+def measured(oscillator: Oscillator, step_forcing: StepForcing, rows: Any, path: Array, each: int) -> tuple:
     """Positions, speeds and forces at the samples, and highest and lowest position up to the next sample.
 
     Args:
@@ -317,58 +322,3 @@ def turning(path: Float[Array, " n"]) -> Float[Array, " m"]:
     peak = (now >= before) & (now >= after) & (bend > 0)
     rise = 0.125 * (after - before) ** 2 / jnp.where(peak, bend, 1.0)
     return jnp.where(peak, now + rise, now)
-
-
-class Windows(NamedTuple):
-    """Division of a record into windows.
-
-    Args:
-        number: number of windows in parallel.
-        warm_up: number of samples before each window that are computed and discarded.
-        block: division of the steps of a window into blocks.
-    """
-
-    number: int
-    warm_up: int
-    block: Block
-
-
-def march_windows(
-    forcing: Forcing,
-    start: Scalar,
-    carry: tuple[Scalar, Scalar],
-    spacing: Spacing,
-    windows: Windows,
-) -> March:
-    """Compute all windows in parallel, one window per lane of a vector; many windows in groups of at most `LANES`.
-
-    Args:
-        forcing, start, carry, spacing: as for `march`.
-        windows: division of the record into windows.
-    """
-    groups = math.ceil(windows.number / LANES)
-    lanes = math.ceil(windows.number / groups)
-    samples = math.ceil(spacing.samples / (groups * lanes))
-    # windows of whole blocks, so that each ends where the next begins, and its warm-up shares nodes with others
-    own = spacing._replace(samples=samples, block=windows.block, signals=Signals.SUMS).of_whole_blocks()
-    warm = own._replace(samples=own.rows * math.ceil(windows.warm_up / own.rows))
-    whole = own._replace(samples=warm.samples + groups * lanes * own.samples)
-    spaced = forcing.oscillator.step * spacing.each
-    nodes = nodes_of(forcing, start - warm.samples * spaced, whole)
-
-    def window(number: Array) -> tuple:
-        begun = start + (number * own.samples).astype(start.dtype) * spaced
-        early = begun - warm.samples * spaced
-        here = jax.lax.dynamic_slice_in_dim(nodes, number * own.blocks, warm.blocks + own.blocks)
-        warmed, _ = run_blocks(forcing, early, warm_start(forcing, early, warm, here[0]), warm, here[: warm.blocks])
-        own_start = tuple(jnp.where(number == 0, one, other) for one, other in zip(carry, warmed, strict=True))
-        return own_start, *run_blocks(forcing, begun, own_start, own, here[warm.blocks :])
-
-    numbers = jnp.arange(groups * lanes).reshape(groups, lanes)
-    begun, ended, measured = jax.tree.map(
-        lambda part: part.reshape(groups * lanes, *part.shape[2:]), jax.lax.map(jax.vmap(window), numbers)
-    )
-    apart, faster = (jnp.abs(end[:-1] - own[1:]).max() for end, own in zip(ended, begun, strict=True))
-    defect = jnp.maximum(apart, faster / (forcing.oscillator.step * forcing.oscillator.equation.frequency))
-    measured = (part.reshape(-1, *part.shape[2:])[: spacing.samples] for part in measured)
-    return _joined(tuple(measured), defect)
