@@ -72,8 +72,9 @@ class Scene(eqx.Module):
         run: analyses that the configuration asked for; not part of the physics.
 
     Raises:
-        ParameterError: an error has a name that cannot stand in a path, is on a body that the system does not have, or
-            does not suit the body; or the load names a frequency that the system does not have.
+        ParameterError: a part is of another kind than its slot takes; an error has a name that cannot stand in a path,
+            is on a body that the system does not have, or does not suit the body; or the load names a frequency that
+            the system does not have.
         SceneError: parts of the scene do not suit each other.
     """
 
@@ -96,12 +97,13 @@ class Scene(eqx.Module):
         from gearjax.gear_set_checks import check_gear_set
 
         # that module imports this one
-        from gearjax.scene_checks import check_body, check_coupled, check_impact, check_moving
+        from gearjax.scene_checks import check_body, check_coupled, check_impact, check_moving, check_slots
 
         if not isinstance(self.system, AbstractSystem):
             is_path = isinstance(self.system, str | Path)
             words = "is a path: give gj.load(path)" if is_path else "must be a gear set, such as gj.TwoKV(...)"
             raise ParameterError("system", str(self.system) if is_path else self.system, words)
+        check_slots(self)
         rigid = {
             name: Shaft(bodies)
             for name, bodies in self.system.rigid_shafts.items()

@@ -1,24 +1,72 @@
 """Checks that the parts of a scene suit each other, and that the scene lists all parts that an analysis needs."""
 
 import dataclasses
+from collections.abc import Mapping
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from gearjax.checks import ParameterError, SceneError, is_concrete, nearest, with_article
+from gearjax.clearance import Anchor, InitialBacklash, ZeroAtStart
 from gearjax.compliance import (
     AbstractSliceCompliance,
     AbstractToothCompliance,
+    AnyCompliance,
     couples,
 )
-from gearjax.contact import CoupledSprings, HardContact, Pose, Request
+from gearjax.contact import AbstractContact, CoupledSprings, HardContact, Pose, Request
 from gearjax.errors import AbstractError
 from gearjax.evaluate import evaluated
-from gearjax.impact import Pulses
+from gearjax.impact import MeshingImpact, Pulses
+from gearjax.inertia import BodyInertia, DampingRatio, EquivalentMass, MomentOfInertia
+from gearjax.load_torque import AbstractLoad
+from gearjax.run import Run
 from gearjax.scene import Scene
+from gearjax.shafts import Shaft
+from gearjax.supports import Support
 from gearjax.systems import AbstractSystem
 from gearjax.typing import Array, Float
+
+SLOTS: dict[str, tuple[tuple[type, ...], str]] = {  # kinds of part that a slot takes, and an example
+    "reference": ((ZeroAtStart, Anchor), "ZeroAtStart()"),
+    "backlash": ((InitialBacklash,), "InitialBacklash(20e-6)"),
+    "compliance": (get_args(AnyCompliance), "HarmonicStiffness(2e8, [0.1], [0.0])"),
+    "load": ((AbstractLoad,), "ConstantLoad()"),
+    "contact": ((AbstractContact,), "HardContact()"),
+    "inertia": ((EquivalentMass, MomentOfInertia), "MomentOfInertia(0.02)"),
+    "damping": ((DampingRatio,), "DampingRatio(0.05)"),
+    "impact": ((MeshingImpact, Pulses), "MeshingImpact()"),
+    "run": ((Run,), 'Run(3.0, 301, ("no_load",))'),
+}
+NAMED: dict[str, tuple[type, str]] = {  # the same for parts that have names
+    "errors": (AbstractError, 'Eccentricity("wheel", 10e-6, 0.0)'),
+    "supports": (Support, "Support(x=1e8)"),
+    "shafts": (Shaft, 'Shaft(("wheel", "pinion"))'),
+    "body_inertia": (BodyInertia, "BodyInertia(mass=3.0)"),
+}
+
+
+def check_slots(scene: Scene) -> None:
+    """Refuse parts of a scene that are of another kind than their slot takes."""
+    for slot, (kinds, example) in SLOTS.items():
+        part, needed = getattr(scene, slot), slot == "contact"
+        if not isinstance(part, kinds) and (needed or part is not None):
+            _refuse(slot, part, f"gj.{example}" + ("" if needed else ", or None"))
+    for slot, (kind, example) in NAMED.items():
+        parts = getattr(scene, slot)
+        if not isinstance(parts, Mapping):
+            raise ParameterError(slot, parts, f'must be parts by name, such as {{"name": gj.{example}}}, or {{}}')
+        for name, part in parts.items():
+            if not isinstance(part, kind):
+                _refuse(f"{slot}.{name}", part, f"gj.{example}")
+
+
+def _refuse(place: str, part: object, right: str) -> None:
+    if isinstance(part, type):
+        raise ParameterError(place, part.__name__, f"is a class: give a part with its numbers, such as {right}")
+    raise ParameterError(place, part, f"must be a part such as {right}")
 
 
 def check_body(system: AbstractSystem, key: str, error: AbstractError) -> None:

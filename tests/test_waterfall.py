@@ -141,6 +141,58 @@ def test_a_period_after_which_errors_do_not_repeat_is_refused(name, linear):
         jax.eval_shape(lambda torque: REPEATED[name](linear, torque), jnp.asarray(300.0))
 
 
+SLOW = {  # motions at a hundredth of a scene's speed, with their usual number of steps or another one
+    "shooting": lambda scene, **steps: gj.shooting(slowed(scene), 300.0, 100 * mesh_of(scene), **steps),
+    "periodic_motion": lambda scene, **steps: gj.periodic_motion(slowed(scene), 300.0, 100 * mesh_of(scene), **steps),
+    "speed_sweep": lambda scene, **steps: gj.speed_sweep(scene, 300.0, slow_and_fast(scene), periods=3, **steps),
+    "waterfall": lambda scene, **steps: gj.waterfall(scene, 300.0, slow_and_fast(scene), **steps),
+}
+
+
+def slowed(scene):
+    return dataclasses.replace(
+        scene, system=dataclasses.replace(scene.system, input_speed=scene.system.input_speed / 100)
+    )
+
+
+def slow_and_fast(scene) -> np.ndarray:
+    return float(scene.system.input_speed) * np.array([1.0, 0.01])
+
+
+@pytest.fixture(scope="module")
+def swinging(linear):
+    """On springs that change with the mesh."""
+    return dataclasses.replace(linear, errors={}, reference=None, compliance=gj.HarmonicStiffness(9e7, [0.1], [0.0]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SLOW)
+def test_steps_that_are_too_long_are_refused(name, swinging):
+    """With the number of steps that the message tells, a slow motion follows the springs."""
+    with pytest.raises(gj.SceneError, match=r"too few per period.*turns by \d\S* rad in a step, more than 2") as told:
+        SLOW[name](swinging, steps=512)
+    assert ("at speeds[1] = " in str(told.value)) == (name in ("speed_sweep", "waterfall"))
+    enough = int(str(told.value).rpartition("give steps=")[2])
+    theta = 2 * np.pi / swinging.system.orders["mesh"] * np.arange(401) / 400
+
+    def turning(angle):
+        contacts = swinging.contacts(angle, "varying")
+        return (contacts.lever**2 * contacts.linear).sum()
+
+    still = np.ptp(300.0 / np.asarray(jax.vmap(turning)(theta)))
+    found = SLOW[name](swinging, steps=enough)
+    np.testing.assert_allclose(np.ravel(found.peak_to_peak)[-1], still, rtol=1e-3)
+    assert not np.any(found.result)
+
+
+@pytest.mark.slow
+def test_steps_that_are_too_long_are_told_of_traced_numbers(swinging):
+    result = jax.jit(lambda torque: gj.speed_sweep(swinging, torque, slow_and_fast(swinging), periods=2).result)(300.0)
+    assert result.tolist() == [0, 3]
+    period = 100 * mesh_of(swinging)
+    assert int(jax.jit(lambda period: gj.shooting(slowed(swinging), 300.0, period).result)(period)) == 3
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("function", [gj.waterfall, gj.speed_sweep])
 def test_a_known_scene_inside_a_trace(function, linear):
@@ -148,7 +200,7 @@ def test_a_known_scene_inside_a_trace(function, linear):
     calm = dataclasses.replace(linear, errors={})
 
     def spread(torque):
-        return function(calm, torque, np.array([20.0]), steps=32, **given).peak_to_peak
+        return function(calm, torque, np.array([20.0]), steps=160, **given).peak_to_peak
 
     given = {"harmonics": 2} if function is gj.waterfall else {"periods": 2}
     np.testing.assert_allclose(jax.jit(spread)(300.0), spread(300.0), rtol=1e-9, atol=1e-15)

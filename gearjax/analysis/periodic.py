@@ -17,8 +17,9 @@ import numpy as np
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.period import check_repeats
-from gearjax.analysis.return_map import OfOutput, OfStructure, Problem, eigenvalues, return_map
-from gearjax.checks import ParameterError, SceneError, nearest
+from gearjax.analysis.return_map import OfOutput, OfStructure, Problem, check_steps, eigenvalues, return_map, turned
+from gearjax.checks import ParameterError, SceneError, is_concrete, nearest
+from gearjax.evaluate import evaluated
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Int, Scalar
@@ -36,7 +37,8 @@ class Periodic(eqx.Module):
         multipliers: Floquet multipliers, complex, two for each coordinate, shape (2 coordinate,); the motion is stable
             if all are inside the unit circle. They have no derivatives; harmonic balance gives nan.
         residual: residual of the equation, relative to the motion.
-        result: 0 converged, 1 not converged; from `periodic_motion` 2 if the motion does not repeat.
+        result: 0 converged, 1 not converged; from `periodic_motion` 2 if the motion does not repeat; 3 if the steps are
+            too long for the motion, of a scene whose numbers are traced: otherwise such steps are refused.
         start: state at the start of the period, in the form of ``guess`` of `shooting`: shape (2,), with supports
             (2, coordinate).
         moved: displacements in the other coordinates, shape (n, coordinate) [m, rad]; ``None`` if there are none.
@@ -103,7 +105,8 @@ def shooting(
         max_steps: largest number of steps of Newton's method.
 
     Raises:
-        SceneError: the scene lacks a part, or ``steps`` is not a multiple of 8.
+        SceneError: the scene lacks a part, ``steps`` is not a multiple of 8, or the steps are too long for its fastest
+            motion.
     """
     if steps < 8 or steps % 8:
         raise SceneError(f"steps = {steps}: must be a multiple of 8")
@@ -116,6 +119,7 @@ def shooting(
         if jnp.shape(guess) != wanted:
             raise ParameterError("guess", jnp.shape(guess), f"is a shape: give {words} and their rates, shape {wanted}")
         guess = jnp.asarray(guess, scene.dtype).reshape(2, -1)
+    check_resolved(problem, steps)
     return shoot(problem, steps, guess, settle, max_steps)
 
 
@@ -142,7 +146,7 @@ def shoot(problem: Problem, steps: int, guess: Array | None, settle: int, max_st
         states[:, 1, 0],
         jax.lax.stop_gradient(eigenvalues(slope)),
         left / jnp.where(left == 0, 1.0, size),
-        jnp.where((left <= 1e-6 * size) & jnp.isfinite(left), 0, 1),
+        jnp.where(motion.resolved, jnp.where((left <= 1e-6 * size) & jnp.isfinite(left), 0, 1), 3),
         states[0] if supported else states[0, :, 0],
         states[:, 0, 1:] if supported else None,
         problem.scene.coordinates,
@@ -220,12 +224,15 @@ class Sweep(eqx.Module):
         peak_to_peak: peak-to-peak value of the TE over the last period, shape (n,) [rad].
         ends: transmission error [rad] and its rate [rad/s] after the last period, shape (n, 2); for bodies on supports
             all coordinates [rad, m] and their rates, shape (n, 2, coordinate).
+        result: 0, or 1 where the motion is lost, shape (n,); 3 if the steps are too long for the motion, of a scene
+            whose numbers are traced: otherwise such steps are refused.
     """
 
     speeds: Float[Array, " n"]
     std: Float[Array, " n"]
     peak_to_peak: Float[Array, " n"]
     ends: Float[Array, "n ..."]
+    result: Int[Array, " n"]
 
 
 def at_speeds(scene: Scene, speeds: ArrayLike, order: str) -> Float[Array, " n"]:
@@ -261,7 +268,8 @@ def speed_sweep(
         order: name of the order that gives the period.
 
     Raises:
-        SceneError: the scene lacks a part, or ``steps`` is not a multiple of 8.
+        SceneError: the scene lacks a part, ``steps`` is not a multiple of 8, or the steps are too long for its fastest
+            motion at a speed.
         ParameterError: there is no such order, or a speed is not positive.
     """
     speeds = at_speeds(scene, speeds, order)
@@ -270,6 +278,7 @@ def speed_sweep(
     turns, physics = scene.system.orders[order], scene.precomputed(*MODELLED)
     check_repeats(scene, 2 * np.pi / turns, speeds)
     torque = jnp.asarray(torque, scene.dtype)
+    check_resolved_at(physics, torque, turns, speeds, steps)
     sweep = _speed_sweep(physics, torque, speeds, periods, steps, turns)
     return dataclasses.replace(sweep, ends=sweep.ends[..., 0]) if scene.output_alone else sweep
 
@@ -280,9 +289,36 @@ def at_speed(scene: Scene, torque: Scalar, turns: float, speed: Scalar) -> Probl
     return Problem(turning, torque, 2 * jnp.pi / (turns * speed))
 
 
+def check_resolved(problem: Problem, steps: int) -> None:
+    """Refuse steps that are too long for a periodic motion, if its numbers are known.
+
+    Raises:
+        SceneError: tells how many steps are enough.
+    """
+    if is_concrete(problem):
+        check_steps(steps, float(evaluated(turned, problem)))
+
+
+def check_resolved_at(scene: Scene, torque: Scalar, turns: float, speeds: Array, steps: int) -> None:
+    """Refuse steps that are too long for the motion at one of several input speeds [rad/s], if all is known.
+
+    Raises:
+        SceneError: names the speed, and tells how many steps are enough.
+    """
+    if not is_concrete((scene, torque, speeds)):
+        return
+    found = np.asarray(evaluated(_turned_at, scene, torque, turns, speeds))
+    place = int(np.argmax(found))
+    check_steps(steps, float(found[place]), f" at speeds[{place}] = {float(speeds[place]):.4g} rad/s")
+
+
+def _turned_at(scene: Scene, torque: Scalar, turns: float, speeds: Array) -> Array:
+    return jax.vmap(lambda speed: turned(at_speed(scene, torque, turns, speed)))(speeds)
+
+
 @eqx.filter_jit
 def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, steps: int, turns: float) -> Sweep:
-    def at(state: Array, speed: Scalar) -> tuple[Array, tuple[Array, Array, Array]]:
+    def at(state: Array, speed: Scalar) -> tuple[Array, tuple[Array, Array, Array, Array]]:
         motion = return_map(at_speed(scene, torque, turns, speed), steps)
         state = jax.lax.scan(
             lambda state, _: (motion.end(state), None), state / motion.scale, None, length=periods - 1
@@ -291,8 +327,8 @@ def _speed_sweep(scene: Scene, torque: Scalar, speeds: Array, periods: int, step
         path, output = course.states[:-1, 0, 0], motion.scale[0, 0]
         spread = course.highest.max() - course.lowest.min()
         state = course.states[-1] * motion.scale
-        return state, (path.std() * output, spread * output, state)
+        result = jnp.where(motion.resolved, jnp.where(jnp.isfinite(state).all(), 0, 1), 3)
+        return state, (path.std() * output, spread * output, state, result)
 
     first = return_map(at_speed(scene, torque, turns, scene.system.input_speed), steps)
-    _, (std, spread, ends) = jax.lax.scan(at, first.resting() * first.scale, speeds)
-    return Sweep(speeds, std, spread, ends)
+    return Sweep(speeds, *jax.lax.scan(at, first.resting() * first.scale, speeds)[1])

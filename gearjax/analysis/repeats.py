@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gearjax import arguments
-from gearjax.analysis.periodic import Periodic, shoot
+from gearjax.analysis.periodic import Periodic, check_resolved, shoot
 from gearjax.analysis.return_map import Problem, return_map
 from gearjax.checks import SceneError, is_concrete
 from gearjax.scene import Scene
@@ -54,8 +54,8 @@ def periodic_motion(
         covers the last periods; `growth_rate` then shows whether it is chaotic.
 
     Raises:
-        SceneError: the scene lacks a part, ``steps`` is not a multiple of 8, numbers are traced, or there is no
-            equilibrium to start from.
+        SceneError: the scene lacks a part, ``steps`` is not a multiple of 8 or too few for the fastest motion, numbers
+            are traced, or there is no equilibrium to start from.
 
     Example:
         >>> import gearjax as gj
@@ -73,6 +73,7 @@ def periodic_motion(
         raise SceneError(
             "periodic_motion needs known numbers, not traced ones: use shooting under jit, vmap and gradients"
         )
+    check_resolved(problem, steps)
     state, scale = _linear_start(problem, steps)
     if not bool(jnp.isfinite(state).all()):
         raise SceneError(

@@ -5,6 +5,7 @@ the coordinates [rad, m] and velocities [rad/s, m/s] per scaled one. ``resting``
 with the velocity at which it moves with the gaps, or nan if there is none. ``course`` is the motion over the period.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,10 +25,13 @@ from gearjax.analysis.modes.lines import Driving
 from gearjax.analysis.modes.recurrence import Begun, returned
 from gearjax.analysis.modes.steps import AT_ONCE, divisor
 from gearjax.analysis.period import check_repeats
-from gearjax.checks import is_concrete
+from gearjax.analysis.solvers import LONGEST_STEP
+from gearjax.checks import SceneError, is_concrete
 from gearjax.scene import Scene
 from gearjax.scene_checks import require
 from gearjax.typing import Array, ArrayLike, Float, Scalar
+
+MOST_TURN = 2.0  # rad of the fastest motion in a step of the fitted scheme: error 2e-3 of the swing in closed contact
 
 
 class Problem(NamedTuple):
@@ -84,6 +88,12 @@ class OfOutput(eqx.Module):
         return cls(forcing, march.nodes_of(forcing, start, spacing), spacing)
 
     @property
+    def resolved(self) -> Array:
+        """Whether the steps are short enough; with longer ones the scheme loses accuracy, and then stability."""
+        oscillator = self.forcing.oscillator
+        return oscillator.step * oscillator.equation.fastest_rate() <= MOST_TURN
+
+    @property
     def scale(self) -> Array:
         oscillator = self.forcing.oscillator
         step = oscillator.step
@@ -130,6 +140,11 @@ class OfStructure(eqx.Module):
         even = Steps.of(equation, jnp.zeros_like(problem.period), problem.period / steps)
         ends = jnp.arange(1, steps + 1).astype(even.step.dtype) * even.step
         return cls(even, jax.vmap(even.lines.driving)(ends))
+
+    @property
+    def resolved(self) -> Array:
+        """True: steps of any length are stable."""
+        return jnp.asarray(True)
 
     @property
     def scale(self) -> Array:
@@ -186,8 +201,35 @@ def _with_slope(motion: OfOutput | OfStructure, flat: Array) -> tuple[Array, Arr
 
 def return_map(problem: Problem, steps: int) -> OfOutput | OfStructure:
     """The map that suits a scene; its tables are computed once, although a program uses the map several times."""
-    fitted = problem.scene.springs_apart and not by_constant_modes(problem.scene)
-    return (OfOutput if fitted else OfStructure).of(problem, steps)
+    return (OfOutput if _by_fitted_scheme(problem.scene) else OfStructure).of(problem, steps)
+
+
+def _by_fitted_scheme(scene: Scene) -> bool:
+    return scene.springs_apart and not by_constant_modes(scene)
+
+
+def turned(problem: Problem) -> Scalar:
+    """Angle by which the fastest motion turns in a period [rad]; zero where steps of any length are stable."""
+    if not _by_fitted_scheme(problem.scene):
+        return jnp.zeros_like(problem.period)
+    return problem.period * Equation.of(problem.scene, problem.torque).fastest_rate()
+
+
+def check_steps(steps: int, turn: float, where: str = "") -> None:
+    """Refuse too few steps per period.
+
+    Args:
+        steps: number of steps per period.
+        turn: angle by which the fastest motion turns in a period, as from `turned` [rad].
+        where: words on the motion, such as its input speed.
+
+    Raises:
+        SceneError: the fastest motion would turn by more than `MOST_TURN` in a step.
+    """
+    if turn > steps * MOST_TURN:
+        enough = 8 * math.ceil(turn / LONGEST_STEP / 8)
+        words = f"too few per period{where}: the fastest motion turns by {turn / steps:.3g} rad in a step"
+        raise SceneError(f"steps = {steps}: {words}, more than {MOST_TURN:g}: give steps={enough}")
 
 
 def eigenvalues(matrix: Float[Array, "state state"]) -> Array:

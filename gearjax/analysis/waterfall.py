@@ -8,7 +8,7 @@ import numpy as np
 from gearjax import arguments
 from gearjax.analysis.choice import MODELLED
 from gearjax.analysis.period import check_repeats
-from gearjax.analysis.periodic import at_speed, at_speeds, shoot
+from gearjax.analysis.periodic import at_speed, at_speeds, check_resolved_at, shoot
 from gearjax.batches import in_batches
 from gearjax.checks import SceneError
 from gearjax.scene import Scene
@@ -30,7 +30,8 @@ class Waterfall(eqx.Module):
         dynamic_factor: highest torque of the contacts on the output over the size of the load torque, shape (n,) [-];
             nan without a load torque.
         stable: whether a disturbance of the motion dies out, shape (n,).
-        result: 0 if a motion was found, 1 if not, shape (n,).
+        result: 0 if a motion was found, 1 if not, shape (n,); 3 if the steps are too long for the motion, of a scene
+            whose numbers are traced: otherwise such steps are refused.
     """
 
     speeds: Float[Array, " n"]
@@ -68,7 +69,8 @@ def waterfall(
         order: name of the order that gives the period.
 
     Raises:
-        SceneError: the scene lacks a part, or the number of steps is not allowed.
+        SceneError: the scene lacks a part, the number of steps is not allowed, or the steps are too long for its
+            fastest motion at a speed.
         ParameterError: there is no such order, or a speed is not positive.
     """
     speeds = at_speeds(scene, speeds, order)
@@ -76,7 +78,9 @@ def waterfall(
         raise SceneError(f"steps = {steps}: must be a multiple of 8, and at least {4 * harmonics} for these harmonics")
     turns, torque = scene.system.orders[order], jnp.asarray(torque, scene.dtype)
     check_repeats(scene, 2 * np.pi / turns, speeds)
-    return _waterfall(scene.precomputed(*MODELLED), torque, speeds, harmonics, steps, settle, turns)
+    physics = scene.precomputed(*MODELLED)
+    check_resolved_at(physics, torque, turns, speeds, steps)
+    return _waterfall(physics, torque, speeds, harmonics, steps, settle, turns)
 
 
 @eqx.filter_jit

@@ -7,6 +7,7 @@ are small beside the angle between two places that the output can have.
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ TURN = 2 * np.pi
 NEAR = 0.1  # share of the angle between two places, up to which an output angle counts as one of them
 SMALLEST = 0.5 * deg  # angle between two places that lost motion and torsion are small beside
 WHOLE = 1e-9  # relative rounding of a whole number of turns
+MOST_CYCLES = 1000  # cycles of the gear set after which the input has made whole turns
+STARTS = np.array([0.0, 1.0, 2.5])  # input angles from which a turn is looked at [rad]
 WIDTHS = 4.0  # standard deviations of the encoders' offset between recordings that are possible
 
 
@@ -27,7 +30,8 @@ class Places(NamedTuple):
     """Places of the output after whole turns of the input.
 
     Args:
-        number: turns of the input in a cycle of the gear set.
+        number: turns of the input after which all repeats: a cycle of the gear set, or the fewest cycles that are whole
+            turns.
         each: angle of the output in a turn of the input [rad].
         between: smallest angle between two places, beyond whole turns of the output [rad].
     """
@@ -38,11 +42,13 @@ class Places(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> "Places | None":
-        """The places; ``None`` if some are too close to be told apart, or a cycle is no whole number of turns."""
-        number = round(scene.system.cycle / TURN)
-        if not scene.system.turns_evenly or abs(number * TURN / scene.system.cycle - 1) > WHOLE:
+        """The places; ``None`` if some are too close to be told apart, or turns of the input differ."""
+        cycle = scene.system.cycle / TURN
+        cycles = Fraction(cycle).limit_denominator(MOST_CYCLES)
+        turning = ideal(scene, STARTS + TURN) - ideal(scene, STARTS)
+        each, number = float(turning[0]), cycles.numerator
+        if abs(float(cycles) / cycle - 1) > WHOLE or np.abs(turning - each).max() > WHOLE * TURN:
             return None
-        each = float(np.diff(ideal(scene, np.array([0.0, TURN])))[0])
         between = float(np.abs(_within(np.arange(1, number) * each)).min(initial=TURN))
         return cls(number, each, between) if between > SMALLEST else None
 
