@@ -227,7 +227,7 @@ class Case:
     def repeats(self) -> dict[str, Any]:
         """The order with which the excitation repeats, and enough steps: the mesh, or all meshes of a turn."""
         by_mesh = self.scene.system.turns_evenly and not self.scene.is_train
-        return {"order": "mesh", "steps": 32} if by_mesh else {"order": "output", "steps": 8192}
+        return {"order": "mesh", "steps": 160} if by_mesh else {"order": "output", "steps": 8192}
 
     @property
     def period(self) -> float:

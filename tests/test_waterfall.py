@@ -222,9 +222,9 @@ def test_a_load_in_hertz_repeats_at_some_speeds_only(linear):
     own = 40.0  # rad/s, not that of the scene
     shaken = dataclasses.replace(calm, load=gj.SinusoidalLoad(2 * own * mesh / (2 * np.pi)))
     for function, given in ((gj.waterfall, {"harmonics": 2}), (gj.speed_sweep, {"periods": 2})):
-        assert np.isfinite(function(shaken, 300.0, np.array([own, 2 * own]), steps=64, **given).peak_to_peak).all()
+        assert np.isfinite(function(shaken, 300.0, np.array([own, 2 * own]), steps=128, **given).peak_to_peak).all()
         with pytest.raises(gj.SceneError, match="its load differs at 60 rad/s"):
-            function(shaken, 300.0, np.array([own, 60.0]), steps=64, **given)
+            function(shaken, 300.0, np.array([own, 60.0]), steps=128, **given)
 
 
 def test_levers_of_non_circular_gears_repeat_with_the_turn():
